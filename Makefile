@@ -1,0 +1,34 @@
+# make demo: install and solve the flagship case. make test, make lint, make bench, make study.
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test lint bench study clean
+
+demo: $(READY)
+	rm -rf demo
+	$(BIN)/snapo new gas-storage demo
+	$(BIN)/snapo solve demo
+
+test: $(READY)
+	$(BIN)/python -m pytest
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright
+
+bench: $(READY)
+	$(BIN)/python -m benchmarks
+
+study: $(READY)
+	$(BIN)/python -m pytest -m slow
+
+$(READY): pyproject.toml constraints.txt
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[cli,parquet,test,lint]'
+	touch $(READY)
+
+clean:
+	rm -rf $(VENV) demo
