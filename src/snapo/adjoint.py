@@ -1,0 +1,142 @@
+"""The one adjoint pass: from weights on path totals back to the policy and to every input.
+
+    inputs → prepare → schedule → rollout → totals → objective
+    inputs ← prepare's transpose ← d schedule ← engine.adjoint ← weights
+
+Training and sensitivities both read what this file gives.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from . import inputs as inputs_
+from .engine import Adjoint, Engine, Xla
+from .objective import Objective, Weights
+from .policy import Policy
+from .scenarios import Draws, Scenarios
+from .simulator import Schedule, Simulator
+from .smooth import Exact
+
+
+class Gradient(NamedTuple):
+    """Derivatives of one value: `policy` shaped like the policy, `inputs` {name: array}."""
+
+    policy: PyTree
+    inputs: dict[str, np.ndarray]
+
+
+def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
+    """The schedule in float64 NumPy."""
+    with jax.enable_x64(True):
+        schedule = _prepare(simulator, inputs, inputs_.values(inputs))
+        return jax.tree.map(np.asarray, schedule)
+
+
+def pull_back(
+    simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
+) -> dict[str, np.ndarray]:
+    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}."""
+    with jax.enable_x64(True):
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
+        moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
+        return {entry.name: np.asarray(leaf) for entry, leaf in zip(inputs_.named(inputs), moved)}
+
+
+def value_and_gradient(
+    simulator: Simulator,
+    inputs: PyTree,
+    policy: Policy,
+    *,
+    objective: Objective,
+    scenarios: Scenarios,
+    paths: int = 4096,
+    smooth: Any = None,
+    held: bool = False,
+    engine: Engine | None = None,
+) -> tuple[float, Gradient]:
+    """The objective and its exact gradient for the policy and every input, on these paths.
+
+    **Arguments:**
+
+    - `smooth`: `Exact()` by default. Through a hard decision the pathwise derivative is blind, so
+      use `Smooth(temperature)` for derivatives through the policy's reaction, or
+    - `held`: the decisions are recorded first and then replayed; the policy's gradient is zero.
+    """
+    engine = engine or Xla(precision="float64")
+    smooth = Exact() if smooth is None else smooth
+    schedule = prepare(simulator, inputs)
+    draws = scenarios.draws(np.arange(paths), simulator)
+    value, result = weighted_adjoint(
+        engine, simulator, policy, schedule, draws, smooth, objective, held=held
+    )
+    moved = pull_back(simulator, inputs, [result.schedule])
+    gradient = {name: array[0] for name, array in moved.items()}
+    nothing = jax.tree.map(np.zeros_like, eqx.filter(policy, eqx.is_inexact_array))
+    return value, Gradient(nothing if held else result.policy, gradient)
+
+
+def weighted_adjoint(
+    engine: Engine,
+    simulator: Simulator,
+    policy: Policy,
+    schedule: Schedule,
+    draws: Draws,
+    smooth,
+    objective: Objective,
+    *,
+    held: bool = False,
+    **options,
+) -> tuple[float, Adjoint]:
+    """The objective on these paths, and the adjoint of its weights.
+
+    A linear objective knows its weights beforehand; any other costs one more forward sweep.
+    """
+    actions = None
+    if held or not objective.linear:
+        record = ("action",) if held else ()
+        window = {key: options[key] for key in ("window", "start") if key in options}
+        first = engine.values(simulator, policy, schedule, draws, smooth, record=record, **window)
+        actions = first.record.get("action")
+        weights = objective.weights(float64(first.totals))
+    else:
+        weights = flat_weights(objective, draws.size)
+    result = engine.adjoint(
+        simulator,
+        None if held else policy,
+        schedule,
+        draws,
+        smooth,
+        weights,
+        actions=actions,
+        **options,
+    )
+    return objective.value(float64(result.totals)), result
+
+
+def flat_weights(objective: Objective, paths: int) -> Weights:
+    """The weights of a linear objective, which any totals give."""
+    return objective.weights({name: np.zeros(paths) for name in objective.outputs})
+
+
+def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Path totals as float64 NumPy, so that sums over paths lose nothing."""
+    return {name: np.asarray(total, np.float64) for name, total in totals.items()}
+
+
+@eqx.filter_jit
+def _prepare(simulator: Simulator, inputs: PyTree, values: list):
+    return simulator.prepare(inputs_.replace(inputs, values))
+
+
+@eqx.filter_jit
+def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
+    def schedule(values):
+        made = simulator.prepare(inputs_.replace(inputs, values))
+        return eqx.filter(made, eqx.is_inexact_array)
+
+    _, pull = jax.vjp(schedule, values)
+    return jax.vmap(lambda cotangent: pull(cotangent)[0])(cotangents)

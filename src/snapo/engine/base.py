@@ -1,0 +1,184 @@
+"""What every engine takes and gives."""
+
+import abc
+from contextlib import AbstractContextManager, nullcontext
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from ..policy import Policy
+from ..scenarios import Draws
+from ..simulator import Schedule, Simulator
+
+
+class Window(NamedTuple):
+    """Steps `first` … `first + length - 1`; `terminal` counts when the window reaches the end."""
+
+    first: int
+    length: int
+
+
+class Rollout(NamedTuple):
+    """What a forward sweep gives.
+
+    - `totals`: {output: [N]} per path.
+    - `state`: the final state, every leaf with a leading axis of paths.
+    - `record`: of what was asked for ("state", "action", "outputs", "slack"): leaves [T, N, …].
+    """
+
+    totals: dict[str, Float[Array, " N"]]
+    state: PyTree
+    record: dict[str, PyTree]
+
+
+class Adjoint(NamedTuple):
+    """What one adjoint pass gives, for the weights that it was given.
+
+    - `totals`: {output: [N]} of the forward sweep.
+    - `policy`, `schedule`, `start`: derivatives of sum over paths and outputs of weight x total,
+      shaped like the policy, the schedule and the starting states (None where nothing is
+      differentiable). With weights [K, N] every leaf has a leading axis K.
+    """
+
+    totals: dict[str, Float[Array, " N"]]
+    policy: PyTree
+    schedule: PyTree
+    start: PyTree
+
+
+class Clip(eqx.Module):
+    """Bounds each path's own adjoint at every backward step, in training only.
+
+    The adjoint of the state, times the simulator's `state_scale`, may have a norm of at most
+    `norm` times the path's weight: the bound means the same for any number of paths.
+    """
+
+    norm: float = eqx.field(static=True)
+
+    def apply(self, packed, packing, simulator: Simulator, constants, weight):
+        """The identity on a packed state, whose cotangent is bounded."""
+        scale = simulator.state_scale(constants)
+        ones = tuple(jnp.ones_like(vector) for vector in packed)
+        scales = ones if scale is None else packing.pack(scale)
+        return _bounded(packed, scales, self.norm * weight)
+
+
+@jax.custom_vjp
+def _bounded(packed, scales, bound):
+    return packed
+
+
+def _bounded_forward(packed, scales, bound):
+    return packed, (scales, bound)
+
+
+def _bounded_backward(residual, cotangents):
+    scales, bound = residual
+    floats = [jnp.issubdtype(s.dtype, jnp.floating) for s in scales]
+    square = sum(jnp.sum((g * s) ** 2) for g, s, f in zip(cotangents, scales, floats) if f)
+    norm = jnp.sqrt(jnp.maximum(square, jnp.finfo(bound.dtype).tiny))
+    factor = jnp.minimum(1.0, bound / norm)
+    clipped = tuple(g * factor if f else g for g, f in zip(cotangents, floats))
+    return clipped, None, None
+
+
+_bounded.defvjp(_bounded_forward, _bounded_backward)
+
+
+class Engine(eqx.Module):
+    """Rolls paths forward, and takes adjoints back along the same road."""
+
+    precision: eqx.AbstractVar[str]
+
+    @property
+    def dtype(self):
+        return np.dtype(self.precision)
+
+    def numbers(self) -> AbstractContextManager:
+        """The context in which this engine's precision exists (JAX's switch is thread-local)."""
+        return jax.enable_x64(True) if self.precision == "float64" else nullcontext()
+
+    def leave(self, result: PyTree) -> PyTree:
+        """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
+        return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
+
+    @abc.abstractmethod
+    def values(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        *,
+        actions=None,
+        record: tuple[str, ...] = (),
+        window: Window | None = None,
+        start: PyTree = None,
+    ) -> Rollout:
+        """Totals of every path. With `actions` [T, N, A] the policy is not asked.
+
+        `window` runs part of the horizon from the states `start` (leaves [N, …]).
+        """
+
+    @abc.abstractmethod
+    def adjoint(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        weights: dict[str, Array],
+        *,
+        actions=None,
+        clip: Clip | None = None,
+        window: Window | None = None,
+        start: PyTree = None,
+        wrt: tuple[str, ...] = ("policy", "schedule", "start"),
+    ) -> Adjoint:
+        """One forward and one reverse sweep: derivatives of sum(weights x totals).
+
+        With weights [K, N], the derivatives of K such sums, from one forward sweep. What is not in
+        `wrt` need not be found.
+        """
+
+
+def cast(tree: PyTree, dtype) -> PyTree:
+    """Every floating array leaf in this precision; NumPy leaves become JAX arrays."""
+
+    def convert(leaf):
+        if not eqx.is_array_like(leaf) or isinstance(leaf, bool | int | float | complex):
+            return leaf
+        array = np.asarray(leaf) if isinstance(leaf, np.ndarray | np.generic) else leaf
+        if jnp.issubdtype(array.dtype, jnp.floating):
+            return jnp.asarray(array, dtype)
+        return jnp.asarray(array)
+
+    return jax.tree.map(convert, tree)
+
+
+def check_actions(simulator: Simulator, policy, actions) -> None:
+    """Either a policy or recorded actions decide."""
+    if policy is None and actions is None:
+        raise ValueError(
+            "engine: neither a policy nor actions were given; one of them must decide."
+        )
+    if actions is not None and (
+        np.ndim(actions) != 3 or np.shape(actions)[2] != simulator.action.size
+    ):
+        raise ValueError(
+            f"engine: actions have shape {np.shape(actions)}; expected [steps, paths, {simulator.action.size}]."
+        )
+
+
+def check_window(simulator: Simulator, window: Window) -> None:
+    """A window lies within the horizon."""
+    if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
+        raise ValueError(
+            f"engine: window {tuple(window)} (first, length) leaves the horizon of {simulator.horizon} steps."
+        )

@@ -1,0 +1,287 @@
+"""The XLA engine: one path, mapped over paths, scanned over time, compiled by JAX.
+
+Always works: CPU, GPU, many devices. Its adjoint is JAX's reverse mode of the rollout with the
+body of every step rematerialised; it is the oracle of the native engine in tests.
+"""
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jaxtyping import Array, Float, PyTree
+
+from ..policy import Policy
+from ..scenarios import Counter, Draws
+from ..simulator import Schedule, Simulator
+from .base import Adjoint, Clip, Engine, Rollout, Window, cast, check_actions, check_window
+from .packing import Packing
+
+NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
+
+
+class Xla(Engine):
+    """Rollouts by `jax.vmap` and `jax.lax.scan`.
+
+    **Arguments:**
+
+    - `precision`: "float32" (training) or "float64" (values and sensitivities).
+    - `segments`: the horizon is rematerialised in this many segments, so that the adjoint keeps
+      T / segments + segments states instead of T; None keeps the state of every step.
+    - `devices`: the paths are sharded over these JAX devices, where their number is a multiple;
+      None uses the default one.
+    """
+
+    precision: str = eqx.field(static=True, default="float32")
+    segments: int | None = eqx.field(static=True, default=None)
+    devices: tuple[Any, ...] | None = eqx.field(static=True, default=None)
+
+    def values(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        *,
+        actions: Float[Array, "T N A"] | None = None,
+        record: tuple[str, ...] = (),
+        window: Window | None = None,
+        start: PyTree = None,
+    ) -> Rollout:
+        with self.numbers():
+            call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
+            return self.leave(_values(self, call, record, None))
+
+    def adjoint(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        weights: dict[str, Float[Array, "*K N"]],
+        *,
+        actions: Float[Array, "T N A"] | None = None,
+        clip: Clip | None = None,
+        window: Window | None = None,
+        start: PyTree = None,
+        wrt: tuple[str, ...] = ("policy", "schedule", "start"),
+    ) -> Adjoint:
+        with self.numbers():
+            call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
+            weights = {k: self._place(cast(w, self.dtype), -1) for k, w in weights.items()}
+            return self.leave(_adjoint(self, call, weights, clip, wrt))
+
+    def call(
+        self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
+    ) -> "Call":
+        """Everything a rollout needs, checked, in this engine's precision and on its devices."""
+        check_actions(simulator, policy, actions)
+        window = window or Window(0, simulator.horizon)
+        check_window(simulator, window)
+        ends = window.first + window.length == simulator.horizon
+        differentiable, fixed = eqx.partition(
+            cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
+        )
+        policy, schedule, start, actions = eqx.combine(differentiable, fixed)
+        if start is not None:
+            start = jax.tree.map(partial(self._place, axis=0), start)
+        if actions is not None:
+            actions = self._place(actions, 1)
+        axes = draws.axes()
+        draws = jax.tree.map(
+            lambda leaf, axis: jnp.asarray(leaf) if axis is None else self._place(leaf, axis),
+            draws,
+            axes,
+            is_leaf=lambda leaf: leaf is None,
+        )
+        first = jnp.asarray(window.first, jnp.int32)
+        smooth = cast(smooth, self.dtype)
+        return Call(
+            simulator, policy, schedule, draws, smooth, actions, start, first, window.length, ends
+        )
+
+    def traced(self, call: "Call", record: tuple[str, ...] = ()) -> Rollout:
+        """The rollout as plain JAX, for callers that differentiate it themselves."""
+        return _rollout(self, call, record, None, None)
+
+    def _place(self, leaf, axis: int):
+        """Lays an array's path axis over the devices."""
+        axis = axis % np.ndim(leaf)
+        if self.devices is None or np.shape(leaf)[axis] % len(self.devices):
+            return jnp.asarray(leaf)
+        spec = PartitionSpec(*(None,) * axis, "paths")
+        mesh = Mesh(np.asarray(self.devices), ("paths",))
+        return jax.device_put(leaf, NamedSharding(mesh, spec))
+
+
+class Call(eqx.Module):
+    """Everything a rollout needs, in the engine's precision."""
+
+    simulator: Simulator
+    policy: Policy | None
+    schedule: Schedule
+    draws: Draws
+    smooth: Any
+    actions: Any
+    start: PyTree
+    first: Array
+    length: int = eqx.field(static=True)
+    ends: bool = eqx.field(static=True)
+
+
+class _Carry(NamedTuple):
+    state: tuple[Array, ...]
+    totals: dict[str, Array]
+
+
+@eqx.filter_jit
+def _values(engine: Xla, call: Call, record: tuple[str, ...], clip) -> Rollout:
+    return _rollout(engine, call, record, clip, None)
+
+
+@eqx.filter_jit
+def _adjoint(
+    engine: Xla, call: Call, weights: dict[str, Array], clip: Clip | None, wrt: tuple[str, ...]
+) -> Adjoint:
+    moving, fixed = eqx.partition({name: getattr(call, name) for name in wrt}, eqx.is_inexact_array)
+    # How much a path counts, for the bound of a clipped adjoint: its largest weight.
+    size = jnp.stack(
+        [jnp.abs(w).reshape(-1, call.draws.size).max(0) for w in weights.values()]
+    ).max(0)
+
+    def weighted(moving):
+        new = replace(call, **eqx.combine(moving, fixed))
+        totals = _rollout(engine, new, (), clip, size).totals
+        # Only what has a weight is differentiated.
+        return {name: totals[name] for name in weights}, totals
+
+    _, pull, totals = jax.vjp(weighted, moving, has_aux=True)
+    batched = any(w.ndim == 2 for w in weights.values())
+    gradient = jax.vmap(pull)(weights)[0] if batched else pull(weights)[0]
+    return Adjoint(totals, *(gradient.get(name) for name in ("policy", "schedule", "start")))
+
+
+def _rollout(engine: Xla, call: Call, record, clip, size) -> Rollout:
+    """All paths at once: `_path` mapped over the paths' own arrays."""
+
+    noise = _noise(engine, call)
+
+    def one(draws, noise, start, actions, size):
+        return _path(engine, call, draws, noise, start, actions, record, clip, size)
+
+    given = (call.draws, noise, call.start, call.actions, size)
+    axes = (call.draws.axes(), *(None if x is None else a for x, a in zip(given[1:], (1, 0, 1, 0))))
+    out = Rollout(0, 0, dict.fromkeys(record, 1))  # pyright: ignore[reportArgumentType]
+    return jax.vmap(one, in_axes=axes, out_axes=out)(*given)
+
+
+def _noise(engine: Xla, call: Call) -> Array | None:
+    """All noise [length, N, K] drawn in one go, unless it is too large to keep.
+
+    XLA draws it several times faster that way than inside the scan; the numbers are the same.
+    """
+    size, draws, dtype = call.simulator.noise_size, call.draws, engine.dtype
+    if not isinstance(draws, Counter):
+        return None
+    if call.length * draws.size * size * dtype.itemsize > NOISE_BYTES:
+        return None
+
+    def one(draws, step):
+        return draws.noise(step, size, dtype)
+
+    paths = jax.vmap(one, in_axes=(draws.axes(), None))
+    return jax.vmap(paths, in_axes=(None, 0))(draws, draws.steps(call.first, call.length))
+
+
+def _path(
+    engine: Xla, call: Call, draws, noise, start, actions, record, clip: Clip | None, size
+) -> Rollout:
+    """One path through the window."""
+    simulator, policy, schedule, smooth = call.simulator, call.policy, call.schedule, call.smooth
+    constants, dtype = schedule.constants, engine.dtype
+    first, length = call.first, call.length
+    if start is None:
+        start = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))
+    packing = Packing(start, dtype)
+    kinds = simulator.totals()
+
+    def step(carry: _Carry, x):
+        now, noise, action = x
+        packed = (
+            carry.state
+            if clip is None
+            else clip.apply(carry.state, packing, simulator, constants, size)
+        )
+        state = packing.unpack(packed)
+        if action is None:
+            action = policy(simulator.observe(constants, now, state), smooth)  # pyright: ignore
+        drawn = noise if stored else draws.noise(noise, simulator.noise_size, dtype)
+        after, outputs = simulator.step(constants, now, state, action, drawn, smooth)
+        outputs = {name: jnp.asarray(value, dtype) for name, value in outputs.items()}
+        kept = {"state": state, "action": action, "outputs": outputs}
+        if "slack" in record:
+            kept["slack"] = dict(simulator.slack(constants, now, after, outputs))
+        totals = {
+            name: _add(kinds.get(name, "sum"), carry.totals.get(name), v)
+            for name, v in outputs.items()
+        }
+        return _Carry(packing.pack(after), totals), {name: kept[name] for name in record}
+
+    now = jax.tree.map(
+        lambda leaf: jax.lax.dynamic_slice_in_dim(leaf, first, length), schedule.steps
+    )
+    stored = noise is not None
+    xs = (now, noise if stored else draws.steps(first, length), actions)
+    shapes = jax.eval_shape(
+        step, _Carry(packing.pack(start), {}), jax.tree.map(lambda leaf: leaf[0], xs)
+    )
+    zero = {name: _zero(kinds.get(name, "sum"), dtype) for name in shapes[0].totals}
+    carry = _Carry(packing.pack(start), zero)
+    carry, kept = _scan(jax.checkpoint(step, prevent_cse=False), carry, xs, length, engine.segments)
+    state = packing.unpack(carry.state)
+    totals = dict(carry.totals)
+    if call.ends:
+        for name, value in simulator.terminal(constants, state, smooth).items():
+            totals[name] = _add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
+    return Rollout(totals, state, kept)
+
+
+def _scan(step, carry, xs, length: int, segments: int | None):
+    """`lax.scan`, with segments rematerialised when asked: memory like the root of the horizon."""
+    if segments is None or segments < 2 or length < 4:
+        return jax.lax.scan(step, carry, xs)
+    size = -(-length // min(segments, length))
+    whole = length // size * size
+
+    @jax.checkpoint
+    def segment(carry, xs):
+        return jax.lax.scan(step, carry, xs)
+
+    head = jax.tree.map(lambda leaf: leaf[:whole].reshape(-1, size, *leaf.shape[1:]), xs)
+    carry, kept = jax.lax.scan(segment, carry, head)
+    kept = jax.tree.map(lambda leaf: leaf.reshape(whole, *leaf.shape[2:]), kept)
+    carry, rest = segment(carry, jax.tree.map(lambda leaf: leaf[whole:], xs))
+    return carry, jax.tree.map(lambda a, b: jnp.concatenate([a, b]), kept, rest)
+
+
+def weighted_sum(totals, weights) -> Array:
+    """Sum over outputs and paths of weight x total."""
+    return sum(
+        (jnp.sum(jnp.asarray(w) * totals[name]) for name, w in weights.items()), jnp.zeros(())
+    )
+
+
+def _add(kind: str, total, value):
+    if total is None or kind == "last":
+        return value
+    return jnp.maximum(total, value) if kind == "max" else total + value
+
+
+def _zero(kind: str, dtype):
+    return jnp.asarray(-jnp.inf if kind == "max" else 0.0, dtype)

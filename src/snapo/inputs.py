@@ -1,0 +1,115 @@
+"""Inputs: the numbers a user knows, with the name, unit and labels of a sensitivity table."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+
+def _float64(value: Any) -> np.ndarray:
+    array = np.asarray(value)
+    if array.dtype.kind not in "fiu":
+        raise TypeError(
+            f"Input: the value {value!r} is no number. Dates, names and switches belong to the simulator."
+        )
+    return array.astype(np.float64)
+
+
+class Input(eqx.Module):
+    """One differentiable input: a float64 array of any shape.
+
+    **Arguments:**
+
+    - `value`: numbers, kept as float64 NumPy.
+    - `unit`: of the value, such as "EUR/MWh"; a sensitivity is per this unit.
+    - `labels`: one per entry, in C order (dates, tenors, species); numbered when not given.
+    - `bump`: the step of a finite difference that checks the gradient; by default 1e-5 times the
+      largest entry (at least 1e-5).
+
+    A correlation matrix enters as its strict lower triangle.
+    """
+
+    value: np.ndarray = eqx.field(converter=_float64)
+    unit: str = eqx.field(static=True, default="")
+    labels: tuple[str, ...] = eqx.field(
+        static=True, default=(), converter=lambda x: tuple(map(str, x))
+    )
+    bump: float | None = eqx.field(static=True, default=None)
+
+    def __check_init__(self):
+        if self.labels and len(self.labels) != self.value.size:
+            raise ValueError(
+                f"Input: {len(self.labels)} labels for {self.value.size} numbers; give one label a number."
+            )
+        if not np.all(np.isfinite(self.value)):
+            raise ValueError("Input: a value is not finite; every input must be a finite number.")
+
+    def names(self) -> tuple[str, ...]:
+        """One label per entry in C order."""
+        if self.labels:
+            return self.labels
+        if self.value.ndim == 0:
+            return ("",)
+        return tuple(",".join(map(str, index)) for index in np.ndindex(self.value.shape))
+
+    def step(self) -> float:
+        """The step of a finite difference, in the input's unit."""
+        if self.bump is not None:
+            return self.bump
+        return 1e-5 * max(1.0, float(np.max(np.abs(self.value), initial=0.0)))
+
+
+class Frozen(eqx.Module):
+    """A table that a policy holds and training leaves alone."""
+
+    array: Any
+
+    def __jax_array__(self):
+        return jax.lax.stop_gradient(self.array)
+
+
+class Named(NamedTuple):
+    """An input and its name in tables, such as `forward_curve` or `factors.0.volatility`."""
+
+    name: str
+    input: Input
+
+
+def is_input(x: Any) -> bool:
+    return isinstance(x, Input)
+
+
+def plain(inputs: PyTree) -> PyTree:
+    """The same module with plain arrays in place of every `Input`: what `prepare` receives."""
+    return jax.tree.map(lambda x: x.value if is_input(x) else x, inputs, is_leaf=is_input)
+
+
+def named(inputs: PyTree) -> list[Named]:
+    """All inputs in tree order with their names."""
+    found = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]
+    return [Named(_name(path), leaf) for path, leaf in found if is_input(leaf)]
+
+
+def values(inputs: PyTree) -> list[np.ndarray]:
+    """The values of all inputs, in the order of `named`."""
+    return [entry.input.value for entry in named(inputs)]
+
+
+def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
+    """The plain module with `new` values in place of the inputs, in the order of `named`.
+
+    Unlike `plain`, the new values may be traced: this is the way in for differentiation.
+    """
+    remaining = iter(new)
+    return jax.tree.map(lambda x: next(remaining) if is_input(x) else x, inputs, is_leaf=is_input)
+
+
+def _name(path) -> str:
+    parts = [
+        getattr(key, "name", None) or str(getattr(key, "key", getattr(key, "idx", key)))
+        for key in path
+    ]
+    return ".".join(parts) or "input"

@@ -1,0 +1,237 @@
+"""Hard constraints from one definition: smooth while training, exact when it counts.
+
+A simulator and a policy receive `smooth` and write their limits with it::
+
+    volume = smooth.minimum(rate, room, scale=25.0)
+    fraction = smooth.indicator(value - price, scale=1.0)
+
+With `Smooth(temperature)` every corner is rounded over a width of temperature times scale,
+`scale` being in the units of the argument; with `Exact()` the same code is the contract as
+written. The temperature is an array, so annealing it never recompiles.
+
+Corners (`positive_part`, `minimum`, `maximum`, `clip`, `absolute`) are rounded by a quartic of
+compact support: outside the width they ARE the exact function, and a smooth minimum never
+exceeds the exact one, so what was feasible stays feasible. Jumps (`indicator`, `choose`,
+`share`) become logistic curves, whose tails tell training on which side the answer lies.
+All are finite in value and first and second derivative at the kink, at equal arguments, at
+infinities and at temperature zero: the branch not taken is evaluated at a harmless point.
+"""
+
+import abc
+from collections.abc import Sequence
+from functools import partial
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jax.typing import ArrayLike
+from jaxtyping import Array, Float
+
+
+class Constraints(eqx.Module):
+    """The vocabulary of limits; `Smooth` and `Exact` differ in three primitives."""
+
+    @abc.abstractmethod
+    def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """max(x, 0). Smooth: w (u + 1)^3 (3 - u) / 16 with u = x / w where |x| < w =
+        temperature * scale, twice differentiable; above the exact by at most 3 w / 16, at x = 0."""
+
+    @abc.abstractmethod
+    def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """1 where x > 0, else 0. Smooth: 1 / (1 + exp(-x / w)), within exp(-|x| / w) of exact."""
+
+    @abc.abstractmethod
+    def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """The share, 0 to 1, of a segment on which a line from `first` to `last` is positive.
+
+        Smooth: the mean of the logistic `indicator` along the segment,
+        w (log(1 + e^(first / w)) - log(1 + e^(last / w))) / (first - last); within
+        2 w log(2) / |first - last| of exact.
+        """
+
+    @abc.abstractmethod
+    def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
+        """Weights that sum to one on the largest score; smooth: softmax(scores / w)."""
+
+    def absolute(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """|x| = 2 max(x, 0) - x. Smooth: above the exact by at most 3 w / 8, at x = 0."""
+        return 2 * self.positive_part(x, scale) - x
+
+    def minimum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """min(a, b) = a - max(a - b, 0). Smooth: below the exact by at most 3 w / 16, at a = b."""
+        gap, finite = _finite_difference(a, b)
+        return jnp.where(finite, a - self.positive_part(gap, scale), jnp.minimum(a, b))
+
+    def maximum(self, a: ArrayLike, b: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """max(a, b) = b + max(a - b, 0). Smooth: above the exact by at most 3 w / 16, at a = b."""
+        gap, finite = _finite_difference(a, b)
+        return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
+
+    def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        """x within [low, high], low <= high. Smooth: stays within, off by at most 3 w / 16 a side."""
+        return self.minimum(self.maximum(x, low, scale), high, scale)
+
+    def choose(
+        self, scores: Float[Array, " n"], options: Float[Array, "n ..."], scale: ArrayLike = 1.0
+    ) -> Array:
+        """The option with the largest score; smooth: the softmax-weighted mean of all options."""
+        return jnp.tensordot(self.weights(scores, scale), options, axes=1)
+
+    def simplex(
+        self,
+        logits: Float[Array, " n"],
+        low: ArrayLike = 0.0,
+        high: ArrayLike = 1.0,
+        groups: Sequence[tuple[Sequence[int], ArrayLike, ArrayLike]] = (),
+        total: ArrayLike = 1.0,
+    ) -> Float[Array, " n"]:
+        """Shares within bounds that add up to `total`, from any real numbers, by construction.
+
+        w_i = low_i + (high_i - low_i) / (1 + exp(-(logits_i + level))), the level being the one
+        number that makes them add up. Already smooth, so the same for `Smooth` and `Exact`.
+
+        **Arguments:**
+
+        - `groups`: disjoint `(members, low, high)`: the members' sum lies within [low, high].
+          Group sums are found first, by the same formula on the groups' mean logits, then
+          shares within each group; assets in no group stand for themselves.
+        - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
+        """
+        n = logits.shape[0]
+        low, high = (jnp.broadcast_to(jnp.asarray(b, logits.dtype), (n,)) for b in (low, high))
+        if not groups:
+            return _fill(logits, low, high, jnp.asarray(total, logits.dtype))
+        members = [jnp.asarray(g[0]) for g in groups]
+        grouped = {int(i) for g in groups for i in g[0]}
+        if len(grouped) < sum(len(g[0]) for g in groups):
+            raise ValueError("simplex: an asset stands in two groups; groups must be disjoint.")
+        alone = jnp.asarray([i for i in range(n) if i not in grouped], int)
+        mean = jnp.stack([logits[m].mean() for m in members])
+        floor = jnp.stack([jnp.maximum(low[m].sum(), g[1]) for m, g in zip(members, groups)])
+        cap = jnp.stack([jnp.minimum(high[m].sum(), g[2]) for m, g in zip(members, groups)])
+        sums = _fill(
+            jnp.concatenate([mean, logits[alone]]),
+            jnp.concatenate([floor, low[alone]]),
+            jnp.concatenate([cap, high[alone]]),
+            jnp.asarray(total, logits.dtype),
+        )
+        shares = jnp.zeros_like(logits).at[alone].set(sums[len(groups) :])
+        for group_sum, m in zip(sums, members):
+            shares = shares.at[m].set(_fill(logits[m], low[m], high[m], group_sum))
+        return shares
+
+
+class Smooth(Constraints):
+    """Constraints rounded at `temperature` (an array; zero gives the exact ones)."""
+
+    temperature: Array = eqx.field(converter=jnp.asarray)
+
+    def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        width = self.temperature * scale
+        rounded = jnp.abs(x) < width
+        u = jnp.where(rounded, x, 0.0) / jnp.where(width > 0, width, 1.0)
+        corner = width * (u + 1) ** 3 * (3 - u) / 16
+        return jnp.where(rounded, corner, jnp.where(jnp.asarray(x) < 0, 0.0, x))
+
+    def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        scaled, hot = self._scaled(x, scale)
+        return jnp.where(hot, jax.nn.sigmoid(scaled), _step(x))
+
+    def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        a, hot = self._scaled(first, scale)
+        b, _ = self._scaled(last, scale)
+        wide = jnp.abs(a - b) > 0.4
+        gap = jnp.where(wide, a - b, 1.0)
+        quotient = (jax.nn.softplus(a) - jax.nn.softplus(b)) / gap
+        # Nearly equal ends: the quotient loses digits, three Gauss points are exact to 1e-9.
+        mid, half = (a + b) / 2, (a - b) / 2 * 0.7745966692414834
+        gauss = 4 * jax.nn.sigmoid(mid) / 9
+        gauss += 5 * (jax.nn.sigmoid(mid - half) + jax.nn.sigmoid(mid + half)) / 18
+        return jnp.where(hot, jnp.where(wide, quotient, gauss), Exact().share(first, last))
+
+    def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
+        scaled, hot = self._scaled(scores, scale)
+        return jnp.where(hot, jax.nn.softmax(scaled), Exact().weights(scores))
+
+    def _scaled(self, x, scale) -> tuple[Array, Array]:
+        """x / (temperature * scale) and whether the temperature is above zero."""
+        width = self.temperature * scale
+        hot = width > 0
+        return jnp.where(hot, x, 0.0) / jnp.where(hot, width, 1.0), hot
+
+
+class Exact(Constraints):
+    """The constraints as the contract writes them."""
+
+    def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        x = jnp.asarray(x)
+        return jnp.where(x < 0, jnp.zeros_like(x), x)
+
+    def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        return _step(x)
+
+    def share(self, first: ArrayLike, last: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        first, last = jnp.asarray(first), jnp.asarray(last)
+        crossing = (first > 0) != (last > 0)
+        gap = jnp.where(crossing, first - last, 1.0)
+        positive = jnp.maximum(first, 0.0) - jnp.maximum(last, 0.0)
+        return jnp.where(crossing, positive / gap, _step(first))
+
+    def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
+        return jax.nn.one_hot(jnp.argmax(scores), scores.shape[0], dtype=scores.dtype)
+
+
+def _step(x: ArrayLike) -> Array:
+    x = jnp.asarray(x)
+    return (x > 0).astype(jnp.result_type(x, jnp.float32) if x.dtype.kind != "f" else x.dtype)
+
+
+def _finite_difference(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
+    """a - b where that is finite, else 0, and whether it was."""
+    finite = jnp.isfinite(jnp.asarray(a) - jnp.asarray(b))
+    return jnp.where(finite, a, 0.0) - jnp.where(finite, b, 0.0), finite
+
+
+def _fill(logits: Array, low: Array, high: Array, total: Array) -> Array:
+    """low + (high - low) logistic(logits + level), adding up to `total`."""
+    level = _level(logits, low, high, total)
+    return low + (high - low) * jax.nn.sigmoid(logits + level)
+
+
+@jax.custom_jvp
+def _level(logits: Array, low: Array, high: Array, total: Array) -> Array:
+    """The level at which `_fill` adds up: bisection, then Newton, in a fixed number of steps."""
+
+    def excess(level):
+        return jnp.sum(low + (high - low) * jax.nn.sigmoid(logits + level)) - total
+
+    def halve(_, bracket):
+        left, right = bracket
+        middle = (left + right) / 2
+        above = excess(middle) > 0
+        return jnp.where(above, left, middle), jnp.where(above, middle, right)
+
+    # Beyond 40 of the extreme logits every share is at a bound to float64's precision.
+    bracket = (-jnp.max(logits) - 40.0, -jnp.min(logits) + 40.0)
+    steps = 30 if logits.dtype == jnp.float32 else 44
+    left, right = jax.lax.fori_loop(0, steps, halve, bracket)
+    level = (left + right) / 2
+    slope = jnp.sum(_slopes(logits + level, low, high))
+    newton = level - excess(level) / jnp.where(slope > 0, slope, 1.0)
+    return jnp.where(slope > 0, jnp.clip(newton, left, right), level)
+
+
+def _slopes(x: Array, low: Array, high: Array) -> Array:
+    return (high - low) * jax.nn.sigmoid(x) * jax.nn.sigmoid(-x)
+
+
+@partial(_level.defjvp)
+def _level_derivative(primals, tangents):
+    """Implicit differentiation of sum(shares) = total."""
+    logits, low, high, total = primals
+    d_logits, d_low, d_high, d_total = tangents
+    level = _level(logits, low, high, total)
+    slopes, part = _slopes(logits + level, low, high), jax.nn.sigmoid(logits + level)
+    moved = jnp.sum(slopes * d_logits + (1 - part) * d_low + part * d_high) - d_total
+    slope = jnp.sum(slopes)
+    return level, jnp.where(slope > 0, -moved / jnp.where(slope > 0, slope, 1.0), 0.0)
