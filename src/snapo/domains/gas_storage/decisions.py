@@ -1,0 +1,129 @@
+"""What the trained policy would do: trigger prices by day, and today's decision by inventory.
+
+All at the price state in which only the fastest factor moves: a spot price then says the state.
+Prices are undiscounted spot prices in currency per unit.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...policy import Policy
+from ...simulator import Schedule
+from ...smooth import Exact
+from . import prices
+from .observation import HEAD, Economics
+from .policy import GuidePolicy, MarginalValue, StoragePolicy
+from .records import SuppliedModel
+from .simulator import State, StorageSimulator
+
+SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
+
+
+class Triggers(NamedTuple):
+    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN where no spot
+    between a third and three times the forward price would make the policy do so."""
+
+    injection: Float[np.ndarray, " n"]
+    withdrawal: Float[np.ndarray, " n"]
+
+
+class Decision(NamedTuple):
+    """Net volume into store and its fraction of what is feasible, and the marginal value of gas at
+    the end of the day as of its gas payment, all at given inventories: [n] each."""
+
+    injection: np.ndarray
+    withdrawal: np.ndarray
+    marginal_value: np.ndarray
+
+
+def triggers(
+    simulator: StorageSimulator,
+    schedule: Schedule,
+    policy: Policy,
+    day: np.ndarray,
+    inventory: np.ndarray,
+) -> Triggers:
+    """Trigger prices on the days with these numbers, at these inventories, both [n]."""
+    with jax.enable_x64(True):
+        now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
+        spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
+        given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float), spots)
+        buying, selling = (np.asarray(gain) for gain in _gains(*given))
+    return Triggers(_crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False))
+
+
+def decide(
+    simulator: StorageSimulator, schedule: Schedule, policy: Policy, day: int, inventory: np.ndarray
+) -> Decision:
+    """What the policy does on a day at the forward price, at each inventory [n]."""
+    with jax.enable_x64(True):
+        now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
+        given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float))
+        return Decision(*(np.asarray(x) for x in _decided(*given)))
+
+
+@eqx.filter_jit
+def _decided(simulator: StorageSimulator, constants, policy: Policy, now, inventories):
+    def one(inventory):
+        state = State(inventory, _price_state(simulator, now, now.forward))
+        seen = simulator.observe(constants, now, state)
+        action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
+        _, outputs = simulator.step(constants, now, state, action, noise, Exact())
+        value = _marginal_value(policy, seen).keep * constants.price_scale
+        return outputs["injection"], outputs["withdrawal"], value
+
+    return jax.vmap(one)(inventories)
+
+
+@eqx.filter_jit
+def _gains(simulator: StorageSimulator, constants, policy: Policy, now, inventories, spots):
+    """What the first unit injected, and the first one withdrawn, would gain: [n, SPOTS] each."""
+
+    def one(now, inventory, spot) -> tuple[Array, Array]:
+        state = State(inventory, _price_state(simulator, now, spot))
+        seen = simulator.observe(constants, now, state)
+        value, economics = _marginal_value(policy, seen), Economics(*seen[:HEAD])
+        return value.keep - economics.buy, economics.sell - value.keep
+
+    return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)))(now, inventories, spots)
+
+
+def _marginal_value(policy: Policy, seen) -> MarginalValue:
+    if isinstance(policy, StoragePolicy):
+        return policy.marginal_value(seen)
+    if isinstance(policy, GuidePolicy):
+        economics = Economics(*seen[:HEAD])
+        return MarginalValue(economics.keep, economics.filled, economics.emptied)
+    raise TypeError(
+        f"{type(policy).__name__} has no marginal value of gas, hence no trigger prices."
+    )
+
+
+def _price_state(simulator: StorageSimulator, now, spot):
+    """The state of the prices with this spot, the slow factors at rest."""
+    case = simulator.case
+    if isinstance(case.model, SuppliedModel):
+        return jnp.atleast_1d(spot / now.forward if case.model.rescaled else spot)
+    fast = prices.fast_factor(case)
+    loading = now.loading[fast]
+    moved = (jnp.log(spot / now.forward) + now.variance / 2) / jnp.where(loading > 0, loading, 1.0)
+    state = jnp.zeros(simulator.noise_size)
+    return state.at[fast].set(jnp.where(loading > 0, moved, 0.0))
+
+
+def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:
+    """The spot price at which a gain changes sign, by linear interpolation, per row."""
+    found = np.full(len(spot), np.nan)
+    wanted = -1 if falling else 1
+    for row, (s, g) in enumerate(zip(spot, gain)):
+        change = np.flatnonzero(np.sign(g[1:]) - np.sign(g[:-1]) == 2 * wanted)
+        if change.size:
+            # The crossing nearest to the forward price.
+            i = change[np.argmin(np.abs(change - len(s) // 2))]
+            found[row] = s[i] - g[i] * (s[i + 1] - s[i]) / (g[i + 1] - g[i])
+    return found

@@ -1,0 +1,39 @@
+"""What a contract is worth when no decision is left, and what it owes whatever is decided."""
+
+import numpy as np
+
+from .records import LevelAtEnd, Market, PriceAtEnd, StorageCase
+
+
+def discount(market: Market, days: np.ndarray) -> np.ndarray:
+    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
+    later = np.maximum(np.asarray(days, np.float64), 0)
+    rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())
+    return np.exp(-rates * later / 365)
+
+
+def value_without_decisions(case: StorageCase) -> float:
+    """The value, before fixed costs, of a case with no decision days.
+
+    Zero after the end date; else that of the inventory on the end date, discounted from it: its
+    level is met (or the case would have been refused), and its price is the forward price.
+    """
+    if case.days:
+        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
+    at_end = case.contract.at_end
+    if case.expired or isinstance(at_end, LevelAtEnd):
+        return 0.0
+    inventory = float(case.contract.inventory.used())
+    factor = float(discount(case.market, np.array(case.end_day)))
+    if isinstance(at_end, PriceAtEnd):
+        if not case.has_end_price:
+            return 0.0
+        price = float(case.market.forward_curve.used()[-1])
+        return factor * float(at_end.fraction.used()) * inventory * price
+    return factor * float(np.interp(inventory, at_end.inventory.used(), at_end.value.used()))
+
+
+def fixed_costs_value(case: StorageCase) -> float:
+    """The present value of the fixed costs still owed, in currency; to be taken off the value."""
+    amounts = case.contract.fixed_costs.used()
+    return float(np.sum(amounts * discount(case.market, case.contract.fixed_cost_day)))

@@ -1,0 +1,111 @@
+"""The report of a storage run: one HTML file made of nothing but the files of the run folder."""
+
+from pathlib import Path
+
+import numpy as np
+
+from ...report import charts
+from ...report.drawing import draw_alone
+from ...report.page import Page, render
+from ...report.quantity import array, decimals, finite, long_date
+from ...report.theme import LIGHT
+from .sections import evidence, headline, position, risk, today, value
+from .sections.run import Run, read
+
+FILE = "report.html"
+HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
+SECTIONS = (
+    headline.headline,
+    value.value_ladder,
+    position.curve,
+    position.inventory,
+    position.monthly,
+    position.daily,
+    risk.risk,
+    risk.sliders,
+    today.today,
+    value.cash_flow,
+    evidence.history,
+    evidence.certificate,
+    evidence.assumptions,
+)
+
+
+def write_report(folder: Path) -> Path:
+    """Writes `report.html` into the run folder and returns its path.
+
+    It reads result.json, details.json, sensitivities.csv, profile.csv and history.csv; where a
+    file or a key is missing, the section says so in a sentence. The same files give the same page,
+    byte for byte.
+    """
+    run = read(Path(folder))
+    file = Path(folder) / FILE
+    file.write_text(page(run), encoding="utf-8")
+    return file
+
+
+def page(run: Run) -> str:
+    """The report as HTML."""
+    return render(
+        Page(
+            title=str(run.get("title") or run.result.get("title") or "Gas storage"),
+            about=_about(run),
+            sections=[section(run) for section in SECTIONS],
+            footer=_footer(run),
+        )
+    )
+
+
+def _about(run: Run) -> list[tuple[str, str]]:
+    found = []
+    if run.get("valuation_date"):
+        found.append(("Valuation date", long_date(run.get("valuation_date"))))
+    if run.get("start") and run.get("end"):
+        dates = f"{long_date(run.get('start'))} to {long_date(run.get('end'))}"
+        found.append(("Contract, end not included", dates))
+    if run.days:
+        found.append(("Decision days left", f"{len(run.days):,}"))
+    if run.currency:
+        found.append(("Units", f"{run.currency}, {run.volume}"))
+    return found
+
+
+def _footer(run: Run) -> str:
+    version = run.get("versions.snapo")
+    known = version and version[:1].isdigit()  # else it says that it is not installed
+    made = f"Made by snapo {version}" if known else "Made by snapo"
+    return f"{made} from the files of one run folder; the page needs and sends nothing."
+
+
+def readme_picture(folder: Path) -> str:
+    """A picture of a result as SVG text that stands alone: value ladder and monthly deltas.
+
+    Raises `ValueError` where the run lacks either.
+    """
+    run = read(Path(folder))
+    ladder = [each for each in run.get("value_ladder", []) if finite(each.get("value")) is not None]
+    months = run.get("deltas_monthly", [])
+    volumes = array([each.get("undiscounted") for each in months])
+    if not ladder or volumes is None:
+        raise ValueError("details.json: `value_ladder` and `deltas_monthly` are needed.")
+    places = decimals([each["value"] for each in ladder])
+    main = finite(run.result.get("value"))
+    rungs = [
+        charts.Rung(
+            str(each["name"]),
+            float(each["value"]),
+            run.worth(each["value"], each.get("standard_error"), places),
+            finite(each.get("standard_error")),
+            finite(each["value"]) == main,
+        )
+        for each in ladder
+    ]
+
+    def paint(left, right):
+        charts.ladder(left, rungs)
+        left.set_title("Value of the contract", **HEADING)
+        position.month_painter(run, months, np.asarray(volumes))(right)
+        right.set_title(f"Delta by delivery month, {run.volume}", **HEADING)
+
+    title = f"{run.get('title', 'Gas storage')}: value ladder and deltas by delivery month"
+    return draw_alone(title, paint, (900.0, 280.0), (1.0, 1.25))

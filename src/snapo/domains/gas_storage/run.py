@@ -1,0 +1,331 @@
+"""A gas-storage case from the file to the run folder: what `snapo solve` does."""
+
+import hashlib
+import json
+import math
+import shutil
+import tempfile
+from collections.abc import Callable
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ... import checkpoint, solver
+from ...adjoint import prepare
+from ...case import CaseError, Objective
+from ...engine import Engines, choose
+from ...inputs import Input
+from ...objective import CRRA, CVaR, Entropic, ExpectedUtility, Mean, MeanVariance, Target
+from ...objective import Objective as CoreObjective
+from ...scenarios import Pseudo, Scenarios, Supplied
+from ...sensitivity import sensitivities
+from ...simulator import Schedule, probe
+from ...solution import HISTORY, RESULT, Solution, versions, write_csv, write_text
+from ...train import EVALUATE_STREAM, Progress, Record, Training, begin
+from . import references
+from .details import details, profile_rows
+from .expiry import value_without_decisions
+from .guide import Guide
+from .inputs import storage_inputs
+from .policy import GuidePolicy, StoragePolicy
+from .records import StorageCase, SuppliedModel
+from .report import write_report
+from .simulator import StorageSimulator
+
+CHECKPOINT, DETAILS, PROFILE = "checkpoint.npz", "details.json", "profile.csv"
+ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
+OUTPUT = "cash_flow"
+HEDGE_PATHS = 2048
+
+
+class Problem(NamedTuple):
+    """A case made ready to solve."""
+
+    case: StorageCase
+    simulator: StorageSimulator
+    inputs: dict[str, Input]
+    schedule: Schedule
+    objective: CoreObjective
+    training: Training
+    evaluation: solver.Evaluation
+    engines: Engines
+
+    @property
+    def interpolation(self):
+        return self.case.contract.ratchets.interpolation
+
+
+def check(case: StorageCase) -> list[str]:
+    """What the case says, in a few lines: nothing is trained."""
+    if not case.days:
+        return [
+            f"{case.title}: no decision day is left; the value is {value_without_decisions(case):,.2f}"
+        ]
+    simulator, inputs = StorageSimulator(case), storage_inputs(case)
+    schedule = prepare(simulator, inputs)
+    plan = references.intrinsic(schedule, case.contract.ratchets.interpolation)
+    numbers = sum(entry.value.size for entry in inputs.values())
+    return [
+        f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
+        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        f"intrinsic value {plan.value:,.2f} {case.currency}",
+        "the contract can be met",
+    ]
+
+
+def solve(
+    case: StorageCase,
+    *,
+    out: Path,
+    seed: int,
+    engine: str = "auto",
+    reference: bool = False,
+    resume: bool = False,
+    progress: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Solves a case into the folder `out` and returns what `result.json` says."""
+    out = Path(out)
+    _check_folder(out)
+    if not case.days:
+        return _write_expired(case, out, seed)
+    problem = make_problem(case, seed, engine)
+    out.mkdir(parents=True, exist_ok=True)
+    file = out / CHECKPOINT
+    fingerprint = _fingerprint(problem)
+    policy = new_policy(problem)
+    state = begin(policy, problem.training)
+    if resume and file.exists():
+        try:
+            state = checkpoint.load(file, state, fingerprint)
+        except checkpoint.CheckpointError as error:
+            raise CaseError(
+                str(file), "", None, str(error).partition(": ")[2].rstrip(".")
+            ) from None
+        progress(f"resuming after step {state.step} of {problem.training.steps}")
+    _copy_case(case, out)
+    troubles: list[str] = []
+
+    def keep(state: Progress) -> None:
+        """Best policy and history so far, on disk; a write that fails does not lose the run."""
+        _tell(state, problem.training, progress)
+        try:
+            checkpoint.save(state, file, fingerprint)
+            write_csv(out / HISTORY, Record._fields, state.history)
+        except OSError as error:
+            troubles.append(f"{error.filename or out}: {error.strerror}")
+            progress(f"could not write: {troubles[-1]}")
+
+    solution = solver.solve(
+        problem.simulator,
+        problem.inputs,
+        policy,
+        objective=problem.objective,
+        scenarios=_evaluation_scenarios(problem),
+        training=problem.training,
+        evaluation=problem.evaluation,
+        engine=problem.engines,
+        callbacks=[keep],
+        progress=state,
+    )
+    progress(str(solution))
+    return _write(problem, solution, out, reference, troubles, progress)
+
+
+def report(folder: Path) -> Path:
+    """Writes `report.html` afresh from the files of a run folder."""
+    return write_report(Path(folder))
+
+
+def make_problem(case: StorageCase, seed: int, engine: str = "auto") -> Problem:
+    """Simulator with its guide and its hedge, inputs, schedule, objective and engines."""
+    inputs = storage_inputs(case)
+    bare = StorageSimulator(case)
+    schedule = prepare(bare, inputs)
+    interpolation = case.contract.ratchets.interpolation
+    noise = not isinstance(case.model, SuppliedModel)
+    found = references.marginal_values(schedule, interpolation, noise=noise)
+    # No hedge yet, but its place: the compiled `prepare` serves before and after.
+    simulator = StorageSimulator(case, Guide.of(found), np.zeros(len(case.days)))
+    schedule = prepare(simulator, inputs)
+    training = Training(**case.training.model_dump() | {"seed": seed})
+    evaluation = solver.Evaluation(**case.evaluation.model_dump())
+    policy = StoragePolicy(probe(simulator, schedule)[1].shape[0], key=jax.random.key(seed))
+    engines = choose(engine, simulator, policy, schedule)
+    if noise:
+        simulator = replace(simulator, hedge=_hedge(simulator, inputs, engines, seed))
+        schedule = prepare(simulator, inputs)
+    objective = make_objective(case.objective)
+    return Problem(case, simulator, inputs, schedule, objective, training, evaluation, engines)
+
+
+def _hedge(simulator: StorageSimulator, inputs, engines: Engines, seed: int) -> np.ndarray:
+    """Forward volumes [T] for the control variate: the deltas of the guide's rule, on a few paths."""
+    source = Pseudo(seed, stream=(EVALUATE_STREAM << 32) + 2)
+    rule = GuidePolicy()
+    found = sensitivities(
+        simulator, inputs, rule, Mean(OUTPUT), source, HEDGE_PATHS, engine=engines.evaluate
+    )
+    discount = prepare(simulator, inputs).steps.gas_discount
+    return found.held["forward_curve"].value[: simulator.horizon] / discount
+
+
+def make_objective(given: Objective) -> CoreObjective:
+    """The objective that `[objective]` names, of the total cash flow."""
+    aversion = given.risk_aversion or 0.0
+    match given.kind:
+        case "cvar":
+            return CVaR(OUTPUT, given.level or 0.95)
+        case "mean-variance":
+            return MeanVariance(OUTPUT, aversion)
+        case "entropic":
+            return Entropic(OUTPUT, aversion)
+        case "crra":
+            return ExpectedUtility(OUTPUT, CRRA(aversion, given.wealth or 0.0))
+        case "target":
+            return Target(OUTPUT, given.target or 0.0)
+        case _:
+            return Mean(OUTPUT)
+
+
+def new_policy(problem: Problem) -> StoragePolicy:
+    """The untrained policy: the guide's rule, nearly."""
+    features = probe(problem.simulator, problem.schedule)[1].shape[0]
+    return StoragePolicy(features, key=jax.random.key(problem.training.seed))
+
+
+def _evaluation_scenarios(problem: Problem) -> Scenarios | None:
+    model = problem.case.model
+    return (
+        supplied(model.evaluation, problem.simulator) if isinstance(model, SuppliedModel) else None
+    )
+
+
+def supplied(paths: np.ndarray, simulator: StorageSimulator) -> Supplied:
+    """Price paths [path, day] as scenarios: the first day's price starts a path."""
+    days = simulator.horizon
+    later = np.zeros((days, len(paths), 1))
+    following = paths[:, 1 : days + 1].T
+    later[: len(following), :, 0] = following
+    return Supplied(later, paths[:, :1])
+
+
+def _write(
+    problem: Problem, solution: Solution, out: Path, reference: bool, troubles: list[str], progress
+) -> dict[str, Any]:
+    """The run folder's files; what cannot be written becomes a status."""
+    plan = references.intrinsic(problem.schedule, problem.interpolation)
+    known: dict[str, float | None] = {"intrinsic": plan.value, "dynamic_programming": None}
+    if reference and not isinstance(problem.case.model, SuppliedModel):
+        progress("solving the reference by dynamic programming")
+        known["dynamic_programming"] = references.lattice(
+            problem.schedule, problem.interpolation
+        ).value
+    status = solution.status if not troubles else "not written"
+    result = {"kind": problem.case.kind} | solution.summary()
+    result |= {"references": known, "status": status, "run": str(out)}
+    try:
+        solution.save(out)
+        write_text(out / RESULT, json.dumps(_finite(result), indent=1))
+        found = details(problem, solution, plan, known)
+        write_text(out / DETAILS, json.dumps(_finite(found)))
+        write_csv(out / PROFILE, *profile_rows(found))
+        write_report(out)
+    except OSError as error:
+        progress(f"could not write: {error.filename or out}: {error.strerror}")
+        result["status"] = "not written"
+    return result
+
+
+def _write_expired(case: StorageCase, out: Path, seed: int) -> dict[str, Any]:
+    """A case without a decision left has a value, and nothing to train."""
+    out.mkdir(parents=True, exist_ok=True)
+    value = value_without_decisions(case)
+    result = {
+        "kind": case.kind,
+        "value": value,
+        "standard_error": 0.0,
+        "smooth_value": value,
+        "smoothing_gap": 0.0,
+        "policy_gradient_norm": 0.0,
+        "references": {"intrinsic": value, "dynamic_programming": value},
+        "seconds": {"compile": 0.0, "train": 0.0, "evaluate": 0.0, "total": 0.0},
+        "engine": "none",
+        "paths": {"train": 0, "evaluate": 0},
+        "seed": seed,
+        "status": "ok",
+        "run": str(out),
+    }
+    write_text(out / RESULT, json.dumps(result, indent=1))
+    note = "No decision day is left."
+    found = {"title": case.title, "currency": case.currency, "notes": [note, *case.notes]}
+    write_text(out / DETAILS, json.dumps(found))
+    write_report(out)
+    return result
+
+
+def _check_folder(out: Path) -> None:
+    """An unwritable folder or a full disk is found before training, not after."""
+    place = out
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise CaseError(str(out), "", None, f"{place} is not a folder")
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
+    free = shutil.disk_usage(place).free
+    if free < ENOUGH_SPACE:
+        what = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
+        raise CaseError(str(out), "", None, what)
+
+
+def _fingerprint(problem: Problem) -> dict[str, Any]:
+    """What decides the numbers of a run: a resumed one must have the same."""
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(problem.schedule):
+        digest.update(np.ascontiguousarray(leaf).tobytes())
+    return {
+        "contract and market": digest.hexdigest(),
+        "training": asdict(problem.training),
+        "objective": problem.case.objective.model_dump(),
+        "engine": problem.engines.name,
+        "versions": versions(),
+    }
+
+
+def _copy_case(case: StorageCase, out: Path) -> None:
+    """A copy of the case beside its results, with the files it names."""
+    target = out / "case"
+    source = case.file.parent
+    target.mkdir(exist_ok=True)
+    for file in source.iterdir():
+        if file.is_file() and file.suffix.lower() in (".toml", ".csv"):
+            shutil.copyfile(file, target / file.name)
+
+
+def _tell(state: Progress, training: Training, progress: Callable[[str], None]) -> None:
+    if not state.history:
+        return
+    last = state.history[-1]
+    progress(
+        f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.2f}, "
+        f"best {last.best:>14,.2f}, {last.seconds:6.1f} s"
+    )
+
+
+def _finite(value: Any) -> Any:
+    """Plain JSON data: NumPy becomes lists, what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): _finite(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(each) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return _finite(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value

@@ -1,0 +1,222 @@
+"""What the storage does over time and what to trade against it: curve and trigger prices,
+inventory, deltas by month and by day."""
+
+import numpy as np
+
+from ....report import charts
+from ....report.axes import days as date_numbers
+from ....report.drawing import draw
+from ....report.page import Block, Chart, Missing, Section, Table
+from ....report.quantity import (
+    SPACE,
+    array,
+    decimals,
+    finite,
+    long_month,
+    number,
+    plus_minus,
+    quantity,
+)
+from .run import Run
+
+SIGN = (
+    "A positive delta is a month in which the storage is long (it will withdraw): the hedge sells"
+    " that volume of futures; a negative delta is bought."
+)
+
+
+def curve(run: Run) -> Section:
+    """The forward curve between the prices below which to inject and above which to withdraw."""
+    title, short = "Forward curve and trigger prices", "Curve"
+    prices, when = run.numbers("forward", "forward"), run.days
+    if prices is None or when is None:
+        text = "The forward curve by day is not in this run."
+        return Section("curve", title, short, [Missing(text)])
+    place = date_numbers(when)
+    lines = []
+    for key, label, colour in TRIGGERS:
+        values = run.numbers(f"trigger_{key}", f"trigger_{key}")
+        if values is not None:
+            lines.append(charts.Line(label, values, colour, width=1.3))
+    lines.append(charts.Line("Forward price", prices, "ink", width=2.0, step=True))
+    low, high = np.nanmin(prices), np.nanmax(prices)
+    alt = (
+        f"Forward price by day, from {quantity(low, run.price, 2)} to"
+        f" {quantity(high, run.price, 2)}, with the trigger prices of injection and withdrawal."
+    )
+    svg = draw("curve-lines", alt, lambda axes: charts.lines(axes, place, lines, run.price))
+    caption = (
+        "Trigger prices are undiscounted spot prices at the expected inventory of the day: the"
+        " policy injects when spot is below the blue line and withdraws above the orange one."
+    )
+    blocks: list[Block] = [Chart(svg, caption)]
+    if len(lines) == 1:
+        blocks.append(Missing("The trigger prices by day are not in this run."))
+    return Section("curve", title, short, blocks, break_before=True)
+
+
+TRIGGERS = (
+    ("withdrawal", "Withdraw above", "withdraw"),
+    ("injection", "Inject below", "inject"),
+)
+
+
+def inventory(run: Run) -> Section:
+    """Expected inventory with its 5-95 % band, inside what is reachable and allowed."""
+    title, short = "Inventory against its limits", "Inventory"
+    mean, when = run.numbers("inventory.mean", "inventory_mean"), run.days
+    if mean is None or when is None:
+        text = "The expected inventory by day is not in this run."
+        return Section("inventory", title, short, [Missing(text)])
+    place = date_numbers(when)
+    ends = np.append(place, place[-1] + 1)[: len(mean)]  # [T+1]: the start of every day and the end
+    band = [run.numbers(f"inventory.{name}", f"inventory_{name}") for name in ("p05", "p95")]
+    low, high = (None if each is None else each[: len(mean)] for each in band)
+    reach, limits = (_pair(run, name, len(mean)) for name in ("reachable", "limits"))
+    flow = run.numbers("flow.mean", "flow_mean")
+
+    def paint(stock, daily=None):
+        charts.fan(stock, ends, mean, low, high, run.volume, reach=reach, limits=limits)
+        if daily is not None and flow is not None:
+            # Withdrawals point up, as they earn; the run counts injections as positive.
+            names = ("Withdrawal, mean", "Injection, mean")
+            charts.signed_strip(daily, place, -flow, run.daily, names)
+
+    rows = (1.0,) if flow is None else (2.0, 1.0)
+    alt = (
+        f"Mean inventory by day with a 5 to 95 % band; it starts at {run.gas(mean[0])}, peaks at"
+        f" {run.gas(np.nanmax(mean))} on {when[int(np.nanargmax(mean[: len(when)]))]} and ends at"
+        f" {run.gas(mean[-1])}."
+    )
+    svg = draw("inventory-fan", alt, paint, 260 if flow is None else 370, rows)
+    caption = (
+        "Grey is every inventory from which the contract can still be met; the policy cannot leave"
+        " it. Below, the mean flow of each day: withdrawals up, injections down."
+    )
+    return Section("inventory", title, short, [Chart(svg, caption)])
+
+
+def _pair(run: Run, name: str, length: int):
+    low, high = run.numbers(f"{name}.low"), run.numbers(f"{name}.high")
+    return None if low is None or high is None else (low[:length], high[:length])
+
+
+def monthly(run: Run) -> Section:
+    """Deltas by delivery month with intervals, against the intrinsic volumes."""
+    title, short = "Deltas by delivery month", "Deltas"
+    rows = run.get("deltas_monthly", [])
+    values = array([each.get("undiscounted") for each in rows])
+    if values is None:
+        text = "Deltas by delivery month are not in this run."
+        return Section("deltas", title, short, [Missing(text)])
+    paint = month_painter(run, rows, values)
+    parts = [
+        f"{long_month(each.get('month'))} {number(value, 0)}"
+        for each, value in zip(rows, values, strict=True)
+    ]
+    alt = f"Bars of the delta per delivery month in {run.volume}: " + ", ".join(parts) + "."
+    svg = draw("deltas-by-month", alt, paint, 280)
+    caption = (
+        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval of the"
+        " simulation. Hatched: how far the delta still moved in the last half of training."
+    )
+    table = _month_table(run, rows)
+    return Section("deltas", title, short, [Chart(svg, caption), table], break_before=True)
+
+
+def month_painter(run: Run, rows, values):
+    """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
+    labels = _month_labels([each.get("month") for each in rows])
+    errors = array([_undiscounted_error(each) for each in rows])
+    intrinsic = array([each.get("intrinsic") for each in rows])
+    options = {
+        "names": ("Long: sell", "Short: buy"),
+        "half": None if errors is None else charts.INTERVAL * np.nan_to_num(errors),
+        "moved": array([each.get("moved") for each in rows]),
+        "compare": None if intrinsic is None else ("Intrinsic plan", intrinsic),
+    }
+    return lambda axes: charts.signed_bars(axes, labels, values, run.volume, **options)
+
+
+def _undiscounted_error(each: dict) -> float | None:
+    """The standard error belongs to the discounted delta; both scale with the discount factor."""
+    error, discounted = finite(each.get("standard_error")), finite(each.get("discounted"))
+    whole = finite(each.get("undiscounted"))
+    if error is None or not discounted or whole is None:
+        return error
+    return error * abs(whole / discounted)
+
+
+def _month_labels(months: list) -> list[str]:
+    """ "Apr", or every second, third … where there are many; the year where a new one begins."""
+    step = next((step for step in (1, 2, 3, 6, 12) if len(months) <= 18 * step), 24)
+    labels, last = [""] * len(months), ""
+    for i in range(0, len(months), step):
+        name, _, year = long_month(months[i]).partition(SPACE)
+        labels[i] = name if year == last else f"{name}\n{year}"
+        last = year
+    return labels
+
+
+def _month_table(run: Run, rows) -> Table:
+    columns = ("undiscounted", "intrinsic", "moved", "discounted", "smooth")
+    places = decimals([each.get(name) for each in rows for name in columns], 4)
+    body = [
+        (
+            long_month(each.get("month")),
+            _trade(each.get("undiscounted")),
+            number(each.get("undiscounted"), places),
+            plus_minus(_undiscounted_error(each), max(places, 1)),
+            number(each.get("intrinsic"), places),
+            number(each.get("moved"), places, sign=True),
+            number(each.get("discounted"), places),
+            plus_minus(each.get("standard_error"), max(places, 1)),
+            number(each.get("smooth"), places),
+        )
+        for each in rows
+    ]
+    total = [sum(finite(each.get(name)) or 0.0 for each in rows) for name in columns]
+    whole, plan, _, discounted, _ = (number(each, places) for each in total)
+    body.append(("All months", "", whole, "", plan, "", discounted, "", ""))
+    names = ("Delta", "Std. error", "Intrinsic", "Moved", "Discounted", "Std. error", "Smooth")
+    head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
+    return Table(head, body, texts=2, strong=frozenset([len(body) - 1]))
+
+
+def _trade(volume) -> str:
+    known = finite(volume)
+    if not known:
+        return ""
+    return "sell" if known > 0 else "buy"
+
+
+def daily(run: Run) -> Section:
+    """The same deltas by delivery day: one thin bar a day."""
+    title, short = "Deltas by delivery day", "Daily deltas"
+    when, values = run.days, run.numbers("deltas_daily.undiscounted", "delta_undiscounted")
+    if values is None or when is None:
+        text = "Deltas by delivery day are not in this run."
+        return Section("daily", title, short, [Missing(text)])
+    place, error = date_numbers(when), run.numbers("deltas_daily.standard_error")
+    discounted = run.numbers("deltas_daily.discounted")
+    half = None
+    if error is not None and discounted is not None:
+        factor = np.divide(values, discounted, out=np.ones_like(values), where=discounted != 0)
+        half = charts.INTERVAL * np.nan_to_num(error * np.abs(factor))
+    plan = run.numbers("deltas_daily.intrinsic")
+    compare = None if plan is None else ("Intrinsic plan", plan)
+    names = ("Long: sell", "Short: buy")
+    svg = draw(
+        "deltas-by-day",
+        f"Delta of each of {len(values)} delivery days, from {run.gas(np.nanmin(values))} to"
+        f" {run.gas(np.nanmax(values))}.",
+        lambda axes: charts.signed_strip(
+            axes, place, values, run.volume, names, half=half, compare=compare
+        ),
+        height=220,
+    )
+    caption = (
+        "One sensitivity per day of the forward curve, all from one adjoint pass; whiskers are"
+        " 95 % intervals. The numbers are in sensitivities.csv."
+    )
+    return Section("daily", title, short, [Chart(svg, caption)])

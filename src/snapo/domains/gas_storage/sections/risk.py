@@ -1,0 +1,216 @@
+"""What else moves the value: vegas, shadow prices, costs and rates, and the sliders over them."""
+
+import math
+from collections import Counter, defaultdict
+
+import numpy as np
+
+from ....report.page import Block, Missing, Section, Slider, Sliders, Table
+from ....report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from .run import Run, Sensitivity
+
+CURVE = "forward_curve"
+# What a desk moves such a number by, and its words; other inputs move by one of their unit.
+STEPS = {
+    "volatility": (0.01, "1 volatility point"),
+    "interest_rate": (0.0001, "1 basis point"),
+    "correlation": (0.01, "0.01"),
+    "reversion": (1.0, "1 per year"),
+    "fuel": (0.001, "0.1 percentage points"),
+    "loss": (0.0001, "0.01 percentage points a day"),
+    "factor": (0.01, "1 percentage point"),
+}
+MODEL = ("volatility", "reversion", "correlation")
+CAVEAT = (
+    "First order only: the change is each shift times its stored sensitivity, with the decisions of"
+    " every path held. {bound}For other inputs the curvature may have either sign. For large moves,"
+    " change the case and solve again."
+)
+# Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
+BOUND = (
+    "For a move of the forward curve that is what the present plan would earn; with the decisions"
+    " chosen anew the contract is worth at least as much, and the gap grows with the square of the"
+    " move. "
+)
+
+
+def risk(run: Run) -> Section:
+    """Vegas, shadow prices, and parallel shifts of every other input."""
+    blocks: list[Block] = [_vegas(run), _shadow_prices(run)]
+    if (others := _others(run)) is not None:
+        blocks.append(others)
+    title = "Vegas, shadow prices and other sensitivities"
+    return Section("risk", title, "Vegas", blocks)
+
+
+def _vegas(run: Run) -> Table | Missing:
+    """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
+    lines = [
+        Sensitivity(
+            str(each.get("input", "")),
+            str(each.get("label") or ""),
+            value,
+            finite(each.get("standard_error")),
+            str(each.get("unit") or ""),
+        )
+        for each in run.get("vegas", [])
+        if _of_model(str(each.get("input", "")))
+        and (value := finite(each.get("value"))) is not None
+    ]
+    if not lines:
+        return Missing("Vegas are not in this run (supplied price paths have no model numbers).")
+    many = {name for name, count in Counter(each.input for each in lines).items() if count > 12}
+    rows = [_row([each]) for each in lines if each.input not in many]
+    rows += [_row([each for each in lines if each.input == name]) for name in sorted(many)]
+    return _moves(run, rows, "Vegas: sensitivity to the price model")
+
+
+def _of_model(name: str) -> bool:
+    return any(part in name for part in MODEL)
+
+
+def _shadow_prices(run: Run) -> Table | Missing:
+    prices = run.get("shadow_prices", [])
+    if not prices:
+        return Missing("Shadow prices of volume and capacity are not in this run.")
+    places = decimals([each.get(side) for each in prices for side in ("up", "down")], 4)
+    rows = [
+        (
+            _name(each.get("name", ""), ""),
+            str(each.get("unit") or ""),
+            number(each.get("up"), places, sign=True),
+            number(each.get("down"), places, sign=True),
+        )
+        for each in prices
+    ]
+    head = [
+        ("Capacity", ""),
+        ("Unit", ""),
+        ("One more is worth", run.currency),
+        ("One less costs", run.currency),
+    ]
+    return Table(head, rows, caption="Shadow prices of volume and capacity", texts=2)
+
+
+def _others(run: Run) -> Table | None:
+    """Parallel shifts: the sensitivities of an input summed over its labels."""
+    groups: dict[str, list[Sensitivity]] = defaultdict(list)
+    for each in run.sensitivities:
+        if each.input != CURVE and not _of_model(each.input):
+            groups[each.input].append(each)
+    if not groups:
+        return None
+    rows = [_row(members) for members in groups.values()]
+    folded = f"Sensitivities to {len(rows)} other inputs"
+    return _moves(run, rows, "Parallel shifts of the other inputs", folded)
+
+
+def _row(members: list[Sensitivity]) -> tuple[str, ...]:
+    """One line for a number, or for several of one input that move together.
+
+    Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
+    The error of a sum is not the sum of errors: it is left out. Where there is one, it tells how
+    many digits mean anything.
+    """
+    first = members[0]
+    step, words = step_of(first.input, first.unit)
+    total, error = step * math.fsum(each.value for each in members), None
+    if len(members) == 1 and first.standard_error is not None:
+        error = step * first.standard_error
+    label = first.label if len(members) == 1 else ""
+    words = words if len(members) == 1 else f"{words}, all {len(members)} numbers together"
+    places = min(decimals([error], 2) if error else decimals([total], 4), 6)
+    return (
+        _name(first.input, label),
+        words,
+        number(total, places, True),
+        plus_minus(error, places),
+    )
+
+
+def _moves(run: Run, rows, caption: str, folded: str = "") -> Table:
+    names = ("Value changes by", "Std. error")
+    head = [("Input", ""), ("For a rise of", ""), *((name, run.currency) for name in names)]
+    return Table(head, rows, caption, 2, folded=folded)
+
+
+def step_of(name: str, unit: str = "") -> tuple[float, str]:
+    """The step that an input is moved by in tables, and its words."""
+    plain = f"1 {unit}" if unit not in ("", "1") else "1 unit"
+    return next((step for part, step in STEPS.items() if part in name), (1.0, plain))
+
+
+def _name(name: str, label: str) -> str:
+    words = str(name).replace("_", " ").replace(".", " ").replace("long term", "long-term")
+    words = words.strip().capitalize()
+    return f"{words}, {label}" if label else words
+
+
+def sliders(run: Run) -> Section:
+    """Sliders for the whole curve, each delivery month, and the model numbers."""
+    title, short = "What if: inputs moved to first order", "What if"
+    value = finite(run.result.get("value"))
+    curve, months = _curve_sliders(run)
+    groups = (
+        ("Forward curve", curve),
+        ("Model and rates", _model_sliders(run)),
+        ("Delivery months", months),
+    )
+    found = [(name, each) for name, each in groups if each]
+    if value is None or not found:
+        text = "Without a value and stored sensitivities there is nothing to move to first order."
+        return Section("what-if", title, short, [Missing(text)])
+    caveat = CAVEAT.format(bound=BOUND if run.get("objective", "mean") == "mean" else "")
+    block = Sliders(value, run.currency, decimals([value]), found, caveat)
+    return Section("what-if", title, short, [block])
+
+
+def _curve_sliders(run: Run) -> tuple[list[Slider], list[Slider]]:
+    """The whole curve; its delivery months, or quarters where there are many months."""
+    months: dict[str, float] = defaultdict(float)
+    for each in run.sensitivities:
+        if each.input == CURVE:
+            months[long_month(each.label)] += each.value
+    if not months:
+        return [], []
+    if len(months) > 18:
+        months = _quarters(months)
+    prices = run.numbers("forward", "forward")
+    level = 1.0 if prices is None else float(np.nanmean(np.abs(prices)))
+    span = _round(0.15 * level)
+    shape = {"unit": run.price, "span": span, "step": span / 50, "places": decimals([span / 50], 1)}
+    whole = Slider("Whole curve", slope=math.fsum(months.values()), **shape)
+    parts = [Slider(month, slope=slope, **shape) for month, slope in months.items()]
+    return [whole], parts if len(parts) > 1 else []
+
+
+def _quarters(months: dict[str, float]) -> dict[str, float]:
+    """{"Apr 2021": …} summed into {"Q2 2021": …}."""
+    names = [name[:3] for name in MONTHS.split()]
+    quarters: dict[str, float] = defaultdict(float)
+    for month, slope in months.items():
+        name, _, year = month.partition(SPACE)
+        quarters[f"Q{names.index(name) // 3 + 1}{SPACE}{year}" if year else month] += slope
+    return quarters
+
+
+def _model_sliders(run: Run) -> list[Slider]:
+    """Volatilities move in points of annual volatility, rates in basis points."""
+    totals: dict[str, float] = defaultdict(float)
+    for each in run.sensitivities:
+        many = "volatility" in each.input and len(each.label) < 10  # a name, not a delivery day
+        totals[_name(each.input, each.label if many else "")] += each.value
+    found = []
+    for name, slope in totals.items():
+        lower = name.lower()
+        if "volatility" in lower:
+            found.append(Slider(name, "points", 0.01 * slope, 10.0, 0.5, 1))
+        elif lower.startswith("interest rate"):
+            found.append(Slider(name, "bp", 0.0001 * slope, 200.0, 5.0, 0))
+    return found
+
+
+def _round(size: float) -> float:
+    """The nearest number of the series 1, 2, 5, 10 …"""
+    scale = 10.0 ** math.floor(math.log10(size)) if size > 0 else 1.0
+    return scale * min((1.0, 2.0, 5.0, 10.0), key=lambda each: abs(size / scale - each))
