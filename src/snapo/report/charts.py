@@ -1,0 +1,263 @@
+"""The charts of a report, each painted into given axes; numbers in, no knowledge of a domain."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import FuncFormatter, NullLocator
+
+from .axes import date_axis, number_axis
+from .drawing import legend_above, unit_above
+from .quantity import number
+from .theme import LIGHT
+
+INTERVAL = 1.96  # standard errors to either side: 95 %
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One bar of a ladder: its text at the left, its number at the right, an error bar."""
+
+    name: str
+    value: float
+    text: str
+    error: float | None = None
+    strong: bool = False
+
+
+@dataclass(frozen=True)
+class Line:
+    """A line over time; `style` "-", "--" or ":"; `step` holds each value for its day."""
+
+    label: str
+    values: np.ndarray
+    colour: str
+    style: str = "-"
+    width: float = 1.6
+    step: bool = False
+
+
+def ladder(axes: Axes, rungs: Sequence[Rung]) -> None:
+    """Horizontal bars from zero, the first on top, each with its number written out."""
+    values = np.array([rung.value for rung in rungs])
+    reach = np.max(np.abs(values)) or 1.0
+    for row, rung in enumerate(rungs):
+        colour = LIGHT["main"] if rung.strong else LIGHT["main-soft"]
+        axes.barh(row, rung.value, height=0.62, color=colour)
+        if rung.error:
+            line = {"ecolor": LIGHT["withdraw"], "elinewidth": 1.6, "capsize": 4.0}
+            axes.errorbar(rung.value, row, xerr=INTERVAL * rung.error, fmt="none", **line)
+        end = max(rung.value + INTERVAL * (rung.error or 0.0), 0.0)
+        weight = "bold" if rung.strong else "normal"
+        axes.text(end + 0.012 * reach, row, rung.text, va="center", fontweight=weight)
+    axes.set_yticks(range(len(rungs)), [rung.name for rung in rungs])
+    axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
+    axes.set_ylim(len(rungs) - 0.45, -0.55)
+    longest = max(len(rung.text) for rung in rungs)
+    axes.set_xlim(min(values.min() * 1.08, 0.0), max(values.max(), 0.0) + reach * 0.014 * longest)
+    axes.xaxis.set_major_locator(NullLocator())
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+    axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
+
+
+def lines(axes: Axes, when: np.ndarray, curves: Sequence[Line], unit: str) -> None:
+    """Lines over dates [T]; a gap where a value is not a number."""
+    for curve in curves:
+        style = "steps-post" if curve.step else "default"
+        axes.plot(
+            when,
+            curve.values,
+            color=LIGHT[curve.colour],
+            linestyle=curve.style,
+            linewidth=curve.width,
+            drawstyle=style,
+            label=curve.label,
+        )
+    date_axis(axes, when[0], when[-1])
+    number_axis(axes.yaxis)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def fan(axes: Axes, when, mean, low, high, unit: str, *, reach=None, limits=None) -> None:
+    """A mean with its 5-95 % band; behind it what can be reached, around it what is allowed.
+
+    All arrays [T+1]; `low` and `high` may be None; `reach` and `limits` are pairs (low, high).
+    """
+    if reach is not None:
+        axes.fill_between(when, *reach, color=LIGHT["reach"], linewidth=0, label="Reachable")
+    if limits is not None:
+        style = {"color": LIGHT["limit"], "linewidth": 1.1, "linestyle": (0, (4, 2))}
+        axes.plot(when, limits[1], label="Limits", **style)
+        axes.plot(when, limits[0], **style)
+    if low is not None and high is not None:
+        axes.fill_between(
+            when, low, high, color=LIGHT["main-soft"], linewidth=0, label="5–95 % of paths"
+        )
+    axes.plot(when, mean, color=LIGHT["main"], linewidth=2.0, label="Mean")
+    date_axis(axes, when[0], when[-1])
+    number_axis(axes.yaxis)
+    axes.margins(y=0.04)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def signed_strip(axes: Axes, when, values, unit: str, names, *, half=None, compare=None) -> None:
+    """One thin bar a day: `names` = (label above zero, label below); `compare` a second plan.
+
+    `half` [T] is the half width of a 95 % interval, drawn as a whisker; days without a value
+    are NaN.
+    """
+    step = float(np.min(np.diff(when), initial=1.0))
+    edges = np.append(when, when[-1] + step)
+    # One outline for all days: bars side by side would show hairlines between them.
+    for sign, colour, name in ((1, "withdraw", names[0]), (-1, "inject", names[1])):
+        part = sign * np.maximum(sign * values, 0.0)
+        axes.stairs(part, edges, fill=True, color=LIGHT[colour], linewidth=0, label=name)
+    if half is not None:
+        style = {"color": LIGHT["ink"], "linewidth": 0.5, "label": "95 % interval"}
+        axes.vlines(when + step / 2, values - half, values + half, **style)
+    if compare is not None:
+        style = {"color": LIGHT["limit"], "linewidth": 1.3, "baseline": None}
+        axes.stairs(compare[1], edges, label=compare[0], **style)
+    axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
+    date_axis(axes, when[0], when[-1] + step)
+    number_axis(axes.yaxis)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def signed_bars(axes: Axes, labels, values, unit: str, *, names, half, moved, compare) -> None:
+    """A bar per label, coloured by sign and named so; 95 % whiskers, a comparison, a tolerance.
+
+    **Arguments:**
+
+    - `half`: [n] half widths of 95 % intervals, or None.
+    - `moved`: [n] how far each value moved lately: a pale box around its end; or None.
+    - `compare`: (name, [n]) drawn as a bold tick across the bar; or None.
+    """
+    place = np.arange(len(values))
+    above = np.where(values > 0, values, np.nan)
+    below = np.where(values <= 0, values, np.nan)
+    for part, colour, name in ((above, "withdraw", names[0]), (below, "inject", names[1])):
+        if np.isfinite(part).any():
+            axes.bar(place, part, width=0.6, color=LIGHT[colour], label=name)
+    if moved is not None:
+        size = np.abs(moved)
+        style = {"facecolor": "none", "edgecolor": LIGHT["ink"], "linewidth": 0.8, "hatch": "////"}
+        axes.bar(
+            place, 2 * size, bottom=values - size, width=0.6, alpha=0.55, label="Moved", **style
+        )
+    if half is not None:
+        caps = 4.0 if len(values) <= 24 else 1.5
+        line = {"ecolor": LIGHT["ink"], "elinewidth": 1.3, "capsize": caps}
+        axes.errorbar(place, values, yerr=half, fmt="none", label="95 % interval", **line)
+    if compare is not None:
+        style = {"color": LIGHT["limit"], "linewidth": 2.4}
+        left, right = place - 0.4, place + 0.4
+        axes.hlines(compare[1], left, right, label=compare[0], **style)
+    axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
+    axes.set_xticks(place, labels)
+    axes.tick_params(axis="x", length=0)
+    beside = max(0.0, (6 - len(values)) / 2)  # a bar alone would fill the page
+    axes.set_xlim(-0.6 - beside, len(values) - 0.4 + beside)
+    axes.margins(y=0.06)
+    number_axis(axes.yaxis, 8)
+    unit_above(axes, unit)
+    legend_above(axes, order=[*names, "95 % interval", "Moved"])
+
+
+def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
+    """Shares of paths in bins; `marks` [(text, position)] as lines, the first one bold.
+
+    A mark whose text would lie over an earlier one is left out.
+    """
+    share = counts / max(counts.sum(), 1.0) * 100
+    axes.stairs(share, edges, fill=True, color=LIGHT["main-soft"])
+    axes.stairs(share, edges, color=LIGHT["main"], linewidth=0.9)
+    top = share.max() * 1.02
+    width = edges[-1] - edges[0]
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_ylim(0.0, top * 1.16)
+    drawn: list[tuple[float, float]] = []  # what the texts cover
+    for text, position in marks:
+        half = (len(text) + 1) * 0.0047 * width  # at 9 points on a chart of 720
+        span = (position - half, position + half)
+        if span[0] < edges[0] or span[1] > edges[-1]:
+            continue
+        if any(span[0] < right and left < span[1] for left, right in drawn):
+            continue
+        style = (1.6, "ink", "-") if not drawn else (0.9, "muted", (0, (3, 2)))
+        drawn.append(span)
+        line = dict(zip(("linewidth", "color", "linestyle"), style, strict=True))
+        axes.vlines(position, 0.0, top * 1.03, **{**line, "color": LIGHT[style[1]]})
+        axes.text(position, top * 1.05, text, ha="center", va="bottom")
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis, 5)
+    unit_above(axes, "% of paths")
+    axes.set_xlabel(unit)
+
+
+def trace(axes: Axes, steps, curves: Sequence[Line], unit: str, log: bool = False) -> None:
+    """Lines over training steps; the view leaves out the first throes of training."""
+    for curve in curves:
+        known = np.isfinite(curve.values)
+        # Few points are single measurements: they get a dot each.
+        dots = "o" if known.sum() <= 40 and not curve.step else None
+        drawn = "steps-post" if curve.step else "default"
+        style = {"linestyle": curve.style, "linewidth": curve.width, "drawstyle": drawn}
+        axes.plot(
+            steps[known],
+            curve.values[known],
+            color=LIGHT[curve.colour],
+            marker=dots,
+            markersize=3.2,
+            label=curve.label,
+            **style,
+        )
+    if log:
+        axes.set_yscale("log")
+        axes.yaxis.set_minor_locator(NullLocator())
+        axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: number(value)))
+    else:
+        every = np.concatenate([curve.values[np.isfinite(curve.values)] for curve in curves])
+        low, high = np.quantile(every, [0.04, 1.0])
+        room = max(high - low, 1e-9 * abs(high), 1e-12)
+        axes.set_ylim(low - 0.06 * room, high + 0.08 * room)
+        number_axis(axes.yaxis, 5)
+    axes.set_xlim(steps[0], max(steps[-1], steps[0] + 1))
+    number_axis(axes.xaxis, 8)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def regions(axes: Axes, level, below, above, here, names, units: tuple[str, str]) -> None:
+    """Prices over a level: under `below` one action, over `above` another, none between.
+
+    `here` is (level, price) today; `names` (under, between, over) are written into the regions.
+    """
+    prices = np.concatenate([below, above, [here[1]]])
+    prices = prices[np.isfinite(prices)]
+    room = max(np.ptp(prices), 0.02 * np.max(np.abs(prices)), 1e-9)
+    low, high = prices.min() - 0.3 * room, prices.max() + 0.3 * room
+    axes.fill_between(level, low, below, color=LIGHT["inject-soft"], linewidth=0)
+    axes.fill_between(level, above, high, color=LIGHT["withdraw-soft"], linewidth=0)
+    axes.plot(level, below, color=LIGHT["inject"], linewidth=1.8, label=f"{names[0]} below")
+    axes.plot(level, above, color=LIGHT["withdraw"], linewidth=1.8, label=f"{names[2]} above")
+    axes.axhline(here[1], color=LIGHT["ink"], linewidth=1.0, linestyle=(0, (4, 2)), label="Spot")
+    axes.plot(*here, "o", color=LIGHT["ink"], markersize=7, label="Today")
+    middle = (level[0] + level[-1]) / 2
+    axes.text(middle, low + 0.05 * room, names[0], ha="center", color=LIGHT["ink"])
+    axes.text(middle, high - 0.05 * room, names[2], ha="center", va="top", color=LIGHT["ink"])
+    between = np.nanmedian((below + above) / 2)
+    if np.nanmedian(above - below) > 0.12 * (high - low):
+        axes.text(middle, between, names[1], ha="center", va="center", color=LIGHT["ink"])
+    axes.set_xlim(level[0], level[-1])
+    axes.set_ylim(low, high)
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis)
+    axes.set_xlabel(units[0])
+    unit_above(axes, units[1])
+    legend_above(axes)

@@ -1,0 +1,156 @@
+"""The page of a report: sections of blocks, rendered into one file that needs nothing else."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+from markupsafe import Markup
+
+from .theme import DARK, LIGHT, variables
+
+
+@dataclass(frozen=True)
+class Text:
+    """A paragraph; a caveat is set smaller and paler."""
+
+    kind: ClassVar[str] = "text"
+    text: str
+    caveat: bool = False
+
+
+@dataclass(frozen=True)
+class Missing:
+    """One sentence on what is not there and what would bring it."""
+
+    kind: ClassVar[str] = "missing"
+    text: str
+
+
+@dataclass(frozen=True)
+class Chart:
+    """A drawing with the caption that says how to read it."""
+
+    kind: ClassVar[str] = "chart"
+    svg: Markup
+    caption: str
+
+
+@dataclass(frozen=True)
+class Table:
+    """Rows of text; the columns after the first `texts` are numbers and stand to the right.
+
+    **Attributes:**
+
+    - `caption`: what the table is, for every reader; may be empty.
+    - `head`: (name, unit) of every column; empty for a table without a header.
+    - `rows`: cells, written out; a cell may be a `Mark`.
+    - `strong`: rows to set apart.
+    - `folded`: the words to click before the table shows; it is open in print.
+    """
+
+    kind: ClassVar[str] = "table"
+    head: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[Any]]
+    caption: str = ""
+    texts: int = 1
+    strong: frozenset[int] = frozenset()
+    folded: str = ""
+
+
+@dataclass(frozen=True)
+class Mark:
+    """A verdict: never by colour alone."""
+
+    good: bool
+    text: str
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Key figures in a row of tiles: (name, value, note)."""
+
+    kind: ClassVar[str] = "facts"
+    facts: Sequence[tuple[str, str, str]]
+
+
+@dataclass(frozen=True)
+class Headline:
+    """The number a reader came for, and the one sentence that goes with it."""
+
+    kind: ClassVar[str] = "headline"
+    label: str
+    value: str
+    error: str
+    note: str
+    action: str = ""  # inject, withdraw or hold, in the domain's words
+    sentence: str = ""
+    when: str = "What to do today"
+    tone: str = "main"  # a colour of the theme
+    marks: Sequence[Mark] = ()
+
+
+@dataclass(frozen=True)
+class Slider:
+    """An input that a reader may move by up to `span` `unit`; the value moves `slope` times it."""
+
+    name: str
+    unit: str
+    slope: float
+    span: float
+    step: float
+    places: int
+
+
+@dataclass(frozen=True)
+class Sliders:
+    """Sliders over one value in `currency`, to first order; `groups` are (name, sliders)."""
+
+    kind: ClassVar[str] = "sliders"
+    value: float
+    currency: str
+    places: int
+    groups: Sequence[tuple[str, Sequence[Slider]]]
+    caveat: str
+
+
+Block = Text | Missing | Chart | Table | Facts | Headline | Sliders
+
+
+@dataclass(frozen=True)
+class Section:
+    """A part of the page; `name` is its anchor, `title` its heading, `short` stands in the menu."""
+
+    name: str
+    title: str
+    short: str
+    blocks: Sequence[Block]
+    break_before: bool = False
+
+
+@dataclass(frozen=True)
+class Page:
+    """A whole report; `about` are (name, value) pairs under the title."""
+
+    title: str
+    about: Sequence[tuple[str, str]]
+    sections: Sequence[Section]
+    footer: str = ""
+
+
+def render(page: Page) -> str:
+    """The page as HTML: styles, charts and scripts inside, nothing fetched, text escaped."""
+    environment = Environment(
+        loader=PackageLoader("snapo.report"),
+        autoescape=select_autoescape(default=True),
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        lstrip_blocks=True,
+    )
+    template = environment.get_template("page.html")
+    light, dark = Markup(variables(LIGHT)), Markup(variables(DARK))
+    return template.render(page=page, light=light, dark=dark, moving=_moving(page))
+
+
+def _moving(page: Page) -> bool:
+    return any(block.kind == "sliders" for section in page.sections for block in section.blocks)
