@@ -14,6 +14,7 @@ if TYPE_CHECKING:
     from .chain import Chain as Chain
     from .checker import check as check
     from .engine import Clip as Clip
+    from .engine import Native as Native
     from .engine import Window as Window
     from .engine import Xla as Xla
     from .inputs import Frozen as Frozen
@@ -57,7 +58,7 @@ _HOME = {
     "certificate": ("bump_check", "feasibility"),
     "chain": ("Chain",),
     "checker": ("check",),
-    "engine": ("Clip", "Window", "Xla"),
+    "engine": ("Clip", "Native", "Window", "Xla"),
     "inputs": ("Frozen", "Input"),
     "objective": (
         "CRRA",

@@ -138,5 +138,10 @@ def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: P
         made = simulator.prepare(inputs_.replace(inputs, values))
         return eqx.filter(made, eqx.is_inexact_array)
 
-    _, pull = jax.vjp(schedule, values)
-    return jax.vmap(lambda cotangent: pull(cotangent)[0])(cotangents)
+    made, pull = jax.vjp(schedule, values)
+
+    def carry(cotangent):
+        # A leaf that the author made in float32 takes its cotangent in float32.
+        return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]
+
+    return jax.vmap(carry)(cotangents)

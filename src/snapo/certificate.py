@@ -1,5 +1,6 @@
-"""Why believe the number: the adjoint against bumps, limits kept, the gap between smooth and exact."""
+"""Why believe the number: the adjoint against bumps on the same paths, and every limit kept."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -10,14 +11,15 @@ from jaxtyping import PyTree
 from . import inputs as inputs_
 from .adjoint import float64, prepare, pull_back
 from .engine import Engine, Xla
-from .objective import Objective
+from .objective import Objective, Weights
 from .policy import Policy
-from .scenarios import Scenarios
+from .scenarios import Draws, Scenarios
 from .simulator import Simulator
 from .smooth import Exact
 
 TOLERANCE = 1e-6  # of the family's largest derivative
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step
+NUDGE = 1e-3  # of each number: larger than any step, small against the number itself
 
 
 class Bump(NamedTuple):
@@ -27,6 +29,8 @@ class Bump(NamedTuple):
     - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
     - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
     - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
+    - `crossing`: the share of paths that meet a kink within the step; where the adjoint is
+      neither side, it and the differences are those of the other paths alone.
     """
 
     input: str
@@ -37,6 +41,7 @@ class Bump(NamedTuple):
     down: float
     allowed: float
     kink: bool
+    crossing: float = 0.0
 
     @property
     def error(self) -> float:
@@ -58,6 +63,22 @@ class Feasibility(NamedTuple):
     step: int
 
 
+def nudged(inputs: PyTree, zeros: Mapping[str, float] | None = None, seed: int = 0) -> PyTree:
+    """The inputs, each number moved by a random thousandth of itself at most.
+
+    Round numbers tie: a store that fills in exactly eight days stands on a kink of its limits,
+    where every path has two derivatives. Nearby, hardly any path has. `zeros` says by how much an
+    input that is zero may be moved, upwards; one not named stays zero.
+    """
+    random, given = np.random.default_rng(seed), inputs_.named(inputs)
+    moved = []
+    for name, entry in given:
+        size = np.where(entry.value == 0, (zeros or {}).get(name, 0.0), NUDGE * entry.value)
+        low = np.where(entry.value == 0, 0.5, -1.0)
+        moved.append(entry.value + size * random.uniform(low, 1.0, entry.value.shape))
+    return _with_values(inputs, moved)
+
+
 def bump_check(
     simulator: Simulator,
     inputs: PyTree,
@@ -74,48 +95,114 @@ def bump_check(
 
     With `smooth` the policy reacts; without, the exact simulator replays its recorded decisions.
     Every input is bumped along one random direction of signs, or with `every` entry by entry.
-    Path weights are held, as the adjoint holds them.
+    Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
+    difference; along a direction in which different paths take different sides, it is neither,
+    and only the paths without a kink within the step are compared (see `Bump.crossing`).
     """
     engine = engine or Xla(precision="float64")
-    schedule = prepare(simulator, inputs)
     draws = scenarios.draws(np.arange(paths), simulator)
-    held = smooth is None
-    smooth = Exact() if held else smooth
-    first = engine.values(
-        simulator, policy, schedule, draws, smooth, record=("action",) if held else ()
-    )
-    actions = first.record.get("action")
-    decider = None if held else policy
-    weights = objective.weights(float64(first.totals))
-    given = (simulator, decider, schedule, draws, smooth)
-    passed = engine.adjoint(*given, weights, actions=actions, wrt=("schedule",))
-    gradient = {n: g[0] for n, g in pull_back(simulator, inputs, [passed.schedule]).items()}
-
-    def value(bumped: list) -> float:
-        moved = _with_values(inputs, bumped)
-        schedule = prepare(simulator, moved)
-        rolled = engine.values(simulator, decider, schedule, draws, smooth, actions=actions)
-        totals = float64(rolled.totals)
-        return float(sum(np.sum(w * totals[name]) for name, w in weights.items()))
-
-    base = inputs_.values(inputs)
-    centre, random = value(base), np.random.default_rng(1)
+    replay = _Replay.of(engine, simulator, inputs, policy, objective, draws, smooth)
+    gradient, random = replay.gradient(), np.random.default_rng(1)
+    centre = replay.paths({})
     found = []
-    for index, (name, given) in enumerate(inputs_.named(inputs)):
+    for name, given in inputs_.named(inputs):
         directions = _directions(given, every, random)
-        scale = max(float(np.abs(np.sum(gradient[name] * d))) for _, d in directions)
+        scale = float(np.max(np.abs(gradient[name]), initial=0.0))
         if not every:
             scale = float(np.sum(np.abs(gradient[name])))
         for label, direction in directions:
-            step = given.step()
-            high, low = (
-                value([v + s * step * direction if i == index else v for i, v in enumerate(base)])
-                for s in (1, -1)
-            )
-            found.append(
-                _compare(name, label, gradient[name], direction, (low, centre, high), step, scale)
-            )
+            along = _Along(replay, name, direction, given.step(), centre)
+            found.append(along.compare(label, gradient, scale))
     return found
+
+
+class _Replay(NamedTuple):
+    """The paths of one check: same noise, same weights, and same decisions or same policy."""
+
+    engine: Engine
+    simulator: Simulator
+    inputs: PyTree
+    policy: Policy | None
+    draws: Draws
+    smooth: Any
+    actions: Any
+    weights: Weights
+
+    @classmethod
+    def of(cls, engine, simulator, inputs, policy, objective: Objective, draws, smooth):
+        schedule, held = prepare(simulator, inputs), smooth is None
+        smooth = Exact() if held else smooth
+        first = engine.values(
+            simulator, policy, schedule, draws, smooth, record=("action",) if held else ()
+        )
+        decider, actions = (None, first.record["action"]) if held else (policy, None)
+        weights = objective.weights(float64(first.totals))
+        return cls(engine, simulator, inputs, decider, draws, smooth, actions, weights)
+
+    def paths(self, bumps: dict[str, np.ndarray]) -> np.ndarray:
+        """What each path adds to the weighted value, [paths], with these inputs shifted."""
+        named = inputs_.named(self.inputs)
+        moved = [entry.input.value + bumps.get(entry.name, 0.0) for entry in named]
+        schedule = prepare(self.simulator, _with_values(self.inputs, moved))
+        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
+        totals = float64(self.engine.values(*given, actions=self.actions).totals)
+        return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
+
+    def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """The adjoint by every input, of all paths or of those to `keep`."""
+        schedule = prepare(self.simulator, self.inputs)
+        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
+        weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
+        passed = self.engine.adjoint(*given, weights, actions=self.actions, wrt=("schedule",))
+        moved = pull_back(self.simulator, self.inputs, [passed.schedule])
+        return {name: found[0] for name, found in moved.items()}
+
+
+class _Along:
+    """One input bumped along one direction, path by path."""
+
+    def __init__(self, replay: _Replay, name: str, direction, step: float, centre: np.ndarray):
+        self.replay, self.name, self.direction = replay, name, direction
+        self.step, self.centre = step, centre
+        self.low, self.high = self._at(-step), self._at(step)
+
+    def _at(self, step: float) -> np.ndarray:
+        return self.replay.paths({self.name: step * self.direction})
+
+    def compare(self, label: str, gradient: dict[str, np.ndarray], scale: float) -> Bump:
+        found = self._bump(label, gradient, scale, np.ones(len(self.centre), bool))
+        if found.passed:
+            return found
+        smooth = ~self._crossing(scale)
+        if smooth.all() or not smooth.any():
+            return found._replace(crossing=1.0 - float(smooth.all()))
+        rest = self._bump(label, self.replay.gradient(smooth), scale, smooth)
+        return rest._replace(crossing=float(np.mean(~smooth)))
+
+    def _bump(self, label: str, gradient, scale: float, keep: np.ndarray) -> Bump:
+        low, centre, high = (float(x[keep].sum()) for x in (self.low, self.centre, self.high))
+        adjoint = float(np.sum(gradient[self.name] * self.direction))
+        step = self.step
+        up, down, central = (high - centre) / step, (centre - low) / step, (high - low) / (2 * step)
+        size = max(float(np.abs(x[keep]).sum()) for x in (self.low, self.centre, self.high))
+        allowed = TOLERANCE * max(scale, abs(adjoint)) + ROUND_OFF * size / step
+        # Differences of a smooth function disagree by its curvature; the adjoint is then central.
+        one_sided = min(abs(adjoint - up), abs(adjoint - down)) <= allowed
+        kink = abs(adjoint - central) > allowed and one_sided
+        return Bump(self.name, label, adjoint, central, up, down, allowed, kink)
+
+    def _crossing(self, scale: float) -> np.ndarray:
+        """The paths with a kink within the step: [paths] booleans.
+
+        A second difference shrinks by four when the step is halved, and at a kink it does not.
+        """
+        half = [self._at(sign * self.step / 2) for sign in (-1, 1)]
+        wide = self.high - 2 * self.centre + self.low
+        narrow = half[1] - 2 * self.centre + half[0]
+        # What goes unnoticed on every path together stays well below what is allowed.
+        noise = ROUND_OFF * np.abs(self.centre)
+        limit = 0.01 * TOLERANCE * scale * self.step / len(self.centre) + noise
+        return np.abs(wide - 4 * narrow) > limit
 
 
 def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np.ndarray]]:
@@ -124,16 +211,6 @@ def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np
         return [("random direction", random.choice([-1.0, 1.0], shape))]
     units = np.eye(given.value.size).reshape(-1, *shape)
     return list(zip(given.names(), units))
-
-
-def _compare(name, label, gradient, direction, values, step, scale) -> Bump:
-    low, centre, high = values
-    adjoint = float(np.sum(gradient * direction))
-    up, down, central = (high - centre) / step, (centre - low) / step, (high - low) / (2 * step)
-    allowed = TOLERANCE * max(scale, abs(adjoint)) + ROUND_OFF * max(map(abs, values)) / step
-    one_sided = min(abs(adjoint - up), abs(adjoint - down)) < abs(adjoint - central)
-    kink = abs(adjoint - central) > allowed and one_sided
-    return Bump(name, label, adjoint, central, up, down, allowed, kink)
 
 
 def _with_values(inputs: PyTree, values: list) -> PyTree:

@@ -13,7 +13,8 @@ def _float64(value: Any) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise TypeError(
-            f"Input: the value {value!r} is no number. Dates, names and switches belong to the simulator."
+            f"Input: the value {value!r} is no number. Dates, names and switches belong to the "
+            "simulator."
         )
     return array.astype(np.float64)
 
@@ -42,7 +43,7 @@ class Input(eqx.Module):
     def __check_init__(self):
         if self.labels and len(self.labels) != self.value.size:
             raise ValueError(
-                f"Input: {len(self.labels)} labels for {self.value.size} numbers; give one label a number."
+                f"Input: {len(self.labels)} labels for {self.value.size} numbers; give each one."
             )
         if not np.all(np.isfinite(self.value)):
             raise ValueError("Input: a value is not finite; every input must be a finite number.")

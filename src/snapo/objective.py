@@ -78,7 +78,8 @@ class _OneOutput(Objective):
     def _totals(self, totals: Totals) -> np.ndarray:
         if self.output not in totals:
             raise KeyError(
-                f"{type(self).__name__}: no output {self.output!r}; the simulator gives {sorted(totals)}."
+                f"{type(self).__name__}: no output {self.output!r}; the simulator gives "
+                f"{sorted(totals)}."
             )
         return np.asarray(totals[self.output], np.float64)
 

@@ -171,8 +171,8 @@ class Sobol(Scenarios):
             sobol.fast_forward(start - 1)
         later = sobol.random(max(1, int(points[-1]) - start + 1))
         drawn = np.concatenate([zeroth, later])[np.where(points == 0, 0, points - start + 1)]
-        # Sobol's grid holds 0, and a scrambled point may round to it.
-        z = special.ndtri(np.clip(drawn, 2.0**-53, 1 - 2.0**-53))
+        # Points lie on a grid of 2^-30 that holds 0: the middle of a cell stands for the cell.
+        z = special.ndtri(drawn + 2.0**-31)
         if width == z.shape[1]:
             return z
         rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble)
@@ -236,7 +236,7 @@ def normal(words: UInt32[Array, "..."], dtype) -> Float[Array, "..."]:
     tail = (m.astype(dtype) + dtype.type(0.5)) * dtype.type(2.0**-32)
     q = (jnp.uint32(0x7FFFFFFF) - m).astype(dtype) * dtype.type(2.0**-32) + dtype.type(2.0**-33)
     z_centre = q * _ratio(centre, dtype.type(0.180625) - q * q, dtype)
-    # The smallest tail, 2^-33, gives a root of 4.8: the routine's third region, from 5, is not needed.
+    # The smallest tail, 2^-33, gives a root of 4.8: the third region, from 5, is not needed.
     z_tail = _ratio(outer, jnp.sqrt(-jnp.log(tail)) - dtype.type(1.6), dtype)
     z = jnp.where(q <= dtype.type(0.425), z_centre, z_tail)
     return jnp.where(words >> 31 == 1, -z, z)

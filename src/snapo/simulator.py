@@ -136,7 +136,7 @@ def at(steps: PyTree, t: int) -> PyTree:
 
 
 def probe(simulator: Simulator, schedule: Schedule) -> tuple[State, Float[Array, " features"]]:
-    """Shapes of one state and one observation, found by abstract evaluation: nothing is computed."""
+    """Shapes of one state and one observation; nothing is computed."""
 
     def first(schedule):
         noise = jnp.zeros(simulator.initial_noise_size)

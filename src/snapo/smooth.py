@@ -68,7 +68,7 @@ class Constraints(eqx.Module):
         return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: stays within, off by at most 3 w / 16 a side."""
+        """x within [low, high], low <= high. Smooth: within, off by at most 3 w / 16."""
         return self.minimum(self.maximum(x, low, scale), high, scale)
 
     def choose(

@@ -17,7 +17,7 @@ from .engine import Engines, choose
 from .evaluate import estimate, path_totals
 from .objective import Mean, Objective
 from .policy import MLP, Policy
-from .scenarios import Pseudo, Scenarios, Sobol
+from .scenarios import Pseudo, Scenarios, Sobol, Supplied
 from .sensitivity import sensitivities
 from .simulator import Schedule, Simulator, probe
 from .smooth import Exact, Smooth
@@ -51,7 +51,8 @@ class Clock:
     def __init__(self):
         self.seconds = {"compile": 0.0, "train": 0.0, "evaluate": 0.0}
         self._started, self._compiled = time.perf_counter(), 0.0
-        jax.monitoring.register_event_duration_secs_listener(self._heard)
+        self._listener: Any = self._heard
+        jax.monitoring.register_event_duration_secs_listener(self._listener)
 
     def _heard(self, event: str, duration: float, **_: Any) -> None:
         if event.startswith("/jax/core/compile"):
@@ -66,7 +67,7 @@ class Clock:
         self._started, self._compiled = now, 0.0
 
     def stop(self) -> dict[str, float]:
-        jax.monitoring.unregister_event_duration_listener(self._heard)
+        jax.monitoring.unregister_event_duration_listener(self._listener)
         return self.seconds | {"total": sum(self.seconds.values())}
 
 
@@ -82,6 +83,7 @@ def solve(
     engine: str | Engines = "auto",
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
+    supplied: Supplied | None = None,
 ) -> Solution:
     """Trains a policy and returns what it is worth, with the derivative by every input.
 
@@ -91,6 +93,7 @@ def solve(
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: for the evaluation; by default fresh ones of `training.seed`.
     - `engine`: "auto", "xla" or "native".
+    - `supplied`: scenarios of one's own to train on; then give others as `scenarios`.
     - `callbacks`: told the `Progress` at every validation; `progress`: one to go on from.
     """
     training, evaluation = training or Training(), evaluation or Evaluation()
@@ -103,7 +106,8 @@ def solve(
     engines = choose(engine, simulator, policy, schedule) if isinstance(engine, str) else engine
     progress = progress or begin(policy, training)
     clock.stage("evaluate")
-    progress = train(simulator, schedule, progress, objective, training, engines.train, callbacks)
+    given = (simulator, schedule, progress, objective, training, engines.train)
+    progress = train(*given, callbacks, supplied)
     clock.stage("train")
     source = scenarios or evaluation.source(training.seed)
     found = measure(
@@ -178,7 +182,7 @@ def _only_output(simulator: Simulator, schedule: Schedule) -> Objective:
     totals = Xla().values(simulator, None, schedule, draws, Exact(), actions=action).totals
     if len(totals) != 1:
         raise ValueError(
-            f"solve: the simulator has the outputs {sorted(totals)}; say which one to make as large "
-            'as possible, such as objective=Mean("profit") or -Mean("cost").'
+            f"solve: the simulator has the outputs {sorted(totals)}; say which one to make as "
+            'large as possible, such as objective=Mean("profit") or -Mean("cost").'
         )
     return Mean(next(iter(totals)))

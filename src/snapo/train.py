@@ -6,6 +6,7 @@ EXACT simulator and the best one is kept. Fresh scenarios every step are a funct
 step, so a run that stops goes on bit for bit from its `Progress`.
 """
 
+import math
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -18,11 +19,12 @@ import numpy as np
 import optax
 from jaxtyping import PyTree
 
-from .adjoint import flat_weights, float64, weighted_adjoint
-from .engine import Adjoint, Clip, Engine, Window
+from .adjoint import float64
+from .engine import Clip, Engine, Window
+from .finite import adjoint_of_finite_paths
 from .objective import Objective
 from .policy import Policy, trainable
-from .scenarios import Draws, Pseudo
+from .scenarios import Draws, Pseudo, Supplied
 from .simulator import Schedule, Simulator
 from .smooth import Exact, Smooth
 
@@ -46,7 +48,7 @@ class Training:
     - `seed`: of the network's first weights and of all scenarios.
     """
 
-    steps: int = 600
+    steps: int = 300
     paths: int = 512
     learning_rate: float = 0.01
     warmup: int = 20
@@ -64,6 +66,33 @@ class Training:
         """Geometric from start to end, which is reached at three quarters of the steps."""
         done = min(1.0, step / max(1.0, 0.75 * self.steps))
         return self.temperature_start * (self.temperature_end / self.temperature_start) ** done
+
+
+class Source(NamedTuple):
+    """Where training and validation paths come from: fresh ones, or those supplied."""
+
+    simulator: Simulator
+    training: Training
+    supplied: Supplied | None
+
+    def train(self, step: int) -> Draws:
+        """The paths of one step."""
+        seed, paths = self.training.seed, self.training.paths
+        if self.supplied is None:
+            scenarios = Pseudo(seed, stream=(TRAIN_STREAM << 32) + step)
+            return scenarios.draws(np.arange(paths), self.simulator)
+        available = self.supplied.step_noise.shape[1]
+        chosen = np.random.default_rng([seed, TRAIN_STREAM, step]).choice(available, paths)
+        return self.supplied.draws(chosen, self.simulator)
+
+    def validate(self) -> Draws:
+        """The paths on which policies are compared, always the same."""
+        paths = self.training.validation_paths
+        if self.supplied is None:
+            scenarios = Pseudo(self.training.seed, stream=VALIDATE_STREAM << 32)
+            return scenarios.draws(np.arange(paths), self.simulator)
+        available = self.supplied.step_noise.shape[1]
+        return self.supplied.draws(np.arange(min(paths, available)), self.simulator)
 
 
 class Record(NamedTuple):
@@ -101,9 +130,21 @@ Callback = Callable[[Progress], None]
 def begin(policy: Policy, training: Training) -> Progress:
     """The state before the first step."""
     moving, _ = trainable(policy)
-    state = _optimiser(training).init(moving)
+    state = _optimiser(training).init(moving)  # pyright: ignore[reportArgumentType]
     nothing = float("-inf")
     return Progress(0, policy, policy, policy, policy, state, nothing, 0, (), "training")
+
+
+class Task(NamedTuple):
+    """What a run of training works on; `update` is the compiled step of the optimiser."""
+
+    simulator: Simulator
+    schedule: Schedule
+    objective: Objective
+    training: Training
+    engine: Engine
+    source: Source
+    update: Callable
 
 
 def train(
@@ -114,32 +155,31 @@ def train(
     training: Training,
     engine: Engine,
     callbacks: Sequence[Callback] = (),
+    supplied: Supplied | None = None,
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
 
+    `supplied` scenarios take the place of fresh ones: each step draws some of their paths.
     On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
     of the result is "trained", "stopped early" or "diverged".
     """
-    update = _updater(training)
-    if progress.best_value == float("-inf"):
-        progress = _validate(simulator, schedule, progress, objective, training, engine)
-    started, before = time.perf_counter(), progress.history[-1].seconds if progress.history else 0.0
+    source = Source(simulator, training, supplied)
+    task = Task(simulator, schedule, objective, training, engine, source, _updater(training))
+    before = progress.history[-1].seconds if progress.history else 0.0
+    started = time.perf_counter() - before
     try:
+        if progress.step == 0:
+            # What training starts from may be hard to beat: it is the first candidate.
+            progress = _validate(task, progress)
         while progress.status == "training":
-            if progress.step < training.steps:
-                progress = _advance(
-                    simulator, schedule, progress, objective, training, engine, update
-                )
-            done = progress.step >= training.steps
-            if (
-                done
-                or progress.status != "training"
-                or progress.step % training.validation_every == 0
-            ):
-                progress = _validate(simulator, schedule, progress, objective, training, engine)
-                progress = _conclude(progress, training, before + time.perf_counter() - started)
-                for callback in callbacks:
-                    callback(progress)
+            # An interrupt must not leave a step whose validation is due and not done.
+            moved = _advance(task, progress) if progress.step < training.steps else progress
+            due = _due(moved, training)
+            if due:
+                moved = _conclude(task, _validate(task, moved), time.perf_counter() - started)
+            progress = moved
+            for callback in callbacks if due else ():
+                callback(progress)
     except KeyboardInterrupt:
         for callback in callbacks:
             callback(progress)
@@ -147,132 +187,68 @@ def train(
     return progress
 
 
-def _advance(
-    simulator, schedule, progress: Progress, objective, training, engine, update
-) -> Progress:
+def _due(progress: Progress, training: Training) -> bool:
+    """Whether it is time to validate: every so often, and at the end."""
+    over = progress.step >= training.steps or progress.status != "training"
+    return over or progress.step % training.validation_every == 0
+
+
+def _advance(task: Task, progress: Progress) -> Progress:
     """One step: fresh paths, one adjoint pass, one update."""
-    step = progress.step
-    scenarios = Pseudo(training.seed, stream=(TRAIN_STREAM << 32) + step)
-    draws = scenarios.draws(np.arange(training.paths), simulator)
-    temperature = training.temperature(step)
+    step, training = progress.step, task.training
+    draws, temperature = task.source.train(step), training.temperature(step)
     smooth = Smooth(np.float32(temperature))
-    options = _options(simulator, schedule, progress.policy, draws, smooth, training, engine, step)
     value, result, bad = adjoint_of_finite_paths(
-        engine, simulator, progress.policy, schedule, draws, smooth, objective, **options
+        task.engine,
+        task.simulator,
+        progress.policy,
+        task.schedule,
+        draws,
+        smooth,
+        task.objective,
+        **_options(task, progress, draws, smooth),
     )
     if bad > DIVERGED_SHARE * training.paths:
         return replace(progress, status="diverged")
-    policy, average, optimiser, norm = update(
+    policy, average, optimiser, norm = task.update(
         progress.policy, progress.average, progress.optimiser, result.policy, np.float32(step)
     )
     last = progress.history[-1] if progress.history else None
-    exact, best, seconds = (last.exact, last.best, last.seconds) if last else (np.nan, np.nan, 0.0)
+    exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
     record = Record(step + 1, value, float(norm), temperature, bad, exact, best, seconds)
-    halfway = average if step + 1 == training.steps // 2 else progress.halfway
-    return Progress(
-        step + 1,
-        policy,
-        average,
-        progress.best,
-        halfway,
-        optimiser,
-        progress.best_value,
-        progress.stale,
-        (*progress.history, record),
-        "training" if np.isfinite(norm) else "diverged",
+    return replace(
+        progress,
+        step=step + 1,
+        policy=policy,
+        average=average,
+        halfway=average if step + 1 == training.steps // 2 else progress.halfway,
+        optimiser=optimiser,
+        history=(*progress.history, record),
+        status="training" if np.isfinite(norm) else "diverged",
     )
 
 
-def _options(simulator, schedule, policy, draws, smooth, training: Training, engine, step) -> dict:
+def _options(task: Task, progress: Progress, draws: Draws, smooth) -> dict:
     """The clip, and the window of this step with its starting states."""
+    training, horizon = task.training, task.simulator.horizon
     options: dict = {"wrt": ("policy",)}
     if training.clip is not None:
         options["clip"] = Clip(training.clip)
-    if training.window is not None and training.window < simulator.horizon:
+    if training.window is not None and training.window < horizon:
         length = training.window
-        starts = np.arange(0, simulator.horizon - length + 1, max(1, length // 2))
-        first = int(starts[step % len(starts)])
+        firsts = np.arange(0, horizon - length + 1, max(1, length // 2))
+        first = int(firsts[progress.step % len(firsts)])
         if first:
-            upto = engine.values(
-                simulator, policy, schedule, draws, smooth, window=Window(0, first)
-            )
-            options["start"] = upto.state
+            given = (task.simulator, progress.policy, task.schedule, draws, smooth)
+            options["start"] = task.engine.values(*given, window=Window(0, first)).state
         options["window"] = Window(first, length)
     return options
 
 
-def adjoint_of_finite_paths(
-    engine, simulator, policy, schedule, draws: Draws, smooth, objective, **options
-) -> tuple[float, Adjoint, int]:
-    """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
-
-    Zero weight would not silence a path that is not finite (0 x inf is NaN), so such a path is
-    replaced by a copy of a finite one that counts for nothing.
-    """
-    value, result = weighted_adjoint(
-        engine, simulator, policy, schedule, draws, smooth, objective, **options
-    )
-    if np.isfinite(value) and _all_finite(result.policy):
-        return value, result, 0
-    good = _finite_paths(engine, simulator, policy, schedule, draws, smooth, objective, options)
-    bad = int(np.sum(~good))
-    if bad == 0 or bad == good.size:
-        return value, result, good.size
-    source = np.where(good, np.arange(good.size), np.argmax(good))
-    draws, options = _only(source, draws, options)
-    window = {key: options[key] for key in ("window", "start") if key in options}
-    totals = float64(engine.values(simulator, policy, schedule, draws, smooth, **window).totals)
-    kept = {name: total[good] for name, total in totals.items()}
-    weights = objective.weights(kept)
-    spread = {name: np.zeros(good.size) for name in weights}
-    for name, weight in weights.items():
-        spread[name][good] = weight
-    result = engine.adjoint(simulator, policy, schedule, draws, smooth, spread, **options)
-    return objective.value(kept), result, bad
-
-
-def _finite_paths(
-    engine, simulator, policy, schedule, draws, smooth, objective, options
-) -> np.ndarray:
-    """Which paths have finite totals and a finite adjoint, found by looking at each alone."""
-    weights = {name: np.ones(1) for name in objective.outputs}
-    good = np.zeros(draws.size, bool)
-    for path in range(draws.size):
-        alone, given = _only(np.array([path]), draws, options)
-        result = engine.adjoint(simulator, policy, schedule, alone, smooth, weights, **given)
-        good[path] = _all_finite(result.policy) and _all_finite(result.totals)
-    return good
-
-
-def _only(chosen: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
-    """The noise and the starting states of chosen paths alone."""
-    axes = draws.axes()
-    picked = jax.tree.map(
-        lambda leaf, axis: leaf if axis is None else np.take(leaf, chosen, axis),
-        draws,
-        axes,
-        is_leaf=lambda leaf: leaf is None,
-    )
-    start = options.get("start")
-    if start is None:
-        return picked, options
-    return picked, options | {"start": jax.tree.map(lambda leaf: leaf[chosen], start)}
-
-
-def _all_finite(tree: PyTree) -> bool:
-    return all(bool(np.all(np.isfinite(np.asarray(leaf)))) for leaf in jax.tree.leaves(tree))
-
-
-def validation_value(simulator, schedule, policy, objective, training: Training, engine) -> float:
-    """The objective of the exact simulator on the run's validation paths (always the same)."""
-    scenarios = Pseudo(training.seed, stream=VALIDATE_STREAM << 32)
-    draws = scenarios.draws(np.arange(training.validation_paths), simulator)
-    totals = engine.values(simulator, policy, schedule, draws, Exact()).totals
-    return objective.value(float64(totals))
-
-
-def _validate(simulator, schedule, progress: Progress, objective, training, engine) -> Progress:
-    value = validation_value(simulator, schedule, progress.average, objective, training, engine)
+def _validate(task: Task, progress: Progress) -> Progress:
+    """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
+    given = (task.simulator, progress.average, task.schedule, task.source.validate(), Exact())
+    value = task.objective.value(float64(task.engine.values(*given).totals))
     better = np.isfinite(value) and value > progress.best_value
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value
@@ -283,9 +259,9 @@ def _validate(simulator, schedule, progress: Progress, objective, training, engi
     return replace(progress, best=best, best_value=best_value, stale=stale, history=history)
 
 
-def _conclude(progress: Progress, training: Training, seconds: float) -> Progress:
+def _conclude(task: Task, progress: Progress, seconds: float) -> Progress:
     """The clock of the last record, and whether the run is over."""
-    status = progress.status
+    status, training = progress.status, task.training
     if status == "training" and progress.step >= training.steps:
         status = "trained"
     elif status == "training" and training.patience and progress.stale >= training.patience:
@@ -318,8 +294,8 @@ def _updater(training: Training):
         moving, fixed = trainable(policy)
         gradient, _ = trainable(gradient)
         descent = jax.tree.map(lambda g, p: -g.astype(p.dtype), gradient, moving)
-        change, state = optimiser.update(descent, state, moving)
-        moving = optax.apply_updates(moving, change)
+        change, state = optimiser.update(descent, state, moving)  # pyright: ignore
+        moving = optax.apply_updates(moving, change)  # pyright: ignore[reportArgumentType]
         # A running mean whose memory grows to `memory` steps: early on it forgets the start.
         share = jnp.maximum(1 / memory, 1 / (1 + step))
         old, _ = trainable(average)

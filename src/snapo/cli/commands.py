@@ -7,8 +7,9 @@ folder, and `run` with `check(case)`, `solve(case, …)` and `report(folder)`.
 import argparse
 import json
 import math
+import os
 import sys
-from contextlib import redirect_stdout
+from contextlib import redirect_stdout, suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -53,12 +54,19 @@ def _check(options: argparse.Namespace) -> int:
     if options.simulator:
         _, own = read_own(options.simulator, options.case)
         findings = import_module("snapo.checker").check(own["simulator"], own["inputs"])
-    else:
-        case = _read(options.case)
-        findings = import_module(f"{_package(case.kind)}.run").check(case)
-    for finding in findings or ():
-        print(finding)
+        print(findings)
+        return OK if findings.ok else FAILED
+    case = _read(options.case)
+    print("\n".join(import_module(f"{_package(case.kind)}.run").check(case)))
     return OK
+
+
+def _use_every_core() -> None:
+    """XLA runs one device per core; JAX must hear of it before its first computation."""
+    import jax
+
+    with suppress(RuntimeError):  # it has computed already: then it keeps the devices it has
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
 
 def _solve(options: argparse.Namespace) -> int:
@@ -70,6 +78,7 @@ def _solve(options: argparse.Namespace) -> int:
 
 def _solve_case(options: argparse.Namespace) -> dict[str, Any]:
     case = _read(options.case)
+    _use_every_core()
     return import_module(f"{_package(case.kind)}.run").solve(
         case,
         out=options.out or case.file.parent / "run",
@@ -86,7 +95,8 @@ def _solve_own(options: argparse.Namespace) -> dict[str, Any]:
         what = "a simulator of your own has no references"
         raise CaseError("--reference", "", None, what)
     file, own = read_own(options.simulator, options.case)
-    return import_module("snapo.solve").run(
+    _use_every_core()
+    return import_module("snapo.runfolder").solve_own(
         **own,
         out=options.out or file.parent / "run",
         seed=own["training"].seed if options.seed is None else options.seed,

@@ -1,6 +1,7 @@
 """What every engine takes and gives."""
 
 import abc
+from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
 from typing import NamedTuple
 
@@ -8,6 +9,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
 from ..policy import Policy
@@ -133,7 +135,7 @@ class Engine(eqx.Module):
         schedule: Schedule,
         draws: Draws,
         smooth,
-        weights: dict[str, Array],
+        weights: Mapping[str, ArrayLike],
         *,
         actions=None,
         clip: Clip | None = None,
@@ -172,7 +174,8 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
         np.ndim(actions) != 3 or np.shape(actions)[2] != simulator.action.size
     ):
         raise ValueError(
-            f"engine: actions have shape {np.shape(actions)}; expected [steps, paths, {simulator.action.size}]."
+            f"engine: actions have shape {np.shape(actions)}; expected "
+            f"[steps, paths, {simulator.action.size}]."
         )
 
 
@@ -180,5 +183,6 @@ def check_window(simulator: Simulator, window: Window) -> None:
     """A window lies within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:
         raise ValueError(
-            f"engine: window {tuple(window)} (first, length) leaves the horizon of {simulator.horizon} steps."
+            f"engine: window {tuple(window)} (first, length) leaves the horizon of "
+            f"{simulator.horizon} steps."
         )

@@ -29,7 +29,7 @@ class Packing:
         for leaf, shape in zip(leaves, self.shapes):
             if leaf.shape != shape:
                 raise ValueError(
-                    f"The state changes shape: `initial` gives {shape} where `step` gives {leaf.shape}."
+                    f"The state changes shape: `initial` gives {shape}, `step` {leaf.shape}."
                 )
         return tuple(
             jnp.concatenate(

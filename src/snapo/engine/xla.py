@@ -4,6 +4,7 @@ Always works: CPU, GPU, many devices. Its adjoint is JAX's reverse mode of the r
 body of every step rematerialised; it is the oracle of the native engine in tests.
 """
 
+from collections.abc import Mapping
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -13,7 +14,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.sharding import Mesh, NamedSharding, PartitionSpec
-from jaxtyping import Array, Float, PyTree
+from jax.typing import ArrayLike
+from jaxtyping import Array, PyTree
 
 from ..policy import Policy
 from ..scenarios import Counter, Draws
@@ -48,7 +50,7 @@ class Xla(Engine):
         draws: Draws,
         smooth,
         *,
-        actions: Float[Array, "T N A"] | None = None,
+        actions: ArrayLike | None = None,
         record: tuple[str, ...] = (),
         window: Window | None = None,
         start: PyTree = None,
@@ -64,9 +66,9 @@ class Xla(Engine):
         schedule: Schedule,
         draws: Draws,
         smooth,
-        weights: dict[str, Float[Array, "*K N"]],
+        weights: Mapping[str, ArrayLike],
         *,
-        actions: Float[Array, "T N A"] | None = None,
+        actions: ArrayLike | None = None,
         clip: Clip | None = None,
         window: Window | None = None,
         start: PyTree = None,
@@ -74,8 +76,8 @@ class Xla(Engine):
     ) -> Adjoint:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            weights = {k: self._place(cast(w, self.dtype), -1) for k, w in weights.items()}
-            return self.leave(_adjoint(self, call, weights, clip, wrt))
+            placed = {k: self._place(cast(w, self.dtype), -1) for k, w in weights.items()}
+            return self.leave(_adjoint(self, call, placed, clip, wrt))
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
@@ -189,7 +191,8 @@ def _noise(engine: Xla, call: Call) -> Array | None:
     size, draws, dtype = call.simulator.noise_size, call.draws, engine.dtype
     if not isinstance(draws, Counter):
         return None
-    if call.length * draws.size * size * dtype.itemsize > NOISE_BYTES:
+    # Segments are asked for to save memory: then nothing is kept.
+    if engine.segments or call.length * draws.size * size * dtype.itemsize > NOISE_BYTES:
         return None
 
     def one(draws, step):

@@ -33,12 +33,10 @@ class Triggers(NamedTuple):
 
 
 class Decision(NamedTuple):
-    """Net volume into store and its fraction of what is feasible, and the marginal value of gas at
-    the end of the day as of its gas payment, all at given inventories: [n] each."""
+    """Volumes injected and withdrawn on a day, at given inventories: [n] each."""
 
     injection: np.ndarray
     withdrawal: np.ndarray
-    marginal_value: np.ndarray
 
 
 def triggers(
@@ -54,7 +52,9 @@ def triggers(
         spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
         given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float), spots)
         buying, selling = (np.asarray(gain) for gain in _gains(*given))
-    return Triggers(_crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False))
+    return Triggers(
+        _crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False)
+    )
 
 
 def decide(
@@ -74,8 +74,7 @@ def _decided(simulator: StorageSimulator, constants, policy: Policy, now, invent
         seen = simulator.observe(constants, now, state)
         action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
         _, outputs = simulator.step(constants, now, state, action, noise, Exact())
-        value = _marginal_value(policy, seen).keep * constants.price_scale
-        return outputs["injection"], outputs["withdrawal"], value
+        return outputs["injection"], outputs["withdrawal"]
 
     return jax.vmap(one)(inventories)
 

@@ -30,17 +30,19 @@ class Guide(eqx.Module):
 
     @classmethod
     def of(cls, found: MarginalValues) -> "Guide":
-        return cls(Knots(found.low, found.high, found.reach, found.coefficients))
+        table = (found.low, found.high, found.reach, found.coefficients)
+        return cls(Knots(*table))  # pyright: ignore[reportArgumentType]
 
 
 def marginal_value(knots: Knots, inventory, x):
     """The guide's marginal value at an inventory and a fast factor's state."""
     c, x = knots.coefficients, jnp.clip(x, -knots.reach, knots.reach)
     values = c[:, 0] + x * (c[:, 1] + x * c[:, 2])
-    levels = c.shape[0]
     # A day may leave no choice of inventory; every level then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
-    position = jnp.clip((inventory - knots.low) / width, 0.0, 1.0) * (levels - 1)
-    # Hat functions instead of an index: no gather per path.
-    weights = jnp.maximum(1 - jnp.abs(position - jnp.arange(levels)), 0.0)
-    return jnp.sum(weights * values)
+    pieces = values.shape[0] - 1
+    place = (inventory - knots.low) / width * pieces - jnp.arange(pieces)
+    # Line by line instead of an index: no gather per path. Stores stand exactly on the first and
+    # the last knot, so ties must leave one side's slope: `jnp.clip` would halve it.
+    share = jnp.where(place < 0, 0.0, jnp.where(place < 1, place, 1.0))
+    return values[0] + jnp.sum(share * jnp.diff(values))

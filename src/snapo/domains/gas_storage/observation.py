@@ -58,7 +58,10 @@ def economics(case: StorageCase, terms, now, state, spot, flows) -> Economics:
     sell = spot * (1 - now.withdrawal_fuel)
     sell -= now.withdrawal_cost * now.withdrawal_cost_discount / discount
     rate = terms.rate_scale
-    return Economics(*values, buy / scale, sell / scale, room_in / rate, room_out / rate, level)
+    keep, filled, emptied = values
+    return Economics(
+        keep, filled, emptied, buy / scale, sell / scale, room_in / rate, room_out / rate, level
+    )
 
 
 def _slow_level(case: StorageCase, now, state, fast: int):

@@ -39,26 +39,27 @@ def reachable(
     tolerance = TOLERANCE * jnp.max(jnp.abs(limits.maximum), initial=1.0)
 
     def back(following, day):
-        interval = _going_on(day, *following, interpolation, tolerance)
+        interval = _going_on(day, following, interpolation, tolerance)
         return interval, interval
 
     _, (low, high) = jax.lax.scan(back, (end_low, end_high), limits, reverse=True)
     return jnp.append(low, end_low), jnp.append(high, end_high)
 
 
-def _going_on(day: Limits, next_low, next_high, interpolation: str, tolerance):
-    """The longest interval of one day from which [next_low, next_high] can be reached."""
+def _going_on(day: Limits, following, interpolation: str, tolerance):
+    """The longest interval of one day from which the one that follows can be reached."""
+    next_low, next_high = following
     inner = jnp.clip(day.levels, day.minimum, day.maximum)
     left = jnp.concatenate([day.minimum[None], inner])
     right = jnp.concatenate([inner, day.maximum[None]])
     starts = _conditions(day, left, next_low, next_high, _rates(day, left, interpolation))
-    ends = _conditions(day, right, next_low, next_high, _rates(day, right, interpolation, left))
+    ends = _conditions(day, right, next_low, next_high, _rates(day, right, interpolation))
     starts, ends = (jnp.where(jnp.abs(x) < tolerance, 0.0, x) for x in (starts, ends))
     crossing = jnp.where(starts != ends, starts - ends, 1.0)
     zero = jnp.clip(starts / crossing, 0.0, 1.0)  # where a condition changes sign, 0 to 1
     enter = jnp.max(jnp.where(starts >= 0, 0.0, jnp.where(ends >= 0, zero, 2.0)), axis=0)
     leave = jnp.min(jnp.where(ends >= 0, 1.0, jnp.where(starts >= 0, zero, -1.0)), axis=0)
-    some = enter <= leave
+    some = (enter <= leave) & (next_low <= next_high)
     low, high = left + enter * (right - left), left + leave * (right - left)
     return _longest(low, high, some, touches=(enter <= 0, leave >= 1))
 
@@ -79,8 +80,8 @@ def _conditions(day: Limits, inventory, next_low, next_high, rates):
     )
 
 
-def _rates(day: Limits, inventory, interpolation: str, piece=None):
-    """Withdrawal and injection at these inventories; step rates are those of the `piece`'s start."""
+def _rates(day: Limits, inventory, interpolation: str):
+    """Withdrawal and injection at these inventories; step rates are those of the piece."""
     if interpolation == "linear":
         return (
             jnp.interp(inventory, day.levels, day.withdrawal_rate),

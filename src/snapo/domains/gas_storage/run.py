@@ -1,30 +1,29 @@
 """A gas-storage case from the file to the run folder: what `snapo solve` does."""
 
-import hashlib
 import json
 import math
 import shutil
-import tempfile
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 
-from ... import checkpoint, solver
+from ... import solver
 from ...adjoint import prepare
-from ...case import CaseError, Objective
+from ...case import Objective
 from ...engine import Engines, choose
 from ...inputs import Input
 from ...objective import CRRA, CVaR, Entropic, ExpectedUtility, Mean, MeanVariance, Target
 from ...objective import Objective as CoreObjective
+from ...runfolder import Task, check_folder, solve_into
 from ...scenarios import Pseudo, Scenarios, Supplied
 from ...sensitivity import sensitivities
 from ...simulator import Schedule, probe
-from ...solution import HISTORY, RESULT, Solution, versions, write_csv, write_text
-from ...train import EVALUATE_STREAM, Progress, Record, Training, begin
+from ...solution import RESULT, Solution, write_csv, write_text
+from ...train import EVALUATE_STREAM, Training
 from . import references
 from .details import details, profile_rows
 from .expiry import value_without_decisions
@@ -35,8 +34,7 @@ from .records import StorageCase, SuppliedModel
 from .report import write_report
 from .simulator import StorageSimulator
 
-CHECKPOINT, DETAILS, PROFILE = "checkpoint.npz", "details.json", "profile.csv"
-ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
+DETAILS, PROFILE = "details.json", "profile.csv"
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
 
@@ -61,10 +59,10 @@ class Problem(NamedTuple):
 def check(case: StorageCase) -> list[str]:
     """What the case says, in a few lines: nothing is trained."""
     if not case.days:
-        return [
-            f"{case.title}: no decision day is left; the value is {value_without_decisions(case):,.2f}"
-        ]
-    simulator, inputs = StorageSimulator(case), storage_inputs(case)
+        value = value_without_decisions(case)
+        return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
+    simulator = StorageSimulator(case)  # pyright: ignore[reportCallIssue]
+    inputs = storage_inputs(case)
     schedule = prepare(simulator, inputs)
     plan = references.intrinsic(schedule, case.contract.ratchets.interpolation)
     numbers = sum(entry.value.size for entry in inputs.values())
@@ -88,49 +86,25 @@ def solve(
 ) -> dict[str, Any]:
     """Solves a case into the folder `out` and returns what `result.json` says."""
     out = Path(out)
-    _check_folder(out)
+    check_folder(out)
     if not case.days:
         return _write_expired(case, out, seed)
     problem = make_problem(case, seed, engine)
     out.mkdir(parents=True, exist_ok=True)
-    file = out / CHECKPOINT
-    fingerprint = _fingerprint(problem)
-    policy = new_policy(problem)
-    state = begin(policy, problem.training)
-    if resume and file.exists():
-        try:
-            state = checkpoint.load(file, state, fingerprint)
-        except checkpoint.CheckpointError as error:
-            raise CaseError(
-                str(file), "", None, str(error).partition(": ")[2].rstrip(".")
-            ) from None
-        progress(f"resuming after step {state.step} of {problem.training.steps}")
     _copy_case(case, out)
-    troubles: list[str] = []
-
-    def keep(state: Progress) -> None:
-        """Best policy and history so far, on disk; a write that fails does not lose the run."""
-        _tell(state, problem.training, progress)
-        try:
-            checkpoint.save(state, file, fingerprint)
-            write_csv(out / HISTORY, Record._fields, state.history)
-        except OSError as error:
-            troubles.append(f"{error.filename or out}: {error.strerror}")
-            progress(f"could not write: {troubles[-1]}")
-
-    solution = solver.solve(
+    task = Task(
         problem.simulator,
         problem.inputs,
-        policy,
-        objective=problem.objective,
-        scenarios=_evaluation_scenarios(problem),
-        training=problem.training,
-        evaluation=problem.evaluation,
-        engine=problem.engines,
-        callbacks=[keep],
-        progress=state,
+        problem.schedule,
+        new_policy(problem),
+        problem.objective,
+        problem.training,
+        problem.evaluation,
+        problem.engines,
+        _evaluation_scenarios(problem),
+        _training_scenarios(problem),
     )
-    progress(str(solution))
+    solution, troubles = solve_into(out, task, resume, progress)
     return _write(problem, solution, out, reference, troubles, progress)
 
 
@@ -142,16 +116,19 @@ def report(folder: Path) -> Path:
 def make_problem(case: StorageCase, seed: int, engine: str = "auto") -> Problem:
     """Simulator with its guide and its hedge, inputs, schedule, objective and engines."""
     inputs = storage_inputs(case)
-    bare = StorageSimulator(case)
+    bare = StorageSimulator(case)  # pyright: ignore[reportCallIssue]
     schedule = prepare(bare, inputs)
     interpolation = case.contract.ratchets.interpolation
     noise = not isinstance(case.model, SuppliedModel)
     found = references.marginal_values(schedule, interpolation, noise=noise)
     # No hedge yet, but its place: the compiled `prepare` serves before and after.
-    simulator = StorageSimulator(case, Guide.of(found), np.zeros(len(case.days)))
+    no_hedge = np.zeros(len(case.days))
+    simulator = StorageSimulator(case, Guide.of(found), no_hedge)  # pyright: ignore
     schedule = prepare(simulator, inputs)
     training = Training(**case.training.model_dump() | {"seed": seed})
     evaluation = solver.Evaluation(**case.evaluation.model_dump())
+    if isinstance(case.model, SuppliedModel):
+        evaluation = replace(evaluation, paths=min(evaluation.paths, len(case.model.evaluation)))
     policy = StoragePolicy(probe(simulator, schedule)[1].shape[0], key=jax.random.key(seed))
     engines = choose(engine, simulator, policy, schedule)
     if noise:
@@ -162,7 +139,7 @@ def make_problem(case: StorageCase, seed: int, engine: str = "auto") -> Problem:
 
 
 def _hedge(simulator: StorageSimulator, inputs, engines: Engines, seed: int) -> np.ndarray:
-    """Forward volumes [T] for the control variate: the deltas of the guide's rule, on a few paths."""
+    """Forward volumes [T] for the control variate: the deltas of the guide's rule."""
     source = Pseudo(seed, stream=(EVALUATE_STREAM << 32) + 2)
     rule = GuidePolicy()
     found = sensitivities(
@@ -196,11 +173,18 @@ def new_policy(problem: Problem) -> StoragePolicy:
     return StoragePolicy(features, key=jax.random.key(problem.training.seed))
 
 
-def _evaluation_scenarios(problem: Problem) -> Scenarios | None:
+def _training_scenarios(problem: Problem) -> Supplied | None:
+    """The case's own paths to train on, where prices are supplied."""
     model = problem.case.model
-    return (
-        supplied(model.evaluation, problem.simulator) if isinstance(model, SuppliedModel) else None
-    )
+    return supplied(model.training, problem.simulator) if isinstance(model, SuppliedModel) else None
+
+
+def _evaluation_scenarios(problem: Problem) -> Scenarios | None:
+    """The case's own paths to evaluate on, which are others, where prices are supplied."""
+    model = problem.case.model
+    if not isinstance(model, SuppliedModel):
+        return None
+    return supplied(model.evaluation, problem.simulator)
 
 
 def supplied(paths: np.ndarray, simulator: StorageSimulator) -> Supplied:
@@ -266,38 +250,6 @@ def _write_expired(case: StorageCase, out: Path, seed: int) -> dict[str, Any]:
     return result
 
 
-def _check_folder(out: Path) -> None:
-    """An unwritable folder or a full disk is found before training, not after."""
-    place = out
-    while not place.exists() and place != place.parent:
-        place = place.parent
-    if not place.is_dir():
-        raise CaseError(str(out), "", None, f"{place} is not a folder")
-    try:
-        with tempfile.TemporaryFile(dir=place):
-            pass
-    except OSError as error:
-        raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
-    free = shutil.disk_usage(place).free
-    if free < ENOUGH_SPACE:
-        what = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
-        raise CaseError(str(out), "", None, what)
-
-
-def _fingerprint(problem: Problem) -> dict[str, Any]:
-    """What decides the numbers of a run: a resumed one must have the same."""
-    digest = hashlib.sha256()
-    for leaf in jax.tree.leaves(problem.schedule):
-        digest.update(np.ascontiguousarray(leaf).tobytes())
-    return {
-        "contract and market": digest.hexdigest(),
-        "training": asdict(problem.training),
-        "objective": problem.case.objective.model_dump(),
-        "engine": problem.engines.name,
-        "versions": versions(),
-    }
-
-
 def _copy_case(case: StorageCase, out: Path) -> None:
     """A copy of the case beside its results, with the files it names."""
     target = out / "case"
@@ -306,16 +258,6 @@ def _copy_case(case: StorageCase, out: Path) -> None:
     for file in source.iterdir():
         if file.is_file() and file.suffix.lower() in (".toml", ".csv"):
             shutil.copyfile(file, target / file.name)
-
-
-def _tell(state: Progress, training: Training, progress: Callable[[str], None]) -> None:
-    if not state.history:
-        return
-    last = state.history[-1]
-    progress(
-        f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.2f}, "
-        f"best {last.best:>14,.2f}, {last.seconds:6.1f} s"
-    )
 
 
 def _finite(value: Any) -> Any:

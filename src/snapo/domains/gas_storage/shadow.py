@@ -62,7 +62,7 @@ class _Replay:
         ]
 
     def value(self, shifts: dict[str, float]) -> float:
-        """The mean cash flow with these inputs shifted, all entries alike; NaN if it has no meaning."""
+        """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
         inputs = dict(self.problem.inputs)
         for name, shift in shifts.items():
             moved = inputs[name].value + shift

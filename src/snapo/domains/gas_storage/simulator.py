@@ -130,7 +130,7 @@ class StorageSimulator(Simulator):
         return len(self.case.days)
 
     @property
-    def noise_size(self) -> int:
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
         return prices.factors(self.case)
 
     @property
@@ -279,7 +279,7 @@ class StorageSimulator(Simulator):
         """The day's spot price."""
         return prices.spot(self.case, now.forward, now.loading, now.variance, state.price)
 
-    def flows(self, now: Day, state: State, smooth, scale=1.0) -> Flows:
+    def flows(self, now: Day, state: State, smooth, scale: Any = 1.0) -> Flows:
         """What must flow (`base`, net) and between what (`least`, `most`) the net flow may lie."""
         kind = self.case.contract.ratchets.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)

@@ -1,0 +1,153 @@
+"""The cost of a value with all gradients over the value alone, with 12, 365 and 3650 inputs.
+
+One storage contract of a year, the same paths and the same policy; only the number of inputs
+changes, from monthly prices to ten numbers a day. Both sides start from the inputs: the value
+is prepare and one forward sweep; with gradients comes the adjoint pass, and back to the inputs.
+"""
+
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from statistics import median
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import snapo.domains.gas_storage as domain
+from snapo.adjoint import float64, prepare, pull_back
+from snapo.domains.gas_storage.case import read_case
+from snapo.domains.gas_storage.guide import Guide
+from snapo.domains.gas_storage.inputs import storage_inputs
+from snapo.domains.gas_storage.policy import StoragePolicy
+from snapo.domains.gas_storage.references import marginal_values
+from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.engine import Xla
+from snapo.engine.native import Native
+from snapo.inputs import Input
+from snapo.scenarios import Pseudo
+from snapo.simulator import probe
+from snapo.smooth import Exact, Smooth
+
+CASE = Path(domain.__path__[0]) / "template" / "case.toml"
+COUNTS = (12, 365, 3650)
+PATHS, RUNS = 4096, 7
+PER_DAY = (
+    "forward",
+    "gas_discount",
+    "injection_cost",
+    "withdrawal_cost",
+    "injection_cost_discount",
+    "withdrawal_cost_discount",
+    "withdrawal_fuel",
+    "next_high",
+    "loading",
+    "variance",
+)
+
+
+class Year(StorageSimulator):
+    """A year of storage whose inputs are factors on the schedule's numbers, `counts` of them."""
+
+    fixed: dict = eqx.field(default_factory=dict)
+
+    def prepare(self, inputs):
+        schedule = super().prepare(self.fixed)
+        factors, days = inputs["factors"], self.horizon
+        if factors.size <= days:
+            # Month by month, or day by day: on the forward curve alone.
+            month = np.arange(days) * factors.size // days
+            steps = schedule.steps._replace(forward=schedule.steps.forward * factors[month])
+            return type(schedule)(schedule.constants, steps)
+        steps, columns = schedule.steps, factors.reshape(len(PER_DAY), -1)
+        for name, column in zip(PER_DAY, columns):
+            leaf = getattr(steps, name)
+            scale = column[:days].reshape(-1, *(1,) * (leaf.ndim - 1))
+            steps = steps._replace(**{name: leaf * scale})
+        return type(schedule)(schedule.constants, steps)
+
+
+class Row(NamedTuple):
+    """Medians in seconds, of `PATHS` paths; `ratio` is the median of alternating runs' ratios."""
+
+    engine: str
+    derivative: str
+    inputs: int
+    value: float
+    gradient: float
+    ratio: float
+
+
+def problem(count: int):
+    """Simulator, inputs and policy of the year with this many inputs."""
+    case = read_case(CASE)
+    given = storage_inputs(case)
+    bare = StorageSimulator(case)
+    kind = case.contract.ratchets.interpolation
+    schedule = prepare(bare, given)
+    guide = Guide.of(marginal_values(schedule, kind))
+    fixed = {name: entry.value for name, entry in given.items()}
+    simulator = Year(case, guide, fixed=fixed)
+    inputs = {"factors": Input(np.ones(count))}
+    features = probe(bare, schedule)[1].shape[0]
+    return simulator, inputs, StoragePolicy(features, key=jax.random.key(0))
+
+
+def measure(engine, count: int) -> Iterator[Row]:
+    """Smooth derivatives through the policy, and those with decisions held."""
+    simulator, inputs, policy = problem(count)
+    draws = Pseudo(1).draws(np.arange(PATHS), simulator)
+    weights = {"cash_flow": np.full(PATHS, 1 / PATHS)}
+    smooth = Smooth(jnp.asarray(0.01))
+
+    def value(constraints):
+        schedule = prepare(simulator, inputs)
+        totals = float64(engine.values(simulator, policy, schedule, draws, constraints).totals)
+        return totals["cash_flow"].mean()
+
+    def through():
+        schedule = prepare(simulator, inputs)
+        passed = engine.adjoint(simulator, policy, schedule, draws, smooth, weights)
+        return pull_back(simulator, inputs, [passed.schedule])
+
+    def held():
+        schedule = prepare(simulator, inputs)
+        given = (schedule, draws, Exact())
+        kept = engine.values(simulator, policy, *given, record=("action",)).record["action"]
+        passed = engine.adjoint(simulator, None, *given, weights, actions=kept, wrt=("schedule",))
+        return pull_back(simulator, inputs, [passed.schedule])
+
+    name = type(engine).__name__
+    yield Row(name, "smooth", count, *alternate(lambda: value(smooth), through))
+    yield Row(name, "held", count, *alternate(lambda: value(Exact()), held))
+
+
+def alternate(one: Callable, other: Callable) -> tuple[float, float, float]:
+    """Median seconds of both, and the median of their ratios, in alternating runs."""
+    one(), other()
+    pairs = [(timed(one), timed(other)) for _ in range(RUNS)]
+    ratios = [second / first for first, second in pairs]
+    return median(p[0] for p in pairs), median(p[1] for p in pairs), median(ratios)
+
+
+def timed(call: Callable) -> float:
+    started = time.perf_counter()
+    jax.block_until_ready(call())
+    return time.perf_counter() - started
+
+
+def table() -> str:
+    lines = [
+        f"{PATHS} paths of a year in float64, medians of {RUNS} alternating runs",
+        f"{'engine':<8}{'derivative':<12}{'inputs':>8}{'value':>10}{'with all':>10}{'ratio':>8}",
+    ]
+    for engine in (Native("float64"), Xla("float64")):
+        for count in COUNTS:
+            for row in measure(engine, count):
+                lines.append(
+                    f"{row.engine:<8}{row.derivative:<12}{row.inputs:>8}"
+                    f"{row.value:>9.3f}s{row.gradient:>9.3f}s{row.ratio:>8.2f}"
+                )
+    return "\n".join(lines)

@@ -1,0 +1,291 @@
+"""The native engine against XLA (and PyTorch, where it is installed): ratios from alternating runs.
+
+    python -m benchmarks.native [--quick]
+
+Every figure is a median over rounds in which the engines take turns, so that a busy machine
+slows them alike. The floor is the time that the multiply-adds of a network's forward pass and its
+two transposes take at the machine's measured rate.
+"""
+
+import argparse
+import ctypes
+import os
+import subprocess
+import sys
+import time
+from collections.abc import Callable
+from itertools import pairwise
+from statistics import median
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.engine import Xla
+from snapo.engine.native import Native, compiler, engine
+from snapo.policy import Network, Policy
+from snapo.scenarios import Pseudo, Table
+from snapo.simulator import Box, Schedule, Simulator
+from snapo.smooth import Smooth
+
+ROUNDS = 7
+
+
+class Storage(Simulator):
+    """Gas storage with a three-factor price and rates that depend on the inventory."""
+
+    horizon: int = eqx.field(static=True, default=341)
+    action: Box = eqx.field(default=Box(3))
+    noise_size: int = eqx.field(static=True, default=3)
+
+    def prepare(self, inputs):
+        days = np.linspace(0, 1, self.horizon, dtype=np.float32)
+        return Schedule({}, {"forward": 16 + np.sin(6 * days), "day": days})
+
+    def initial(self, constants, noise):
+        return {"factors": jnp.zeros(3), "level": jnp.asarray(0.2)}
+
+    def observe(self, constants, now, state):
+        factors = state["factors"]
+        spot = jnp.exp(0.85 * factors[0] + 0.3 * factors[1] + 0.1 * factors[2])
+        market = jnp.stack([now["forward"] / 16 - 1, spot - 1, now["day"], state["level"]])
+        return jnp.concatenate([factors, market])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        factors = state["factors"] * jnp.array([0.78, 1, 1]) + noise * jnp.array([0.05, 0.05, 0.05])
+        spot = 0.85 * factors[0] + 0.3 * factors[1] + 0.1 * factors[2] - 0.05
+        price = now["forward"] * jnp.exp(spot)
+        level = state["level"]
+        injection, withdrawal = (250 - 118 * level) / 7000, (150 + 125 * level) / 7000
+        fraction = jax.nn.sigmoid(action)
+        up = smooth.minimum(fraction[0] * injection, 1 - level, scale=0.01)
+        down = smooth.minimum(fraction[1] * withdrawal, level, scale=0.01)
+        cash = (down - up) * price - 0.01 * up - 0.025 * down + 0.001 * fraction[2]
+        return {"factors": factors, "level": level + up - down}, {"cash": cash}
+
+    def terminal(self, constants, state, smooth):
+        return {"cash": -(state["level"] ** 2)}
+
+
+class Correlated(Simulator):
+    """300 factors moved by correlated noise: a 300 x 300 matrix-vector product per step."""
+
+    horizon: int = eqx.field(static=True, default=50)
+    action: Box = eqx.field(default=Box(1))
+    noise_size: int = eqx.field(static=True, default=300)
+
+    def prepare(self, inputs):
+        rng = np.random.default_rng(0)
+        lower = np.tril(rng.normal(size=(300, 300))).astype(np.float32) / 300
+        return Schedule({"lower": lower}, {"day": np.arange(self.horizon, dtype=np.float32)})
+
+    def initial(self, constants, noise):
+        return {"factors": jnp.zeros(300)}
+
+    def observe(self, constants, now, state):
+        return state["factors"][:4]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        factors = 0.95 * state["factors"] + constants["lower"] @ noise
+        return {"factors": factors}, {"cash": action[0] * jnp.tanh(factors).sum()}
+
+
+class Plain(Policy):
+    """A network whose outputs are the action."""
+
+    network: Network
+
+    def __call__(self, observation, smooth):
+        return self.network(observation)
+
+
+class Workload:
+    """One row of the table: both engines, ready to run."""
+
+    def __init__(
+        self, simulator, widths, paths=1024, precision="float32", activation=jnp.tanh, table=False
+    ):
+        self.simulator, self.paths, self.precision = simulator, paths, precision
+        self.schedule = simulator.prepare(None)
+        self.policy = Plain(Network(widths, key=jax.random.key(0), activation=activation))
+        self.draws = Pseudo(1, antithetic=False).draws(np.arange(paths), simulator)
+        if table:
+            rng = np.random.default_rng(0)
+            noise = rng.normal(size=(simulator.horizon, paths, simulator.noise_size))
+            self.draws = Table(np.zeros((paths, 0)), jnp.asarray(noise, precision))
+        self.weights = {"cash": np.ones(paths, precision) / paths}
+        self.smooth = Smooth(0.3)
+
+    def adjoint(self, which) -> Callable:
+        args = (self.simulator, self.policy, self.schedule, self.draws, self.smooth, self.weights)
+        return lambda: jax.block_until_ready(which(precision=self.precision).adjoint(*args))
+
+    def values(self) -> Callable:
+        args = (self.simulator, self.policy, self.schedule, self.draws, self.smooth)
+        return lambda: jax.block_until_ready(Native(self.precision).values(*args))
+
+
+def alternate(*calls: Callable, rounds: int = ROUNDS) -> list[float]:
+    """Median milliseconds of each call, which take turns; short calls repeat within a round."""
+    repeats = []
+    for call in calls:
+        call()
+        begin = time.perf_counter()
+        call()
+        repeats.append(max(1, int(0.05 / (time.perf_counter() - begin))))
+    times: list[list[float]] = [[] for _ in calls]
+    for _ in range(rounds):
+        for call, repeat, kept in zip(calls, repeats, times):
+            begin = time.perf_counter()
+            for _ in range(repeat):
+                call()
+            kept.append(1000 * (time.perf_counter() - begin) / repeat)
+    return [median(kept) for kept in times]
+
+
+def rate() -> float:
+    """Multiply-adds per second and thread, measured on independent chains in registers."""
+    _, _, register = compiler.host()
+    lanes, chains, rounds = register // 4, 20, 2_000_000
+    kind = f"<{lanes} x float>"
+    lines = ["define void @run(ptr %out, i64 %a, i64 %b) #0 {\nentry:\n  br label %loop\nloop:"]
+    lines += ["  %i = phi i64 [ 0, %entry ], [ %j, %loop ]"]
+    lines += [
+        f"  %x{k} = phi {kind} [ zeroinitializer, %entry ], [ %y{k}, %loop ]" for k in range(chains)
+    ]
+    one = f"{kind} splat (float 1.0)"
+    half = f"{kind} splat (float 0.5)"
+    name = f"@llvm.fma.v{lanes}f32"
+    lines += [f"  %y{k} = call {kind} {name}({kind} %x{k}, {half}, {one})" for k in range(chains)]
+    lines += [f"  %j = add i64 %i, 1\n  %more = icmp slt i64 %j, {rounds}"]
+    lines += ["  br i1 %more, label %loop, label %exit\nexit:", f"  %s0 = fadd {kind} %y0, %y1"]
+    lines += [f"  %s{k} = fadd {kind} %s{k - 1}, %y{k + 1}" for k in range(1, chains - 1)]
+    lines += [f"  store {kind} %s{chains - 2}, ptr %out, align 4\n  ret void\n}}"]
+    lines += [f"declare {kind} {name}({kind}, {kind}, {kind})"]
+    bits = 8 * register
+    lines += [
+        f'attributes #0 = {{ "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}" }}'
+    ]
+    machine = compiler.Machine(compiler.compile_text("\n".join(lines)), ["run"])
+    out = np.zeros(64, np.float32)
+    times = []
+    for _ in range(5):
+        begin = time.perf_counter()
+        machine.functions["run"](ctypes.c_void_p(out.ctypes.data), 0, 0)
+        times.append(time.perf_counter() - begin)
+    return rounds * chains * lanes / median(times)
+
+
+def floor(work: Workload, widths, threads: int, per_second: float) -> float:
+    """Milliseconds of the network's multiply-adds: forward, and two products back."""
+    products = sum(a * b for a, b in pairwise(widths))
+    per_second = per_second / (2 if work.precision == "float64" else 1)
+    return 3000 * products * work.simulator.horizon * work.paths / (per_second * threads)
+
+
+def rows(quick: bool):
+    """(name, required ratio, workload)."""
+    wide = (7, 32, 32, 3)
+    yield "storage, float32", 10, Workload(Storage(), wide)
+    yield "storage, float32, noise supplied", 10, Workload(Storage(), wide, table=True)
+    yield "storage, float64", 8, Workload(Storage(), wide, precision="float64")
+    yield "64 paths", 5, Workload(Storage(), wide, paths=64)
+    if quick:
+        return
+    yield "16384 paths", 5, Workload(Storage(), wide, paths=16384)
+    for width in (16, 64, 128):
+        yield f"width {width}", 5, Workload(Storage(), (7, width, width, 3))
+    yield "silu", 5, Workload(Storage(), wide, activation=jax.nn.silu)
+    yield "relu", 5, Workload(Storage(), wide, activation=jax.nn.relu)
+    yield "3650 steps", 5, Workload(Storage(horizon=3650), wide)
+    yield "300 correlated factors", 2.5, Workload(Correlated(), (4, 8, 1))
+
+
+TORCH = """
+import math, time, torch
+torch.set_num_threads({threads})
+T, N = 341, {paths}
+sizes = (7, 32, 32, 3)
+layers = [m for a, b in zip(sizes, sizes[1:]) for m in (torch.nn.Linear(a, b), torch.nn.Tanh())]
+net = torch.nn.Sequential(*layers[:-1])
+forward = torch.full((T,), 16.0, requires_grad=True)
+noise = torch.randn(T, N, 3)
+decay, shock = torch.tensor([0.78, 1, 1]), torch.tensor([0.05, 0.05, 0.05])
+load = torch.tensor([0.85, 0.3, 0.1])
+def run():
+    f, level, cash = torch.zeros(N, 3), torch.full((N,), 0.2), torch.zeros(N)
+    for t in range(T):
+        spot = torch.exp(f @ load)
+        day = torch.full((N,), t / T)
+        market = [(forward[t] / 16 - 1).expand(N), spot - 1, day, level]
+        x = torch.cat([f, torch.stack(market, 1)], 1)
+        a = torch.sigmoid(net(x))
+        f = f * decay + noise[t] * shock
+        price = forward[t] * torch.exp(f @ load - 0.05)
+        up = torch.minimum(a[:, 0] * (250 - 118 * level) / 7000, 1 - level)
+        down = torch.minimum(a[:, 1] * (150 + 125 * level) / 7000, level)
+        cash = cash + (down - up) * price - 0.01 * up - 0.025 * down + 0.001 * a[:, 2]
+        level = level + up - down
+    (cash - level ** 2).mean().backward()
+run()
+times = []
+for _ in range(5):
+    begin = time.perf_counter(); run(); times.append(time.perf_counter() - begin)
+print(1000 * sorted(times)[2])
+"""
+
+
+def torch_milliseconds(python: str, threads: int) -> float | None:
+    """The same rollout in PyTorch eager, in an interpreter that has it."""
+    code = TORCH.format(threads=threads, paths=1024)
+    done = subprocess.run([python, "-c", code], capture_output=True, text=True, check=False)
+    return float(done.stdout) if done.returncode == 0 else None
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="the first rows only")
+    parser.add_argument("--torch", default=sys.executable, help="a Python that can import torch")
+    options = parser.parse_args()
+    threads, per_second = len(os.sched_getaffinity(0)), rate()
+    print(f"{threads} threads, {2e-9 * per_second * threads:.0f} GFLOP/s in registers")
+    print(
+        f"{'workload':34}{'native ms':>10}{'XLA ms':>10}{'ratio':>8}{'needed':>8}"
+        f"{'gradient/value':>16}"
+    )
+    for name, needed, work in rows(options.quick):
+        native, xla, values = alternate(
+            work.adjoint(Native),
+            work.adjoint(Xla),
+            work.values(),
+            rounds=3 if work.paths > 9000 else ROUNDS,
+        )
+        print(
+            f"{name:34}{native:10.1f}{xla:10.1f}{xla / native:8.1f}{needed:8}"
+            f"{native / values:16.2f}",
+            flush=True,
+        )
+    work = Workload(Storage(), (7, 32, 32, 3))
+    args = (work.simulator, work.policy, work.schedule, work.draws, work.smooth, work.weights)
+    one, two = alternate(
+        lambda: Native(threads=1).adjoint(*args), lambda: Native(threads=2).adjoint(*args)
+    )
+    least = floor(work, (7, 32, 32, 3), threads, rate())
+    print(
+        f"times the multiply-add floor: {two / least:.2f} (needed 2.2); "
+        f"one to two threads: {one / two:.2f} (1.8)"
+    )
+    torch = torch_milliseconds(options.torch, threads)
+    print(
+        "PyTorch eager: "
+        + ("not installed" if torch is None else f"{torch:.0f} ms, {torch / two:.0f} times (25)")
+    )
+    engine._runners.clear()
+    begin = time.perf_counter()
+    Native().adjoint(*args)
+    print(f"from call to first result, kernel on disk: {time.perf_counter() - begin:.2f} s (0.3)")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,162 @@
+"""A grid battery on an hourly market: trade the price, and pay for it in lost capacity.
+
+One week of hours. The price is a mean-reverting deviation around a daily profile. Charging and
+discharging lose energy, every cycle costs a little of the capacity, and so does time. At the
+end the remaining capacity has a value per MWh, and the energy left is sold at the mean price.
+The decision is the power, as a share of the rating: +1 discharges at full power, -1 charges.
+"""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+import snapo
+
+HOURS = 168
+
+
+class Inputs(eqx.Module):
+    """What is differentiable: a price a week ahead by hour, and the battery's data sheet."""
+
+    price: snapo.Input
+    volatility: snapo.Input
+    mean_reversion: snapo.Input
+    power: snapo.Input
+    capacity: snapo.Input
+    efficiency: snapo.Input
+    cycle_ageing: snapo.Input
+    calendar_ageing: snapo.Input
+    replacement: snapo.Input
+
+
+class Battery(snapo.Simulator):
+    """One path. State: energy stored (MWh), capacity (MWh), deviation of ln price, cycles."""
+
+    horizon: int = HOURS
+    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    noise_size: int = 1
+
+    def prepare(self, inputs: Inputs) -> snapo.Schedule:
+        # The deviation is an Ornstein-Uhlenbeck process, taken exactly from hour to hour.
+        decay = jnp.exp(-inputs.mean_reversion)
+        shock = inputs.volatility * jnp.sqrt((1 - decay**2) / (2 * inputs.mean_reversion))
+        hour = jnp.arange(HOURS)
+        variance = shock**2 * (1 - decay ** (2 * hour)) / (1 - decay**2)
+        # Forward prices: the level, then the best and the worst of the coming day, for the policy.
+        day = jnp.minimum(hour[:, None] + jnp.arange(24), HOURS - 1)
+        ahead = inputs.price[day]
+        steps = {
+            "price": inputs.price,
+            "variance": variance,
+            "mean": ahead.mean(1),
+            "high": ahead.max(1),
+            "low": ahead.min(1),
+            "left": 1 - hour / HOURS,
+        }
+        constants = {
+            "decay": decay,
+            "shock": shock,
+            "deviation": inputs.volatility / jnp.sqrt(2 * inputs.mean_reversion),
+            "power": inputs.power,
+            "capacity": inputs.capacity,
+            "efficiency": inputs.efficiency,
+            "cycle_ageing": inputs.cycle_ageing,
+            "calendar_ageing": inputs.calendar_ageing / (365 * 24),
+            "replacement": inputs.replacement,
+            "spread": inputs.price.max() - inputs.price.min(),
+            "last_price": inputs.price[-24:].mean(),
+        }
+        return snapo.Schedule(constants, steps)
+
+    def initial(self, constants, noise):
+        zero = jnp.zeros_like(constants["capacity"])
+        return {
+            "energy": 0.5 * constants["capacity"],
+            "capacity": constants["capacity"],
+            "deviation": zero,
+            "cycles": zero,
+        }
+
+    def observe(self, constants, now, state):
+        spot = self._spot(now, state)
+        width = constants["spread"]
+        return jnp.stack(
+            [
+                state["energy"] / constants["capacity"] - 0.5,
+                state["deviation"] / constants["deviation"],
+                (spot - now["mean"]) / width,
+                (now["price"] - now["mean"]) / width,
+                (now["high"] - spot) / width,
+                (spot - now["low"]) / width,
+                now["left"],
+            ]
+        )
+
+    def step(self, constants, now, state, action, noise, smooth):
+        c, power, scale = constants, constants["power"], constants["power"]
+        # Half of the round trip's loss on the way in, half on the way out; power is at the grid.
+        oneway = jnp.sqrt(c["efficiency"])
+        wanted = power * action[0]
+        out = smooth.minimum(
+            smooth.positive_part(wanted, scale), state["energy"] * oneway, scale=scale
+        )
+        room = smooth.positive_part(state["capacity"] - state["energy"], scale)
+        into = smooth.minimum(smooth.positive_part(-wanted, scale), room / oneway, scale=scale)
+        energy = state["energy"] - out / oneway + into * oneway
+        cycles = (out / oneway + into * oneway) / (2 * c["capacity"])
+        worn = c["cycle_ageing"] * cycles * c["capacity"]
+        capacity = state["capacity"] * (1 - c["calendar_ageing"]) - worn
+        after = {
+            # What no longer fits into an aged battery is lost.
+            "energy": smooth.minimum(energy, capacity, scale=scale),
+            "capacity": capacity,
+            "deviation": c["decay"] * state["deviation"] + c["shock"] * noise[0],
+            "cycles": state["cycles"] + cycles,
+        }
+        cash = (out - into) * self._spot(now, state)
+        return after, {"cash": cash, "value": cash, "cycles": cycles}
+
+    def terminal(self, constants, state, smooth):
+        c = constants
+        sold = state["energy"] * jnp.sqrt(c["efficiency"]) * c["last_price"]
+        aged = (c["capacity"] - state["capacity"]) * c["replacement"]
+        return {"value": sold - aged, "ageing_cost": aged}
+
+    def state_scale(self, constants):
+        c = constants
+        one = jnp.ones_like(c["capacity"])
+        return {"energy": c["power"], "capacity": c["power"], "deviation": one, "cycles": one}
+
+    def _spot(self, now, state):
+        """The price this hour; its mean is the forward price."""
+        return now["price"] * jnp.exp(state["deviation"] - now["variance"] / 2)
+
+
+def simulator() -> Battery:
+    """A week of hours."""
+    return Battery()
+
+
+def inputs() -> Inputs:
+    """A 10 MW / 20 MWh lithium battery and a price with a morning and an evening peak, in EUR."""
+    hour = np.arange(HOURS)
+    angle = 2 * np.pi * hour / 24
+    daily = 70 - 18 * np.cos(angle - np.pi / 4) - 20 * np.cos(2 * angle - np.pi / 4)
+    weekend = np.where(hour // 24 >= 5, 0.8, 1.0)
+    names = [f"day {h // 24 + 1} {h % 24:02d}:00" for h in hour]
+    return Inputs(
+        price=snapo.Input(daily * weekend, "EUR/MWh", names),
+        volatility=snapo.Input(0.10, "1/sqrt(hour)"),
+        mean_reversion=snapo.Input(0.08, "1/hour"),
+        power=snapo.Input(10.0, "MW"),
+        capacity=snapo.Input(20.0, "MWh"),
+        efficiency=snapo.Input(0.88, "round trip"),
+        # 80 % of the capacity is left after 6000 full cycles, and 2 % a year goes by itself.
+        cycle_ageing=snapo.Input(0.2 / 6000, "capacity per cycle"),
+        calendar_ageing=snapo.Input(0.02, "capacity per year"),
+        replacement=snapo.Input(150_000.0, "EUR/MWh of capacity"),
+    )
+
+
+if __name__ == "__main__":
+    print(snapo.solve(simulator(), inputs(), objective=snapo.Mean("value")))

@@ -1,0 +1,180 @@
+"""Dot products in register tiles, and the product that gathers a matrix's gradient over steps."""
+
+from typing import Any
+
+import numpy as np
+
+from .code import Code
+from .passes import BIG
+from .program import Op, Value
+from .storage import Place
+
+WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
+ACCUMULATORS = 16  # vector registers that hold a tile's sums
+
+
+def dot(body, op: Op) -> None:
+    """`dot_general` with any batch, free and contracted axes."""
+    (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
+    a, b = op.inputs
+    free_a = [i for i in range(len(a.shape)) if i not in (*contract_a, *batch_a)]
+    free_b = [i for i in range(len(b.shape)) if i not in (*contract_b, *batch_b)]
+    sizes = [
+        _count(a, batch_a),
+        _count(a, free_a),
+        _count(b, free_b),
+        _count(a, contract_a),
+    ]
+    work = int(np.prod(sizes, dtype=np.int64))
+    out = op.outputs[0]
+    if work <= WRITTEN_OUT or (out.size <= BIG and work <= WRITTEN_OUT * 2):
+        _written_out(body, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes)
+        return
+    left = _axes(body.place(a), batch_a, free_a, contract_a)
+    right = _axes(body.place(b), batch_b, free_b, contract_b)
+    target = body.target(out)
+    tiled(body.code, left, right, target, sizes)
+    body.where[out] = target
+
+
+def _count(v: Value, axes) -> int:
+    return int(np.prod([v.shape[i] for i in axes], dtype=np.int64))
+
+
+def _axes(place: Place, *groups) -> list[Any]:
+    """For every group of axes, (size, stride) pairs of this place."""
+    return [place, *[[(place.shape[i], place.strides[i]) for i in group] for group in groups]]
+
+
+def _written_out(body, op: Op, left, right, sizes) -> None:
+    code = body.code
+    a = body.small(op.inputs[0]).transpose([i for g in left for i in g])
+    b = body.small(op.inputs[1]).transpose([i for g in right for i in g])
+    batch, rows, columns, depth = sizes
+    a, b = a.reshape(batch, rows, depth), b.reshape(batch, columns, depth)
+    refs = np.empty((batch, rows, columns), object)
+    for n, i, j in np.ndindex(batch, rows, columns):
+        terms = list(zip(a[n, i], b[n, j]))
+        total = code.mul(*terms[0]) if terms else code.constant(0, op.outputs[0].dtype)
+        for x, y in terms[1:]:
+            total = code.add(total, code.mul(x, y))
+        refs[n, i, j] = total
+    body.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
+
+
+def tiled(code: Code, left, right, target: Place, sizes) -> None:
+    """target[n, i, j] = sum over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
+    batch, rows, columns, depth = sizes
+    wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1
+    if (wide_left and not wide_right) or (rows == 1 and columns > 1):
+        left, right, rows, columns = right, left, columns, rows
+        order = (columns * rows, 1, rows)
+    else:
+        order = (rows * columns, columns, 1)
+    out = Place(
+        target.base, target.offset, (batch, rows, columns), order, target.dtype, target.lanes
+    )
+    registers = max(1, code.lanes * target.dtype.itemsize // code.module.register)
+    tile = tile_rows(rows, max(2, ACCUMULATORS // registers))
+    whole, rest = divmod(rows, tile)
+
+    def block(first, height: int) -> None:
+        _tile(code, left, right, out, (batch, columns, depth), first, height)
+
+    if whole == 1:
+        block(0, tile)
+    elif whole:
+        with code.loop(whole) as loop:
+            block(code.index(f"mul nsw i64 {loop.i}, {tile}"), tile)
+    if rest:
+        block(whole * tile, rest)
+
+
+def tile_rows(rows: int, largest: int) -> int:
+    """The height of tiles that covers the rows with the fewest, most even tiles."""
+    if rows <= largest:
+        return rows
+    return min(range(largest, largest // 2, -1), key=lambda t: (-(-rows // t), rows % t != 0))
+
+
+def _tile(code: Code, left, right, out: Place, sizes, first, height: int) -> None:
+    batch, columns, depth = sizes
+    place_a, batch_a, free_a, depth_a = left
+    place_b, batch_b, free_b, depth_b = right
+    with counted(code, batch) as n, counted(code, columns) as j:
+        base_a = _at(code, place_a, [(n, batch_a)])
+        rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(height)]
+        base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
+        zero = code.constant(0, out.dtype, out.lanes)
+        init = tuple(zero for _ in range(height))
+        unrolled = next(u for u in (4, 3, 2, 1) if depth % u == 0)
+        with code.loop(depth // unrolled, init) as loop:
+            totals = list(loop.carried)
+            start = code.index(f"mul nsw i64 {loop.i}, {unrolled}") if unrolled > 1 else loop.i
+            for u in range(unrolled):
+                b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
+                for r, row in enumerate(rows):
+                    a = _at(code, row, [((start, u), depth_a)]).read(code, [])
+                    totals[r] = code.fma(*code.same(a, b, totals[r]))
+            loop.results = totals
+        for r in range(height):
+            position = [n, _plus(code, first, r), j]
+            out.write(code, position, loop.results[r])
+
+
+class counted:
+    """A loop, or nothing where there is one round."""
+
+    def __init__(self, code: Code, count: int):
+        self.loop = code.loop(count) if count != 1 else None
+
+    def __enter__(self):
+        return 0 if self.loop is None else self.loop.__enter__().i
+
+    def __exit__(self, *error) -> None:
+        if self.loop is not None and error[0] is None:
+            self.loop.__exit__(None, None, None)
+
+
+def _plus(code: Code, first, r: int):
+    if isinstance(first, int):
+        return first + r
+    return code.index(f"add nsw i64 {first}, {r}") if r else first
+
+
+def _at(code: Code, place: Place, moves) -> Place:
+    """The place seen from given positions along groups of axes; the result has no axes."""
+    pointer, fixed = place.base, place.offset
+    dynamic = []
+    for position, axes in moves:
+        pair = position if isinstance(position, tuple) else (position, 0)
+        if len(axes) == 1 or all(a[1] == _merged(axes)[i] for i, a in enumerate(axes)):
+            stride = axes[-1][1] if axes else 0
+            for part in pair:
+                if isinstance(part, int):
+                    fixed = fixed + part * stride * place.unit
+                else:
+                    dynamic.append((part, stride * place.unit))
+            continue
+        flat = _plus(code, pair[0], pair[1])
+        for size, stride in reversed(axes):
+            if isinstance(flat, int):
+                fixed += flat % size * stride * place.unit
+                flat //= size
+            else:
+                digit = code.index(f"urem i64 {flat}, {size}")
+                dynamic.append((digit, stride * place.unit))
+                flat = code.index(f"udiv i64 {flat}, {size}")
+    for part, scale in dynamic:
+        if scale:
+            pointer = code.pointer(pointer, code.index(f"mul nsw i64 {part}, {scale}"))
+    return Place(pointer, fixed, (), (), place.dtype, place.lanes, place.invariant)
+
+
+def _merged(axes) -> list[int]:
+    """The strides that would make these axes one."""
+    strides, step = [], axes[-1][1]
+    for size, _ in reversed(axes):
+        strides.append(step)
+        step *= size
+    return strides[::-1]

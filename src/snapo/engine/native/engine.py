@@ -1,0 +1,301 @@
+"""The native engine: `values` and `adjoint` by kernels compiled for simulator and processor."""
+
+import os
+from collections import OrderedDict
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from ...policy import Policy
+from ...scenarios import Counter, Draws
+from ...simulator import Schedule, Simulator
+from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_window
+from . import compiler, rollout
+from .kernel import Kernel, emit
+from .program import Unsupported
+from .runtime import Inputs, Runner, aligned
+
+KEPT = 64  # compiled kernels in memory
+
+_runners: OrderedDict[Any, Runner] = OrderedDict()
+
+
+class Native(Engine):
+    """Rollouts by one compiled kernel per problem: lanes of paths through all steps and back.
+
+    **Arguments:**
+
+    - `precision`: "float32" (training) or "float64" (values and sensitivities).
+    - `threads`: None uses every processor that this process may run on. The answer does not
+      depend on it.
+
+    Raises `Unsupported` where a simulator or policy uses what cannot be compiled.
+    """
+
+    precision: str = eqx.field(static=True, default="float32")
+    threads: int | None = eqx.field(static=True, default=None)
+
+    def values(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        *,
+        actions: Float[Array, "T N A"] | None = None,
+        record: tuple[str, ...] = (),
+        window: Window | None = None,
+        start: PyTree = None,
+    ) -> Rollout:
+        with self.numbers():
+            call = _Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
+            runner = call.runner(False, tuple(record), None, ())
+            out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
+            totals, state = call.finals(runner, out.final)
+            return self.leave(
+                Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
+            )
+
+    def adjoint(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        weights: dict[str, Float[Array, "*K N"]],
+        *,
+        actions: Float[Array, "T N A"] | None = None,
+        clip: Clip | None = None,
+        window: Window | None = None,
+        start: PyTree = None,
+        wrt: tuple[str, ...] = ("policy", "schedule", "start"),
+    ) -> Adjoint:
+        with self.numbers():
+            call = _Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
+            runner = call.runner(True, (), None if clip is None else clip.norm, tuple(wrt))
+            arrays = {name: np.asarray(w, self.dtype) for name, w in weights.items()}
+            stacked = [w.shape[0] for w in arrays.values() if w.ndim == 2]
+            size = np.max(
+                [np.abs(w).reshape(-1, call.paths).max(0) for w in arrays.values()], axis=0
+            )
+            rows = []
+            for k in range(stacked[0] if stacked else 1):
+                row = {name: w[k] if w.ndim == 2 else w for name, w in arrays.items()}
+                out = runner.run(call.inputs(runner, row, size, False), self._threads())
+                rows.append(call.gradients(runner, out))
+            totals, _ = call.finals(runner, out.final)
+            gradient = jax.tree.map(lambda *x: np.stack(x) if stacked else x[0], *rows)
+            given = dict(zip(("policy", "schedule", "start"), gradient))
+            asked = (given[name] if name in wrt else None for name in given)
+            return self.leave(Adjoint(totals, *asked))
+
+    def leave(self, result: PyTree) -> PyTree:
+        """NumPy arrays in float64, as every engine gives them, and JAX arrays in float32."""
+        if self.precision == "float64":
+            return jax.tree.map(np.asarray, result)
+        return jax.device_put(result)
+
+    def _threads(self) -> int:
+        return self.threads or len(os.sched_getaffinity(0))
+
+
+class _Call:
+    """One call's trees, and their way into the kernel's rows and back."""
+
+    def __init__(self, engine, simulator, policy, schedule, draws, smooth, actions, window, start):
+        check_actions(simulator, policy, actions)
+        self.window = window or Window(0, simulator.horizon)
+        check_window(simulator, self.window)
+        self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
+        self.ends = self.window.first + self.window.length == simulator.horizon
+        self.paths = draws.size
+        self.start = start if start is None else rollout.cast(start, engine.dtype)
+        self.shared, self.steps = rollout.arguments(
+            simulator, policy, schedule, smooth, engine.precision
+        )
+
+    def runner(
+        self, adjoint: bool, record: tuple[str, ...], clip: float | None, wrt: tuple[str, ...]
+    ) -> Runner:
+        """The compiled kernel, from memory, from disk, or made now."""
+        counter = isinstance(self.draws, Counter)
+        setup = rollout.Setup(
+            self.engine.precision, adjoint, record,
+            self.actions is not None, self.start is not None,
+            self.ends, clip, wrt, counter, counter and self.draws.antithetic,
+        )  # fmt: skip
+        like = self._state_like()
+        key = (
+            setup,
+            _key(self.shared),
+            _key(self.steps, 1),
+            _key((like, None)),
+            type(self.simulator),
+        )
+        if key not in _runners:
+            kernel = self.kernel(setup, like)
+            names = ("prepare", "run", "finish") if adjoint else ("prepare", "run")
+            _runners[key] = Runner(kernel, compiler.machine(kernel.text, names))
+            while len(_runners) > KEPT:
+                _runners.popitem(last=False)
+        _runners.move_to_end(key)
+        return _runners[key]
+
+    def kernel(self, setup: rollout.Setup, like) -> Kernel:
+        """Traces and emits. What goes wrong inside the emitter is a reason, not an accident."""
+        simulator = self.simulator
+        sizes = (simulator.noise_size, simulator.initial_noise_size)
+        traced = rollout.traced(self.shared, self.steps, like, setup, sizes, simulator.action.size)
+        try:
+            return emit(traced, compiler.lanes(self.engine.precision), compiler.host()[2])
+        except (KeyError, IndexError, AssertionError, TypeError, NotImplementedError) as error:
+            raise Unsupported(
+                f"{type(simulator).__name__}: {type(error).__name__}: {error}"
+            ) from error
+
+    def _state_like(self):
+        if self.start is None:
+            return None
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.start)
+
+    # Into rows.
+
+    def inputs(self, runner: Runner, weights, size, records: bool) -> Inputs:
+        layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
+        traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
+        first, length = self.window
+        rows = {
+            "table": aligned(layouts["table"].stride),
+            "steps": aligned(length * layouts["steps"].stride),
+        }
+        for leaf, array in zip(traced.call, jax.tree.leaves(self.shared[0])):
+            layouts["table"].view(rows["table"], leaf)[...] = np.asarray(array)
+        steps = rows["steps"].reshape(length, -1)
+        for leaf, array in zip(traced.now, jax.tree.leaves(self.steps[0])):
+            layouts["steps"].view(steps, leaf)[...] = np.asarray(array)[first : first + length]
+        pad = np.minimum(np.arange(blocks * lanes), self.paths - 1)
+
+        def fill(name: str, arrays: dict, *axes: int) -> None:
+            """Arrays [*axes, paths, ...] into rows of lanes; the last path fills the last block."""
+            layout = layouts[name]
+            rows[name] = aligned(
+                blocks * int(np.prod(axes, dtype=np.int64)) * layout.stride, zero=True
+            )
+            memory = rows[name].reshape(blocks, *axes, -1)
+            for key, array in arrays.items():
+                padded = np.take(np.asarray(array), pad, axis=len(axes))
+                padded = padded.reshape(*axes, blocks, lanes, *padded.shape[len(axes) + 1 :])
+                padded = np.moveaxis(np.moveaxis(padded, len(axes), 0), len(axes) + 1, -1)
+                layout.view(memory, key)[...] = padded
+
+        self._noise(rows, pad)
+        if self.actions is not None:
+            fill("actions", {"action": self.actions}, length)
+        if self.start is not None:
+            fill("start", {("start", i): x for i, x in enumerate(jax.tree.leaves(self.start))})
+        if weights is not None:
+            fill("weights", {("final", name): w for name, w in weights.items()})
+            beyond = np.arange(blocks * lanes).reshape(blocks, lanes) >= self.paths
+            for name in weights:
+                memory = rows["weights"].reshape(blocks, -1)
+                layouts["weights"].view(memory, ("final", name))[beyond] = 0
+            fill("bounds", {"bound": size})
+        return Inputs(self.paths, length, first, rows, records)
+
+    def _noise(self, rows, pad) -> None:
+        draws = self.draws
+        if isinstance(draws, Counter):
+            rows["keys"] = aligned(16)
+            rows["keys"].view(np.uint32)[:] = np.asarray(draws.keys).reshape(-1)
+            rows["paths"] = aligned(4 * pad.size)
+            rows["paths"].view(np.uint32)[:] = np.asarray(draws.paths)[pad]
+            return
+        rows["positions"] = aligned(8 * pad.size)
+        rows["positions"].view(np.int64)[:] = pad
+        first, length = self.window
+        steps = np.asarray(draws.step_noise)[first : first + length]
+        rows["noise"] = np.ascontiguousarray(steps, self.engine.dtype)
+        rows["noise_initial"] = np.ascontiguousarray(draws.initial_noise, self.engine.dtype)
+
+    # Out of rows.
+
+    def lanes_out(
+        self, runner: Runner, name: str, memory: np.ndarray, key, *axes: int
+    ) -> np.ndarray:
+        """[*axes, paths, ...] from rows of lanes."""
+        blocks = runner.blocks(self.paths)
+        view = runner.kernel.layouts[name].view(memory.reshape(blocks, *axes, -1), key)
+        moved = np.moveaxis(np.moveaxis(view, -1, len(axes) + 1), 0, len(axes))
+        flat = moved.reshape(*axes, -1, *moved.shape[len(axes) + 2 :])
+        return flat[(slice(None),) * len(axes) + (slice(0, self.paths),)]
+
+    def finals(self, runner: Runner, memory: np.ndarray) -> Any:
+        traced = runner.kernel.traced
+        totals = {
+            n: self.lanes_out(runner, "final", memory, ("final", n)) for n in traced.final_names
+        }
+        leaves = [
+            self.lanes_out(runner, "final", memory, ("end", i)) for i in range(len(traced.state))
+        ]
+        return totals, jax.tree.unflatten(traced.state_tree, leaves)
+
+    def recorded(self, runner: Runner, memory, record: tuple[str, ...]) -> dict[str, PyTree]:
+        if not record:
+            return {}
+        tree = runner.kernel.traced.record_tree
+        leaves = [
+            self.lanes_out(runner, "records", memory, ("record", i), self.window.length)
+            for i in range(tree.num_leaves)
+        ]
+        return jax.tree.unflatten(tree, leaves)
+
+    def gradients(self, runner: Runner, out):
+        """(policy, schedule, start) as NumPy arrays in the engine's precision."""
+        traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
+        first, length = self.window
+
+        def shared(leaf):
+            return (
+                layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
+                if leaf.active
+                else None
+            )
+
+        tree = jax.tree.structure(self.shared[0])
+        policy, constants, _, _ = jax.tree.unflatten(tree, [shared(leaf) for leaf in traced.call])
+        memory = out.step_sums.reshape(length, -1)
+
+        def stepwise(leaf, array):
+            if not leaf.active:
+                return None
+            full = np.zeros(np.shape(array), dtype)
+            full[first : first + length] = layouts["step_sums"].view(memory, leaf)
+            return full
+
+        leaves, tree = jax.tree.flatten(self.steps[0])
+        steps = jax.tree.unflatten(tree, [stepwise(leaf, x) for leaf, x in zip(traced.now, leaves)])
+        start = None
+        if self.start is not None:
+            start = jax.tree.unflatten(traced.state_tree, [
+                self.lanes_out(runner, "start_cotangent", out.start_cotangent, ("start", i))
+                if x.dtype == dtype else None
+                for i, x in enumerate(traced.state)
+            ])  # fmt: skip
+        return policy, Schedule(constants, steps), start
+
+
+def _key(pair, skip: int = 0):
+    """What a kernel depends on: structure, types, shapes, and everything that is no array."""
+    arrays, static = pair
+    leaves, tree = jax.tree.flatten(arrays)
+    shapes = tuple((x.shape[skip:], str(x.dtype)) for x in leaves)
+    rest, rest_tree = jax.tree.flatten(static)
+    return tree, shapes, rest_tree, tuple((type(x), x) for x in rest)
+
+
+__all__ = ["Native", "Unsupported"]

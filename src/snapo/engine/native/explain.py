@@ -1,0 +1,91 @@
+"""Follows one simulator through the stages, as text; and says why one cannot be compiled."""
+
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from ...policy import MLP, Policy
+from ...scenarios import Pseudo
+from ...simulator import Schedule, Simulator
+from ...smooth import Smooth
+from ..base import Window
+from . import compiler
+from .engine import Native, _Call
+from .program import Unsupported
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """What each stage made of a simulator; prints as a text to read from top to bottom."""
+
+    programs: tuple[tuple[str, str], ...]
+    memory: str
+    llvm: str
+    target: str
+
+    def __str__(self) -> str:
+        parts = [f"== {title}\n{text}" for title, text in self.programs]
+        parts.append(f"== memory, bytes for one block of paths\n{self.memory}")
+        parts.append(f"== LLVM IR\n{self.llvm}")
+        return "\n\n".join([*parts, f"== machine\n{self.target}"])
+
+    def assembly(self) -> str:
+        """The processor's instructions."""
+        return compiler.assembly(self.llvm)
+
+
+def explain(
+    simulator: Simulator,
+    schedule: Schedule | None = None,
+    policy: Policy | None = None,
+    smooth=None,
+    precision: str = "float32",
+) -> Explanation:
+    """Every stage between a step function and machine code, for the value and its gradient.
+
+    **Arguments:**
+
+    - `schedule`: what `prepare` gave; without it `simulator.prepare(None)` is asked.
+    - `policy`: a small network where none is given.
+
+    **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
+    the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.
+    """
+    from ...simulator import probe
+
+    schedule = simulator.prepare(None) if schedule is None else schedule
+    if policy is None:
+        features = probe(simulator, schedule)[1].shape[0]
+        policy = MLP(simulator.action, features, key=jax.random.key(0), hidden=(8,))
+    kernel = _kernel(Native(precision), simulator, schedule, policy, smooth or Smooth(0.1))
+    rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
+    processor, _, register = compiler.host()
+    target = f"{processor}: registers of {register} bytes, blocks of {kernel.lanes} paths"
+    return Explanation(tuple(kernel.stages), "\n".join(rows), kernel.text, target)
+
+
+def unsupported(
+    simulator: Simulator, schedule: Schedule, policy: Policy, smooth, precision: str = "float32"
+) -> str | None:
+    """Why a value and its gradient cannot be compiled: the primitive and the line of user code.
+
+    None where they can. Nothing is compiled; tracing takes some tenths of a second.
+    """
+    try:
+        _kernel(Native(precision), simulator, schedule, policy, smooth)
+    except Unsupported as reason:
+        return str(reason)
+    return None
+
+
+def _kernel(engine: Native, simulator, schedule, policy, smooth):
+    from .rollout import Setup
+
+    with engine.numbers():
+        draws = Pseudo(0).draws(np.arange(2), simulator)
+        window = Window(0, simulator.horizon)
+        call = _Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
+        wrt = ("policy", "schedule", "start")
+        setup = Setup(engine.precision, True, (), False, False, True, None, wrt, True, True)
+        return call.kernel(setup, None)

@@ -1,0 +1,298 @@
+"""Gradients of what all paths share: sums over lanes, steps and blocks, kept in float64.
+
+A matrix's gradient is a sum of outer products. Adding each to memory would cost a load and a store
+per multiply-add, so both factors of some tens of steps are kept and multiplied as small matrices,
+tile by tile in registers; only then are the lanes added up. Vectors wait in the same rows.
+"""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from .body import Body
+from .code import Code, Ref
+from .passes import BIG, Outer, outer_terms
+from .program import Program, Value
+from .storage import Layout, Place, Small
+from .trace import Leaf
+
+LONGEST = 32  # steps that wait before they are gathered
+WAITING = 1024 * 1024  # bytes that they may take, so that they stay in cache
+
+
+@dataclass(eq=False)
+class Gradient:
+    """One shared array's gradient: outer products, and values to be summed element by element."""
+
+    leaf: Leaf
+    terms: list[Outer]
+    rest: list[Value]
+
+
+@dataclass(eq=False)
+class Gradients:
+    """Those summed over the whole call's steps, and those of a step's own numbers."""
+
+    items: list[Gradient] = field(default_factory=list)
+
+    def wanted(self, later: set[Value]) -> list[Value]:
+        """Everything the reverse sweep must bring about."""
+        values = [v for g in self.items for v in g.rest]
+        return values + [v for g in self.items for t in g.terms for v in (t.rows, t.columns)]
+
+    def kept(self, later: set[Value]) -> set[Value]:
+        """Factors that the forward sweep must store."""
+        return {
+            v for g in self.items for t in g.terms for v in (t.rows, t.columns) if v not in later
+        }
+
+
+def plan(
+    program: Program, later: set[Value], leaves: list[Leaf], outputs: list[Value]
+) -> Gradients:
+    """How each gradient is brought together."""
+    result = Gradients()
+    for leaf, value in zip(leaves, outputs):
+        terms, rest = outer_terms(program, value)
+        result.items.append(Gradient(leaf, terms, rest))
+    return result
+
+
+class Rows:
+    """The waiting rows: where factors and summands of several steps lie."""
+
+    def __init__(
+        self, gradients: Gradients, tape: Layout, taped: list[Value], code: Code, stepwise: bool
+    ):
+        self.gradients, self.tape = gradients, tape
+        self.taped = set(taped)
+        self.layout = Layout(code.lanes)
+        for g in gradients.items:
+            for value in [*g.rest, *(v for t in g.terms for v in (t.rows, t.columns))]:
+                if value not in self.taped and value not in self.layout.fields:
+                    self.layout.add(value, value.shape, value.dtype)
+        self.fields: dict[Any, Any] = self.layout.fields
+        self.steps = 1
+        while stepwise and self.steps < LONGEST and 2 * self.steps * self.layout.stride <= WAITING:
+            self.steps *= 2
+        self.bytes = self.steps * self.layout.stride
+
+    def row(self, code: Code, chunk: str, slot: str) -> str:
+        return code.pointer(chunk, code.index(f"mul nsw i64 {slot}, {self.layout.stride}"))
+
+    def homes(self, row: str) -> dict[Value, Place]:
+        return {value: self.layout.place(value, row) for value in self.fields}
+
+    def place(self, value: Value, tape_row: str, chunk_row: str) -> tuple[Place, str]:
+        """Where a value lies, and the distance to the next step's."""
+        if value in self.taped:
+            return self.tape.place(value, tape_row), "%stride"
+        return self.layout.place(value, chunk_row), str(self.layout.stride)
+
+    def gather(
+        self, code: Code, owner, calls: str, tape_row: str, chunk_row: str, count: str
+    ) -> None:
+        """Sums over the waiting steps, of what belongs to the whole call."""
+        for g in self.gradients.items:
+            if g.leaf not in owner.layouts["call_sums"].fields:
+                continue
+            target = owner.sums(g.leaf, calls, None)
+            for t in g.terms:
+                self.product(code, t, target, tape_row, chunk_row, count)
+            for value in g.rest:
+                place, stride = self.place(value, tape_row, chunk_row)
+                add_rows(code, place, stride, count, target)
+
+    def product(
+        self, code: Code, t: Outer, target: Place, tape_row: str, chunk_row: str, count: str
+    ) -> None:
+        """Adds the sum over steps of rows x columns to the target."""
+        rows, columns = (t.columns, t.rows) if t.transposed else (t.rows, t.columns)
+        a, stride_a = self.place(rows, tape_row, chunk_row)
+        b, stride_b = self.place(columns, tape_row, chunk_row)
+        name = product_function(code.module, rows.size, columns.size, rows.dtype.name)
+        p, q = code.pointer(a.base, a.offset), code.pointer(b.base, b.offset)
+        r = code.pointer(target.base, target.offset)
+        code.do(
+            f"call void @{name}(ptr {p}, i64 {stride_a}, ptr {q}, i64 {stride_b}, "
+            f"i64 {count}, ptr {r})"
+        )
+
+
+def accumulate(
+    body: Body, rows: Rows, owner, calls: str, step_row: str | None, tape_row, chunk_row
+) -> None:
+    """Adds what belongs to this step's own numbers."""
+    for g in rows.gradients.items:
+        if g.leaf in owner.layouts["call_sums"].fields:
+            continue
+        target = owner.sums(g.leaf, calls, step_row)
+        for t in g.terms:
+            rows.product(body.code, t, target, tape_row, chunk_row, "1")
+        for value in g.rest:
+            add(body, value, target)
+
+
+def add(body: Body, value: Value, target: Place) -> None:
+    """Adds a value, summed over lanes, to float64 memory of the same shape."""
+    from .body import fetch, nest
+
+    if value.constant is not None and not np.any(value.constant):
+        return
+    code, known = body.code, body.get(value)
+    if isinstance(known, Small) and (value.size <= BIG or known.uniform is None):
+        for p in np.ndindex(*value.shape):
+            _add(code, target, list(p), known.items[p])
+        return
+    source = body.operand(value, value.shape)
+    with nest(code, value.shape, [source, target]) as position:
+        _add(code, target, position, fetch(code, source, position))
+
+
+def _add(code: Code, target: Place, position, x: Ref) -> None:
+    if x.value is not None and x.value == 0:
+        return
+    target.write(code, position, code.add(target.read(code, position), total(code, x)))
+
+
+def total(code: Code, x: Ref) -> Ref:
+    """The sum over lanes, in float64."""
+    wide = x if x.dtype == "float64" else code.convert("fpext", x, "float64")
+    if wide.lanes == 1:
+        return wide
+    name = f"@llvm.vector.reduce.fadd.v{wide.lanes}f64"
+    code.module.declare(f"declare double {name}(double, {wide.type})")
+    scalar = code.raw(f"call reassoc double {name}(double -0.0, {wide.type} {wide.text})")
+    return Ref(code.raw(f"insertelement <1 x double> poison, double {scalar}, i64 0"), "float64", 1)
+
+
+def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -> None:
+    """Adds every element's sum over lanes and steps."""
+    size = int(np.prod(place.shape, dtype=np.int64))
+    flat = Place(place.base, place.offset, (size,), (1,), place.dtype, place.lanes)
+    into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
+    with code.loop(size) as element:
+        start = flat.address(code, [element.i])
+        zero = code.constant(0.0, place.dtype, place.lanes)
+        with code.loop(count, (zero,)) as loop:
+            pointer = code.pointer(start, code.index(f"mul nsw i64 {loop.i}, {stride}"))
+            loop.results = [
+                code.op("fadd", loop.carried[0], code.load(pointer, place.dtype, place.lanes))
+            ]
+        _add(code, into, [element.i], loop.results[0])
+
+
+def product_function(module, rows: int, columns: int, dtype: str) -> str:
+    """The function that adds sum over s of a[s, i] b[s, j] to a float64 matrix."""
+    name = f"product_{dtype}_{rows}_{columns}"
+    if name in module.instances:
+        return name
+    module.instances[name] = None
+    width = min(module.lanes, module.register // np.dtype(dtype).itemsize)
+    code = Code(module.lanes, module)
+    tile = (4, 4) if module.register == 64 else (4, 2)
+
+    def tall(i: str, height: int) -> None:
+        def block(j: str, breadth: int) -> None:
+            _product_tile(code, columns, (i, j), (height, breadth), width, dtype)
+
+        _ranges(code, columns, tile[1], block)
+
+    _ranges(code, rows, tile[0], tall)
+    code.do("ret void")
+    header = (
+        f"define internal void @{name}(ptr noalias %a, i64 %sa, ptr noalias %b, i64 %sb, "
+        "i64 %count, ptr noalias %sum) noinline nounwind"
+    )
+    module.define(header, code)
+    return name
+
+
+def _ranges(code: Code, size: int, tile: int, body) -> None:
+    whole, rest = divmod(size, tile)
+    if whole == 1:
+        body("0", tile)
+    elif whole:
+        with code.loop(whole) as loop:
+            body(code.index(f"mul nsw i64 {loop.i}, {tile}"), tile)
+    if rest:
+        body(str(whole * tile), rest)
+
+
+def _product_tile(code: Code, columns: int, first, shape, width: int, dtype: str) -> None:
+    (i, j), (height, breadth) = first, shape
+    item = np.dtype(dtype).itemsize
+    unit, part = code.lanes * item, width * item
+    a = code.pointer("%a", code.index(f"mul nsw i64 {i}, {unit}"))
+    b = code.pointer("%b", code.index(f"mul nsw i64 {j}, {unit}"))
+    zero = code.constant(0.0, dtype, width)
+    with code.loop("%count", tuple(zero for _ in range(height * breadth))) as loop:
+        p = code.pointer(a, code.index(f"mul nsw i64 {loop.i}, %sa"))
+        q = code.pointer(b, code.index(f"mul nsw i64 {loop.i}, %sb"))
+        sums = list(loop.carried)
+        for v in range(code.lanes // width):
+            x = [
+                code.load(code.pointer(p, r * unit + v * part), dtype, width) for r in range(height)
+            ]
+            y = [
+                code.load(code.pointer(q, c * unit + v * part), dtype, width)
+                for c in range(breadth)
+            ]
+            sums = [
+                code.fma(x[r], y[c], sums[r * breadth + c])
+                for r in range(height)
+                for c in range(breadth)
+            ]
+        loop.results = sums
+    totals = across(code, loop.results, width)
+    row = code.index(f"mul nsw i64 {i}, {8 * columns}")
+    target = code.pointer(code.pointer("%sum", row), code.index(f"shl i64 {j}, 3"))
+    for r in range(height):
+        picks = [r * breadth + c for c in range(breadth)]
+        x = _pick(code, totals, picks, width, dtype)
+        wide = x if dtype == "float64" else code.convert("fpext", x, "float64")
+        at = code.pointer(target, 8 * r * columns)
+        old = Ref(code.raw(f"load {wide.type}, ptr {at}, align 8"), "float64", breadth)
+        new = code.op("fadd", old, wide)
+        code.do(f"store {new.type} {new.text}, ptr {at}, align 8")
+
+
+def across(code: Code, vectors: list[Ref], width: int) -> list[Ref]:
+    """Lane k of result n is the sum over the lanes of vector n * width + k."""
+    vectors = list(vectors)
+    zero = code.constant(0.0, vectors[0].dtype, width)
+    while len(vectors) % width:
+        vectors.append(zero)
+    results = []
+    for start in range(0, len(vectors), width):
+        group = vectors[start : start + width]
+        distance = width // 2
+        while distance:
+            half = len(group) // 2
+            group = [_halve(code, a, b, distance) for a, b in zip(group[:half], group[half:])]
+            distance //= 2
+        results.append(group[0])
+    return results
+
+
+def _halve(code: Code, a: Ref, b: Ref, distance: int) -> Ref:
+    """Lanes without the bit `distance` add up a's pairs, lanes with it b's."""
+    keep = [m if not m & distance else a.lanes + m for m in range(a.lanes)]
+    cross = [m ^ distance if not m & distance else a.lanes + (m ^ distance) for m in range(a.lanes)]
+    return code.op("fadd", _shuffle(code, a, b, keep), _shuffle(code, a, b, cross))
+
+
+def _shuffle(code: Code, a: Ref, b: Ref, mask: list[int]) -> Ref:
+    numbers = ", ".join(f"i32 {m}" for m in mask)
+    text = f"shufflevector {a.type} {a.text}, {b.type} {b.text}, <{len(mask)} x i32> <{numbers}>"
+    return Ref(code.raw(text), a.dtype, len(mask))
+
+
+def _pick(code: Code, totals: list[Ref], picks: list[int], width: int, dtype: str) -> Ref:
+    """Some of the sums as one short vector."""
+    parts = sorted({p // width for p in picks})
+    first = totals[parts[0]]
+    second = totals[parts[-1]]
+    mask = [p % width if p // width == parts[0] else width + p % width for p in picks]
+    return _shuffle(code, first, second, mask)

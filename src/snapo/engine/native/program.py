@@ -1,0 +1,245 @@
+"""The engine's own small language: typed values, operations, and straight-line programs of them.
+
+A jaxpr nests (a call inside a call, a branch, a loop); a `Program` does not. `flatten` turns one
+into the other: calls are inlined, short loops unrolled, branches evaluated on both sides and
+selected, and arithmetic on constants done at once.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax.extend.core as jex
+import numpy as np
+from jax._src import source_info_util
+
+from . import folding
+from .code import TYPES
+
+UNROLL = 64  # longest inner loop that is written out
+LARGEST = 20_000  # most operations in one program
+
+
+class Unsupported(Exception):
+    """What the native engine cannot do, with the primitive and the line of user code."""
+
+
+@dataclass(eq=False)
+class Value:
+    """One array of a program: `lanes` says whether it differs between paths ("path") or not.
+
+    A value whose content is known while compiling carries it in `constant`.
+    """
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    path: bool = False
+    constant: np.ndarray | None = None
+
+    @property
+    def size(self) -> int:
+        return int(np.prod(self.shape, dtype=np.int64))
+
+    @property
+    def floating(self) -> bool:
+        return self.dtype.kind == "f"
+
+
+@dataclass(eq=False)
+class Op:
+    """One operation: a JAX primitive's name with its parameters, and where the user wrote it."""
+
+    name: str
+    inputs: list[Value]
+    outputs: list[Value]
+    params: dict[str, Any] = field(default_factory=dict)
+    where: str = ""
+
+
+@dataclass(eq=False)
+class Program:
+    """Inputs, operations in order, outputs."""
+
+    inputs: list[Value]
+    ops: list[Op]
+    outputs: list[Value]
+
+
+def constant(array) -> Value:
+    """A value known while compiling."""
+    array = np.asarray(array)
+    return Value(array.shape, array.dtype, False, array)
+
+
+def flatten(closed, path: list[bool]) -> Program:
+    """A closed jaxpr as a program; `path` says which inputs differ between paths."""
+    jaxpr = closed.jaxpr
+    inputs = [Value(v.aval.shape, np.dtype(v.aval.dtype), p) for v, p in zip(jaxpr.invars, path)]
+    builder = _Flattener()
+    outputs = builder.run(jaxpr, [constant(c) for c in closed.consts], inputs)
+    return Program(inputs, builder.ops, outputs)
+
+
+CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "remat": "jaxpr",
+    "remat2": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "custom_vjp_call_jaxpr": "fun_jaxpr",
+}
+IDENTITIES = {"copy", "copy_p", "optimization_barrier", "stop_gradient"}
+SEARCH = "_searchsorted_scan_impl"
+
+
+class _Flattener:
+    def __init__(self):
+        self.ops: list[Op] = []
+
+    def run(self, jaxpr, consts: list[Value], inputs: list[Value]) -> list[Value]:
+        env: dict[Any, Value] = dict(zip(jaxpr.constvars, consts))
+        env.update(zip(jaxpr.invars, inputs))
+
+        def read(atom) -> Value:
+            if isinstance(atom, jex.Literal):
+                return constant(np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore
+            return env[atom]
+
+        for eqn in jaxpr.eqns:
+            outputs = self.equation(eqn, [read(a) for a in eqn.invars])
+            env.update(zip(eqn.outvars, outputs))
+        return [read(a) for a in jaxpr.outvars]
+
+    def equation(self, eqn, inputs: list[Value]) -> list[Value]:
+        name = eqn.primitive.name
+        if name in CALLS and eqn.params.get("name") != SEARCH:
+            return self.inline(eqn.params[CALLS[name]], inputs)
+        if name in IDENTITIES:
+            return inputs
+        if name == "scan":
+            return self.scan(eqn, inputs)
+        if name == "cond":
+            return self.branches(eqn, inputs)
+        if name == "while":
+            raise Unsupported(f"while: loops of unknown length, at {where(eqn)}")
+        if len(self.ops) > LARGEST:
+            raise Unsupported(
+                f"{name}: more than {LARGEST} operations in one step, at {where(eqn)}"
+            )
+        name = "searchsorted" if eqn.params.get("name") == SEARCH else name
+        return self.add(name, inputs, [v.aval for v in eqn.outvars], eqn.params, where(eqn))
+
+    def add(self, name, inputs, avals, params, line="") -> list[Value]:
+        """Appends an operation, or folds it when everything it reads is known."""
+        if any(not known(a.dtype) for a in avals):
+            raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
+        folded = folding.fold(name, params, [v.constant for v in inputs], avals)
+        if folded is not None:
+            return [constant(a) for a in folded]
+        path = any(v.path for v in inputs)
+        outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
+        self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
+        return outputs
+
+    def inline(self, inner, inputs: list[Value]) -> list[Value]:
+        jaxpr, consts = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
+        return self.run(jaxpr, [constant(c) for c in consts], inputs)
+
+    def branches(self, eqn, inputs: list[Value]) -> list[Value]:
+        """`cond` and `switch`: every branch, then a selection."""
+        index, *rest = inputs
+        branches = eqn.params["branches"]
+        if index.constant is not None:
+            chosen = int(np.clip(int(index.constant), 0, len(branches) - 1))
+            return self.inline(branches[chosen], rest)
+        outcomes = [self.inline(b, rest) for b in branches]
+        line = where(eqn)
+        if index.dtype != np.bool_:
+            low, high = constant(index.dtype.type(0)), constant(index.dtype.type(len(branches) - 1))
+            (index,) = self.add("clamp", [low, index, high], [index], {}, line)
+        avals = [v.aval for v in eqn.outvars]
+        return [
+            self.add("select_n", [index, *options], [aval], {}, line)[0]
+            for aval, *options in zip(avals, *outcomes)
+        ]
+
+    def scan(self, eqn, inputs: list[Value]) -> list[Value]:
+        """An inner `scan` or `fori_loop`, written out."""
+        p = eqn.params
+        length, consts, carries = p["length"], p["num_consts"], p["num_carry"]
+        if length > UNROLL:
+            raise Unsupported(f"scan: {length} inner steps (at most {UNROLL}), at {where(eqn)}")
+        fixed, carry, xs = (
+            inputs[:consts],
+            inputs[consts : consts + carries],
+            inputs[consts + carries :],
+        )
+        body, line = p["jaxpr"], where(eqn)
+        order = range(length - 1, -1, -1) if p["reverse"] else range(length)
+        rows: dict[int, list[Value]] = {}
+        for i in order:
+            now = [self.row(x, i, line) for x in xs]
+            outputs = self.inline(body, [*fixed, *carry, *now])
+            carry, rows[i] = outputs[:carries], outputs[carries:]
+        stacked = [
+            self.stack([rows[i][j] for i in range(length)], v.aval, line)
+            for j, v in enumerate(eqn.outvars[carries:])
+        ]
+        return [*carry, *stacked]
+
+    def row(self, x: Value, i: int, line: str) -> Value:
+        shape = (1, *x.shape[1:])
+        starts = (i, *(0,) * (len(x.shape) - 1))
+        limits = (i + 1, *x.shape[1:])
+        params = {"start_indices": starts, "limit_indices": limits, "strides": None}
+        (part,) = self.add("slice", [x], [Value(shape, x.dtype)], params, line)
+        out = Value(x.shape[1:], x.dtype)
+        return self.add("squeeze", [part], [out], {"dimensions": (0,)}, line)[0]
+
+    def stack(self, rows: list[Value], aval, line: str) -> Value:
+        if not rows:
+            return constant(np.zeros(aval.shape, aval.dtype))
+        return self.add("stack", rows, [aval], {"axis": 0}, line)[0]
+
+
+def known(dtype) -> bool:
+    """Whether numbers of this type can be compiled."""
+    return getattr(dtype, "name", str(dtype)) in TYPES
+
+
+def where(eqn) -> str:
+    """The line of user code that an equation came from."""
+    return source_info_util.summarize(eqn.source_info)
+
+
+def uses(program: Program) -> dict[Value, list[Op]]:
+    """Which operations read each value."""
+    readers: dict[Value, list[Op]] = {}
+    for op in program.ops:
+        for value in op.inputs:
+            readers.setdefault(value, []).append(op)
+    return readers
+
+
+def walk(program: Program) -> Iterator[str]:
+    """The program as text, for `explain` and for tests."""
+    names: dict[Value, str] = {}
+
+    def name(value: Value) -> str:
+        if value.constant is not None:
+            text = str(value.constant) if value.size == 1 else f"constant{list(value.shape)}"
+            return text
+        if value not in names:
+            names[value] = f"{'v' if value.path else 's'}{len(names)}"
+        shape = ",".join(map(str, value.shape))
+        return f"{names[value]}:{value.dtype.name}[{shape}]"
+
+    yield "inputs  " + "  ".join(name(v) for v in program.inputs)
+    for op in program.ops:
+        outputs = "  ".join(name(v) for v in op.outputs)
+        yield f"  {outputs} = {op.name} {' '.join(name(v).split(':')[0] for v in op.inputs)}"
+    yield "outputs " + "  ".join(name(v).split(":")[0] for v in program.outputs)

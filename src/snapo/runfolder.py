@@ -1,0 +1,160 @@
+"""A run that leaves everything in a folder, survives being stopped, and goes on where it was."""
+
+import hashlib
+import shutil
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import asdict, replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from . import checkpoint, solver
+from .adjoint import prepare
+from .case import CaseError
+from .engine import Engines, choose
+from .objective import Objective
+from .policy import MLP, Policy
+from .scenarios import Scenarios, Supplied
+from .simulator import Schedule, Simulator, probe
+from .solution import HISTORY, Solution, versions, write_csv
+from .train import Progress, Record, Training, begin
+
+CHECKPOINT = "checkpoint.npz"
+ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
+
+Tell = Callable[[str], None]
+
+
+class Task(NamedTuple):
+    """What is solved: the arguments of `snapo.solve`, all of them settled."""
+
+    simulator: Simulator
+    inputs: PyTree
+    schedule: Schedule
+    policy: Policy
+    objective: Objective
+    training: Training
+    evaluation: solver.Evaluation
+    engines: Engines
+    scenarios: Scenarios | None = None
+    supplied: Supplied | None = None
+
+
+def check_folder(out: Path) -> None:
+    """An unwritable folder or a full disk is found before training, not after."""
+    place = out
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    if not place.is_dir():
+        raise CaseError(str(out), "", None, f"{place} is not a folder")
+    try:
+        with tempfile.TemporaryFile(dir=place):
+            pass
+    except OSError as error:
+        raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
+    free = shutil.disk_usage(place).free
+    if free < ENOUGH_SPACE:
+        what = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
+        raise CaseError(str(out), "", None, what)
+
+
+def solve_into(out: Path, task: Task, resume: bool, tell: Tell) -> tuple[Solution, list[str]]:
+    """Solves with a checkpoint and the history in `out`; also returns what could not be written."""
+    out.mkdir(parents=True, exist_ok=True)
+    mark = fingerprint(task)
+    state = _state(out / CHECKPOINT, begin(task.policy, task.training), mark, resume, tell)
+    troubles: list[str] = []
+
+    def keep(state: Progress) -> None:
+        """Best policy and history so far, on disk; a write that fails does not lose the run."""
+        _report(state, task.training, tell)
+        try:
+            checkpoint.save(state, out / CHECKPOINT, mark)
+            write_csv(out / HISTORY, Record._fields, state.history)
+        except OSError as error:
+            troubles.append(f"{error.filename or out}: {error.strerror}")
+            tell(f"could not write: {troubles[-1]}")
+
+    solution = solver.solve(
+        task.simulator,
+        task.inputs,
+        task.policy,
+        objective=task.objective,
+        scenarios=task.scenarios,
+        training=task.training,
+        evaluation=task.evaluation,
+        engine=task.engines,
+        callbacks=[keep],
+        progress=state,
+        supplied=task.supplied,
+    )
+    tell(str(solution))
+    return solution, troubles
+
+
+def _state(file: Path, fresh: Progress, mark: Mapping, resume: bool, tell: Tell) -> Progress:
+    """Where training starts: at the checkpoint when asked and there is one, else afresh."""
+    if not (resume and file.exists()):
+        return fresh
+    try:
+        state = checkpoint.load(file, fresh, mark)
+    except checkpoint.CheckpointError as error:
+        what = str(error).removeprefix(f"{file}: ").rstrip(".")
+        raise CaseError(str(file), "", None, what) from None
+    tell(f"resuming after step {state.step}")
+    return state
+
+
+def fingerprint(task: Task) -> dict[str, Any]:
+    """What decides the numbers of a run: a resumed one must have the same."""
+    digest = hashlib.sha256()
+    for leaf in jax.tree.leaves(task.schedule):
+        digest.update(np.ascontiguousarray(leaf).tobytes())
+    return {
+        "inputs": digest.hexdigest(),
+        "training": asdict(task.training),
+        "objective": repr(task.objective),
+        "engine": task.engines.name,
+        "versions": versions(),
+    }
+
+
+def _report(state: Progress, training: Training, tell: Tell) -> None:
+    if state.history:
+        last = state.history[-1]
+        tell(
+            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.2f}, "
+            f"best {last.best:>14,.2f}, {last.seconds:6.1f} s"
+        )
+
+
+def solve_own(
+    *,
+    simulator: Simulator,
+    inputs: PyTree,
+    objective: Objective,
+    training: Any,
+    evaluation: Any,
+    out: Path,
+    seed: int,
+    engine: str,
+    resume: bool,
+    progress: Tell,
+) -> dict[str, Any]:
+    """A simulator of the user's own, for `snapo solve CASE --simulator module:Class`."""
+    check_folder(Path(out))
+    settings = replace(Training(**training.model_dump()), seed=seed)
+    schedule = prepare(simulator, inputs)
+    features = probe(simulator, schedule)[1].shape[0]
+    policy = MLP(simulator.action, features, key=jax.random.key(seed))
+    engines = choose(engine, simulator, policy, schedule)
+    measured = solver.Evaluation(**evaluation.model_dump())
+    task = Task(simulator, inputs, schedule, policy, objective, settings, measured, engines)
+    solution, troubles = solve_into(Path(out), task, resume, progress)
+    solution.save(out)
+    status = "not written" if troubles else solution.status
+    return {"kind": type(simulator).__name__} | solution.summary() | {"status": status, "run": out}
