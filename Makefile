@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench study clean
+.PHONY: demo test lint bench study picture clean
 
 demo: $(READY)
 	rm -rf demo
@@ -32,3 +32,7 @@ $(READY): pyproject.toml constraints.txt
 
 clean:
 	rm -rf $(VENV) demo
+
+# The README's picture, from the demo's run folder.
+picture: demo
+	$(BIN)/python -c "import pathlib, snapo.domains.gas_storage.report as r; pathlib.Path('docs/storage.svg').write_text(r.readme_picture(pathlib.Path('demo/run')))"

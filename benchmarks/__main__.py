@@ -23,4 +23,5 @@ def machine() -> str:
 
 if __name__ == "__main__":
     print(machine())
-    print(gas_storage.table())
+    for line in gas_storage.table():
+        print(line, flush=True)

@@ -56,8 +56,8 @@ class Year(StorageSimulator):
     def prepare(self, inputs):
         schedule = super().prepare(self.fixed)
         factors, days = inputs["factors"], self.horizon
-        if factors.size <= days:
-            # Month by month, or day by day: on the forward curve alone.
+        if factors.size < len(PER_DAY) * days:
+            # Month by month, or about day by day: on the forward curve alone.
             month = np.arange(days) * factors.size // days
             steps = schedule.steps._replace(forward=schedule.steps.forward * factors[month])
             return type(schedule)(schedule.constants, steps)
@@ -138,16 +138,14 @@ def timed(call: Callable) -> float:
     return time.perf_counter() - started
 
 
-def table() -> str:
-    lines = [
-        f"{PATHS} paths of a year in float64, medians of {RUNS} alternating runs",
-        f"{'engine':<8}{'derivative':<12}{'inputs':>8}{'value':>10}{'with all':>10}{'ratio':>8}",
-    ]
+def table() -> Iterator[str]:
+    """The lines of the table, each as soon as it is known."""
+    yield f"{PATHS} paths of a year in float64, medians of {RUNS} alternating runs"
+    yield f"{'engine':<8}{'derivative':<12}{'inputs':>8}{'value':>10}{'with all':>10}{'ratio':>8}"
     for engine in (Native("float64"), Xla("float64")):
         for count in COUNTS:
             for row in measure(engine, count):
-                lines.append(
+                yield (
                     f"{row.engine:<8}{row.derivative:<12}{row.inputs:>8}"
                     f"{row.value:>9.3f}s{row.gradient:>9.3f}s{row.ratio:>8.2f}"
                 )
-    return "\n".join(lines)

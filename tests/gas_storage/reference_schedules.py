@@ -176,7 +176,7 @@ def flagship(seasonal: bool = True) -> Schedule:
         1500.0,
         lambda day: ([0, 2000, 5000, 7000], [150, 200, 260, 275], [250, 175, 155, 132]),
         (0.0, 7000.0),
-        lambda day: (prices + [15.36])[(day.year - 2021) * 12 + day.month - 4],
+        lambda day: [*prices, 15.36][(day.year - 2021) * 12 + day.month - 4],
         factors,
         discount=discount,
         settle=settle,

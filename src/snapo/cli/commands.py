@@ -118,7 +118,7 @@ def _report(options: argparse.Namespace) -> int:
 
 
 def _bench(options: argparse.Namespace) -> int:
-    domain = import_module(f"{_package('gas-storage')}.run")
+    domain = import_module(f"{_package('gas-storage')}.bench")
     print(domain.bench(engine=options.engine, progress=say))
     return OK
 
