@@ -143,6 +143,9 @@ class Evaluation(Table):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
 
     paths: Annotated[int, Field(ge=64)] = Field(65536, description="a whole number, 64 or more")
+    sensitivity_paths: Annotated[int, Field(ge=64)] = Field(
+        16384, description="a whole number, 64 or more"
+    )
     scenarios: Literal["pseudo-random", "sobol"] = Field(
         "pseudo-random", description='"pseudo-random" or "sobol"'
     )

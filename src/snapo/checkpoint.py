@@ -15,6 +15,7 @@ from jaxtyping import PyTree
 
 from .train import Progress, Record
 
+DIGEST = "inputs"  # the entry of a fingerprint that stands for all numbers of the schedule
 _TREES = ("policy", "average", "best", "halfway", "optimiser")
 
 
@@ -46,9 +47,12 @@ def load(file: Path, like: Progress, fingerprint: Mapping[str, Any]) -> Progress
     for key, value in now.items():
         before = state["fingerprint"].get(key)
         if before != value:
+            changed = f"{key} = {before!r}, and now it is {value!r}"
+            if key == DIGEST:
+                changed = "other inputs: contract, market or model have changed"
             raise CheckpointError(
-                f"{file}: this run was started with {key} = {before!r}, and now it is {value!r}; "
-                "resume with the same, or solve afresh into another folder."
+                f"{file}: this run was started with {changed}; resume with the same, or solve "
+                "afresh into another folder."
             )
     history = tuple(Record(*record) for record in state["history"])
     return replace(

@@ -115,7 +115,7 @@ def fingerprint(task: Task) -> dict[str, Any]:
     for leaf in jax.tree.leaves(task.schedule):
         digest.update(np.ascontiguousarray(leaf).tobytes())
     return {
-        "inputs": digest.hexdigest(),
+        checkpoint.DIGEST: digest.hexdigest(),
         "training": asdict(task.training),
         "objective": repr(task.objective),
         "engine": task.engines.name,

@@ -109,3 +109,9 @@ def test_public_names_exist_and_stay_what_they_are():
     for _ in range(2):
         for name in snapo.__all__:
             assert not isinstance(getattr(snapo, name), type(ast)), f"snapo.{name} is a module"
+
+
+def test_the_readme_shows_the_example_that_runs():
+    example = (ROOT / "examples" / "own_simulator.py").read_text()
+    assert example.rstrip() in (ROOT / "README.md").read_text()
+    assert len(example.splitlines()) <= 30

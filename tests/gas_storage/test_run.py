@@ -227,7 +227,7 @@ def test_another_case_does_not_resume(whole, case, folder, tmp_path):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     before = (out / "result.json").read_bytes()
     dearer = changed(folder, contract={"injection_cost": 0.06})
-    with pytest.raises(CaseError, match="started with inputs = "):
+    with pytest.raises(CaseError, match="started with other inputs"):
         solve(dearer, out, resume=True)
     longer = replace(case, training=case.training.model_copy(update={"steps": STEPS + 1}))
     with pytest.raises(CaseError, match=f"'steps': {STEPS}.*'steps': {STEPS + 1}"):

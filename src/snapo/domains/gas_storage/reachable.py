@@ -61,7 +61,18 @@ def _going_on(day: Limits, following, interpolation: str, tolerance):
     leave = jnp.min(jnp.where(ends >= 0, 1.0, jnp.where(starts >= 0, zero, -1.0)), axis=0)
     some = (enter <= leave) & (next_low <= next_high)
     low, high = left + enter * (right - left), left + leave * (right - left)
-    return _longest(low, high, some, touches=(enter <= 0, leave >= 1))
+    touches = enter <= 0, leave >= 1
+    if interpolation == "step":
+        # Rows that hold nowhere within the limits do not count.
+        following_row = jnp.append(day.levels[1:], jnp.inf)
+        holds = (day.levels <= day.maximum) & (following_row > day.minimum)
+        some = some & jnp.concatenate([holds[:1], holds])
+        # At a row its own rates hold: where those cannot go on, stop short of it.
+        goes_on = some[1:] & touches[0][1:]
+        stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
+        spare = jnp.where(high[:-1] - low[:-1] > tolerance, tolerance, 0.0)
+        high = high.at[:-1].add(-jnp.where(stops, spare, 0.0))
+    return _longest(low, high, some, touches)
 
 
 def _conditions(day: Limits, inventory, next_low, next_high, rates):

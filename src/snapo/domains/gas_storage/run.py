@@ -208,8 +208,10 @@ def _write(
             problem.schedule, problem.interpolation
         ).value
     status = solution.status if not troubles else "not written"
-    result = {"kind": problem.case.kind} | solution.summary()
-    result |= {"references": known, "status": status, "run": str(out)}
+    found = solution.summary()
+    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
+    result = {"kind": problem.case.kind} | {key: found.pop(key) for key in head}
+    result |= {"references": known} | found | {"status": status, "run": str(out)}
     try:
         solution.save(out)
         write_text(out / RESULT, json.dumps(_finite(result), indent=1))
