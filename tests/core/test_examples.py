@@ -40,7 +40,10 @@ def test_the_readme_example_is_short():
     assert len(lines) <= 30 and max(map(len, lines)) <= 100
 
 
-@pytest.mark.parametrize("name", NAMES)
+SLOWER = [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
+
+
+@pytest.mark.parametrize("name", SLOWER)
 def test_an_example_has_no_findings(name):
     findings = snapo.check(*problem(name)[:2], paths=8)
     assert len(findings) == 0, str(findings)
@@ -76,9 +79,7 @@ def test_battery_stays_feasible_and_keeps_its_energy():
     assert np.all(np.diff(state["capacity"], axis=0) < 0)
 
 
-@pytest.mark.parametrize(
-    "name", ["own_simulator", *(pytest.param(n, marks=pytest.mark.slow) for n in NAMES[1:])]
-)
+@pytest.mark.parametrize("name", SLOWER)
 def test_a_short_training_gains(name):
     """60 steps of 64 paths against the untrained network on the same fresh paths: the difference
     is many standard errors, so its sign needs no tolerance."""
