@@ -115,7 +115,6 @@ def _profile(problem: "Problem", solution: Solution, source: Scenarios) -> dict[
     today = Triggers(*(x[simulator.horizon :] for x in at))
     steps = schedule.steps
     limits = case.contract.min_inventory.used(), case.contract.max_inventory.used()
-    volume = case.contract.max_inventory.used().max() - case.contract.min_inventory.used().min()
     injected = np.asarray(solution.totals["injection"])
     return {
         "inventory": _bands(inventory),
@@ -128,7 +127,10 @@ def _profile(problem: "Problem", solution: Solution, source: Scenarios) -> dict[
         },
         "limits": {"low": limits[0], "high": limits[1]},
         "today": _today(problem, solution, here, levels, today),
-        "cycles": {"mean": injected.mean() / volume, "unit": "injected volume / working volume"},
+        "cycles": {
+            "mean": injected.mean() / working_volume(case),
+            "unit": "injected volume / working volume",
+        },
     }
 
 
@@ -253,9 +255,14 @@ def _ladder(problem: "Problem", solution: Solution, known) -> list[dict[str, Any
 
 def _break_even_fee(problem: "Problem", solution: Solution) -> float:
     """The fee per unit of working volume, paid today, at which the contract is worth nothing."""
-    contract = problem.case.contract
-    volume = contract.max_inventory.used().max() - contract.min_inventory.used().min()
+    volume = working_volume(problem.case)
     return solution.value / volume if volume > 0 else float("nan")
+
+
+def working_volume(case: StorageCase) -> float:
+    """The widest span of the inventory limits."""
+    contract = case.contract
+    return float(contract.max_inventory.used().max() - contract.min_inventory.used().min())
 
 
 def _distribution(cash: np.ndarray) -> dict[str, Any]:
