@@ -36,13 +36,17 @@ class Guide(eqx.Module):
 
 def marginal_value(knots: Knots, inventory, x):
     """The guide's marginal value at an inventory and a fast factor's state."""
-    c, x = knots.coefficients, jnp.clip(x, -knots.reach, knots.reach)
-    values = c[:, 0] + x * (c[:, 1] + x * c[:, 2])
+    pieces = knots.coefficients.shape[0] - 1
     # A day may leave no choice of inventory; every level then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
-    pieces = values.shape[0] - 1
-    place = (inventory - knots.low) / width * pieces - jnp.arange(pieces)
-    # Line by line instead of an index: no gather per path. Stores stand exactly on the first and
-    # the last knot, so ties must leave one side's slope: `jnp.clip` would halve it.
-    share = jnp.where(place < 0, 0.0, jnp.where(place < 1, place, 1.0))
-    return values[0] + jnp.sum(share * jnp.diff(values))
+    place = (inventory - knots.low) / width * pieces
+    left = jnp.clip(jnp.floor(place), 0, pieces - 1)
+    # Stores stand exactly on the first and the last knot, so ties must leave one side's slope:
+    # `jnp.clip` would halve it.
+    share = place - left
+    share = jnp.where(share < 0, 0.0, jnp.where(share < 1, share, 1.0))
+    row = left.astype(jnp.int32)
+    ends = knots.coefficients[row], knots.coefficients[row + 1]
+    x = jnp.clip(x, -knots.reach, knots.reach)
+    low, high = (c[0] + x * (c[1] + x * c[2]) for c in ends)
+    return low + share * (high - low)

@@ -6,6 +6,7 @@ network. Prices are divided by the case's mean forward price, volumes by its lar
 
 from typing import NamedTuple
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -48,10 +49,11 @@ def economics(case: StorageCase, terms, now, state, spot, flows) -> Economics:
     if now.guide is None:
         values = [jnp.asarray(1.0)] * 3
     else:
-        x = state.price[fast]
+        # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
+        guide, x = jax.lax.stop_gradient(now.guide), state.price[fast]
         at = (keep, keep + room_in, keep - room_out)
         values = [
-            marginal_value(now.guide, inventory, x) * level / discount / scale for inventory in at
+            marginal_value(guide, inventory, x) * level / discount / scale for inventory in at
         ]
     buy = spot * (1 + now.injection_fuel)
     buy += now.injection_cost * now.injection_cost_discount / discount
