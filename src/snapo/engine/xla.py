@@ -6,14 +6,14 @@ body of every step rematerialised; it is the oracle of the native engine in test
 
 from collections.abc import Mapping
 from dataclasses import replace
-from functools import partial
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.sharding import Mesh, NamedSharding, PartitionSpec
+from jax.sharding import Mesh
+from jax.sharding import PartitionSpec as P
 from jax.typing import ArrayLike
 from jaxtyping import Array, PyTree
 
@@ -57,7 +57,7 @@ class Xla(Engine):
     ) -> Rollout:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            return self.leave(_values(self, call, record, None))
+            return self.leave(_values(self, call, record))
 
     def adjoint(
         self,
@@ -76,8 +76,8 @@ class Xla(Engine):
     ) -> Adjoint:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            placed = {k: self._place(cast(w, self.dtype), -1) for k, w in weights.items()}
-            return self.leave(_adjoint(self, call, placed, clip, wrt))
+            given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
+            return self.leave(_adjoint(self, call, given, clip, wrt))
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
@@ -91,17 +91,7 @@ class Xla(Engine):
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )
         policy, schedule, start, actions = eqx.combine(differentiable, fixed)
-        if start is not None:
-            start = jax.tree.map(partial(self._place, axis=0), start)
-        if actions is not None:
-            actions = self._place(actions, 1)
-        axes = draws.axes()
-        draws = jax.tree.map(
-            lambda leaf, axis: jnp.asarray(leaf) if axis is None else self._place(leaf, axis),
-            draws,
-            axes,
-            is_leaf=lambda leaf: leaf is None,
-        )
+        start, actions, draws = jax.tree.map(jnp.asarray, (start, actions, draws))
         first = jnp.asarray(window.first, jnp.int32)
         smooth = cast(smooth, self.dtype)
         return Call(
@@ -111,15 +101,6 @@ class Xla(Engine):
     def traced(self, call: "Call", record: tuple[str, ...] = ()) -> Rollout:
         """The rollout as plain JAX, for callers that differentiate it themselves."""
         return _rollout(self, call, record, None, None)
-
-    def _place(self, leaf, axis: int):
-        """Lays an array's path axis over the devices."""
-        axis = axis % np.ndim(leaf)
-        if self.devices is None or np.shape(leaf)[axis] % len(self.devices):
-            return jnp.asarray(leaf)
-        spec = PartitionSpec(*(None,) * axis, "paths")
-        mesh = Mesh(np.asarray(self.devices), ("paths",))
-        return jax.device_put(leaf, NamedSharding(mesh, spec))
 
 
 class Call(eqx.Module):
@@ -136,6 +117,13 @@ class Call(eqx.Module):
     length: int = eqx.field(static=True)
     ends: bool = eqx.field(static=True)
 
+    def axes(self) -> "Call":
+        """The axis of paths of every array, None where it has none."""
+        none = jax.tree.map(lambda leaf: None, self)
+        start = jax.tree.map(lambda leaf: 0, self.start)
+        actions = None if self.actions is None else 1
+        return replace(none, draws=self.draws.axes(), start=start, actions=actions)
+
 
 class _Carry(NamedTuple):
     state: tuple[Array, ...]
@@ -143,14 +131,56 @@ class _Carry(NamedTuple):
 
 
 @eqx.filter_jit
-def _values(engine: Xla, call: Call, record: tuple[str, ...], clip) -> Rollout:
-    return _rollout(engine, call, record, clip, None)
+def _values(engine: Xla, call: Call, record: tuple[str, ...]) -> Rollout:
+    def some(call):
+        return _rollout(engine, call, record, None, None)
+
+    return Rollout(*_over_devices(engine, some, (call,), (call.axes(),), (0, 0, 1)))
 
 
 @eqx.filter_jit
 def _adjoint(
     engine: Xla, call: Call, weights: dict[str, Array], clip: Clip | None, wrt: tuple[str, ...]
 ) -> Adjoint:
+    def some(call, weights):
+        return _pulled_back(engine, call, weights, clip, wrt)
+
+    batched = any(weight.ndim == 2 for weight in weights.values())
+    axes = call.axes(), jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    out = (0, None, None, int(batched))
+    return Adjoint(*_over_devices(engine, some, (call, weights), axes, out))
+
+
+def _over_devices(engine: Xla, work, given, axes, out):
+    """`work` on every device's share of the paths; what has no axis of paths is summed.
+
+    Each device goes through its own paths alone, and the gradients meet once, at the end: were
+    the arrays merely laid out over the devices, XLA would add them up at every step.
+    """
+    size = given[0].draws.size
+    if engine.devices is None or size % len(engine.devices):
+        return work(*given)
+
+    def spec(axis):
+        return P() if axis is None else P(*(None,) * axis, "paths")
+
+    def share(arrays):
+        found = work(*eqx.combine(arrays, rest))
+        return tuple(
+            jax.lax.psum(part, "paths") if axis is None else part for part, axis in zip(found, out)
+        )
+
+    arrays, rest = eqx.partition(given, eqx.is_array)
+    where = jax.tree.map(lambda _, axis: spec(axis), arrays, axes, is_leaf=lambda x: x is None)
+    mesh = Mesh(np.asarray(engine.devices), ("paths",))
+    outs = tuple(map(spec, out))
+    return jax.shard_map(share, mesh=mesh, in_specs=(where,), out_specs=outs, check_vma=False)(
+        arrays
+    )
+
+
+def _pulled_back(engine: Xla, call: Call, weights, clip: Clip | None, wrt) -> Adjoint:
+    """Totals, and the gradient of their weighted sum."""
     moving, fixed = eqx.partition({name: getattr(call, name) for name in wrt}, eqx.is_inexact_array)
     # How much a path counts, for the bound of a clipped adjoint: its largest weight.
     size = jnp.stack(
