@@ -32,7 +32,7 @@ class Native(Engine):
     - `threads`: None uses every processor that this process may run on. The answer does not
       depend on it.
 
-    Raises `Unsupported` where a simulator or policy uses what cannot be compiled.
+    Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses what cannot be compiled.
     """
 
     precision: str = eqx.field(static=True, default="float32")
@@ -56,9 +56,7 @@ class Native(Engine):
             runner = call.runner(False, tuple(record), None, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
-            return self.leave(
-                Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
-            )
+            return Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
 
     def adjoint(
         self,
@@ -92,13 +90,7 @@ class Native(Engine):
             gradient = jax.tree.map(lambda *x: np.stack(x) if stacked else x[0], *rows)
             given = dict(zip(("policy", "schedule", "start"), gradient))
             asked = (given[name] if name in wrt else None for name in given)
-            return self.leave(Adjoint(totals, *asked))
-
-    def leave(self, result: PyTree) -> PyTree:
-        """NumPy arrays in float64, as every engine gives them, and JAX arrays in float32."""
-        if self.precision == "float64":
-            return jax.tree.map(np.asarray, result)
-        return jax.device_put(result)
+            return Adjoint(totals, *asked)
 
     def _threads(self) -> int:
         return self.threads or len(os.sched_getaffinity(0))

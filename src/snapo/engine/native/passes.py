@@ -193,25 +193,28 @@ def outer_terms(program: Program, gradient: Value) -> tuple[list[Outer], list[Va
     terms: list[Outer] = []
     rest: list[Value] = []
 
-    def visit(value: Value, transposed: bool) -> None:
+    def visit(value: Value) -> None:
         op = maker.get(value)
         if op is not None and op.name == "add_any":
+            products, first = len(terms), len(rest)
             for v in op.inputs:
-                visit(v, transposed)
-        elif op is not None and op.name == "reshape" and not transposed:
-            visit(op.inputs[0], False)
+                visit(v)
+            if len(terms) == products:  # no product inside: the sum is less to keep than its parts
+                rest[first:] = [value]
+        elif op is not None and op.name == "reshape":
+            visit(op.inputs[0])
         elif op is not None and op.name == "transpose" and op.params["permutation"] == (1, 0):
             source = maker.get(op.inputs[0])
             if source is None or not is_outer(source) or len(source.inputs[0].shape) != 1:
                 rest.append(value)
             else:
-                terms.append(Outer(*source.inputs, transposed=not transposed))
+                terms.append(Outer(*source.inputs, transposed=True))
         elif op is not None and is_outer(op):
-            terms.append(Outer(*op.inputs, transposed=transposed))
+            terms.append(Outer(*op.inputs, transposed=False))
         elif value.constant is None or np.any(value.constant):
             rest.append(value)
 
-    visit(gradient, False)
+    visit(gradient)
     return terms, rest
 
 
