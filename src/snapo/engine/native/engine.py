@@ -32,7 +32,8 @@ class Native(Engine):
     - `threads`: None uses every processor that this process may run on. The answer does not
       depend on it.
 
-    Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses what cannot be compiled.
+    Results are NumPy arrays. Raises `Unsupported` where a simulator or policy uses what cannot be
+    compiled.
     """
 
     precision: str = eqx.field(static=True, default="float32")
@@ -87,7 +88,7 @@ class Native(Engine):
                 out = runner.run(call.inputs(runner, row, size, False), self._threads())
                 rows.append(call.gradients(runner, out))
             totals, _ = call.finals(runner, out.final)
-            gradient = jax.tree.map(lambda *x: np.stack(x) if stacked else x[0], *rows)
+            gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
             given = dict(zip(("policy", "schedule", "start"), gradient))
             asked = (given[name] if name in wrt else None for name in given)
             return Adjoint(totals, *asked)

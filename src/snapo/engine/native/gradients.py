@@ -168,19 +168,28 @@ def total(code: Code, x: Ref) -> Ref:
 
 
 def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -> None:
-    """Adds every element's sum over lanes and steps."""
+    """Adds every element's sum over lanes and steps, some elements side by side."""
     size = int(np.prod(place.shape, dtype=np.int64))
     flat = Place(place.base, place.offset, (size,), (1,), place.dtype, place.lanes)
     into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
-    with code.loop(size) as element:
-        start = flat.address(code, [element.i])
-        zero = code.constant(0.0, place.dtype, place.lanes)
-        with code.loop(count, (zero,)) as loop:
-            pointer = code.pointer(start, code.index(f"mul nsw i64 {loop.i}, {stride}"))
+
+    def some(first: str, number: int) -> None:
+        start = flat.address(code, [first])
+        zeros = tuple(code.constant(0.0, place.dtype, place.lanes) for _ in range(number))
+        with code.loop(count, zeros) as loop:
+            row = code.pointer(start, code.index(f"mul nsw i64 {loop.i}, {stride}"))
             loop.results = [
-                code.op("fadd", loop.carried[0], code.load(pointer, place.dtype, place.lanes))
+                code.op(
+                    "fadd",
+                    total,
+                    code.load(code.pointer(row, k * flat.unit), place.dtype, place.lanes),
+                )
+                for k, total in enumerate(loop.carried)
             ]
-        _add(code, into, [element.i], loop.results[0])
+        for k, found in enumerate(loop.results):
+            _add(code, into, [code.index(f"add nsw i64 {first}, {k}")], found)
+
+    _ranges(code, size, 4, some)
 
 
 def product_function(module, rows: int, columns: int, dtype: str) -> str:

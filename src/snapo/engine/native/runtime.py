@@ -2,7 +2,9 @@
 
 import os
 import threading
+from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -144,17 +146,13 @@ class Runner:
             finally:
                 self._return(scratch)
 
-        others = [threading.Thread(target=work, daemon=True) for _ in range(threads - 1)]
-        for thread in others:
-            thread.start()
+        others = [_pool(os.getpid()).submit(work) for _ in range(threads - 1)]
         try:
             work()
-            for thread in others:
-                thread.join()
+            wait(others)
         except BaseException:
             stop[:] = 1
-            for thread in others:
-                thread.join()
+            wait(others)
             raise
         if failures:
             raise failures[0]
@@ -181,6 +179,15 @@ class Runner:
         with self._lock:
             if len(self._spare) < 2 * (os.cpu_count() or 1):
                 self._spare.append(scratch)
+
+
+@lru_cache(maxsize=1)
+def _pool(process: int) -> ThreadPoolExecutor:
+    """Threads that wait for work: starting them anew would cost more than a small kernel.
+
+    A forked child has none of its parent's threads, hence one pool per process.
+    """
+    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="snapo")
 
 
 def _context(memory: dict, numbers: dict[str, int]) -> np.ndarray:

@@ -116,24 +116,7 @@ class Layout:
     def view(self, memory: np.ndarray, key) -> np.ndarray:
         """A field of all rows, from bytes [..., stride]: [..., *shape] or [..., *shape, lanes]."""
         offset, shape, dtype = self.fields[key]
-        stored = np.dtype(np.bool_) if dtype == np.bool_ else dtype
-        count = int(np.prod(shape, dtype=np.int64)) * self.lanes * stored.itemsize
-        part = memory[..., offset : offset + count]
         lanes = (self.lanes,) if self.lanes > 1 else ()
-        inner = tuple(s * stored.itemsize for s in row_major((*shape, *lanes)))
-        interface = {
-            "data": (part.__array_interface__["data"][0], False),
-            "shape": (*memory.shape[:-1], *shape, *lanes),
-            "strides": (*memory.strides[:-1], *inner),
-            "typestr": stored.str,
-            "version": 3,
-        }
-        return np.asarray(_Memory(interface, memory))
-
-
-class _Memory:
-    """Memory described to NumPy by address, kept alive by its owner."""
-
-    def __init__(self, interface, owner):
-        self.__array_interface__ = interface
-        self.owner = owner
+        inner = tuple(step * dtype.itemsize for step in row_major((*shape, *lanes)))
+        full = (*memory.shape[:-1], *shape, *lanes)
+        return np.ndarray(full, dtype, memory, offset, (*memory.strides[:-1], *inner))
