@@ -105,8 +105,8 @@ class Tanh(Policy):
         return jax.nn.sigmoid(self.weights[-1] @ x + self.biases[-1])
 
 
-def difference(expected, found) -> float:
-    """The largest difference between two trees, relative to the largest of each leaf."""
+def difference(expected, found, least: float = 1e-30) -> float:
+    """The largest difference between two trees, relative to the largest of each leaf, or `least`."""
     expected_leaves, expected_tree = jax.tree.flatten(expected)
     leaves, tree = jax.tree.flatten(found)
     assert tree == expected_tree
@@ -116,5 +116,5 @@ def difference(expected, found) -> float:
         assert a.shape == b.shape
         np.testing.assert_array_equal(np.isnan(a), np.isnan(b))
         if a.size:
-            worst = max(worst, np.nanmax(np.abs(a - b)) / max(np.nanmax(np.abs(a)), 1e-30))
+            worst = max(worst, np.nanmax(np.abs(a - b)) / max(np.nanmax(np.abs(a)), least))
     return float(worst)

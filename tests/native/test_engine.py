@@ -1,7 +1,5 @@
 """The native engine against the XLA engine: everything that the interface offers."""
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from problems import TOLERANCE, Store, Tanh, Wide, difference

@@ -41,10 +41,9 @@ def marginal_value(knots: Knots, inventory, x):
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
     place = (inventory - knots.low) / width * pieces
     left = jnp.clip(jnp.floor(place), 0, pieces - 1)
-    # Stores stand exactly on the first and the last knot, so ties must leave one side's slope:
-    # `jnp.clip` would halve it.
+    # Stores stand exactly on the first and the last knot. The line goes on beyond them, so that a
+    # rounding does not decide about the slope there.
     share = place - left
-    share = jnp.where(share < 0, 0.0, jnp.where(share < 1, share, 1.0))
     row = left.astype(jnp.int32)
     ends = knots.coefficients[row], knots.coefficients[row + 1]
     x = jnp.clip(x, -knots.reach, knots.reach)
