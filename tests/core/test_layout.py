@@ -32,7 +32,7 @@ ORDER = [
 ]
 LEVEL = {name: level for level, names in enumerate(ORDER) for name in names}
 # Readers of cases stand beside the core; domains, reports and the command line come after it.
-BESIDE = {"case", "csvfile", "dated"}
+BESIDE = {"case", "csvfile", "dated", "objective_table"}
 AFTER = {"runfolder", "domains", "report", "cli"}
 
 
