@@ -1,11 +1,11 @@
-"""`python -m benchmarks`: what gradients cost on this machine, per engine and number of inputs."""
+"""`python -m benchmarks`: what gradients cost on this machine, and the native engine against XLA."""
 
 import os
 import platform
 
 import jax
 
-from . import gas_storage
+from . import gas_storage, native
 
 
 def machine() -> str:
@@ -23,5 +23,7 @@ def machine() -> str:
 
 if __name__ == "__main__":
     print(machine())
-    for line in gas_storage.table():
-        print(line, flush=True)
+    for benchmark in (gas_storage, native):
+        print()
+        for line in benchmark.table():
+            print(line, flush=True)

@@ -13,7 +13,7 @@ import os
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from itertools import pairwise
 from statistics import median
 
@@ -243,28 +243,24 @@ def torch_milliseconds(python: str, threads: int) -> float | None:
     return float(done.stdout) if done.returncode == 0 else None
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--quick", action="store_true", help="the first rows only")
-    parser.add_argument("--torch", default=sys.executable, help="a Python that can import torch")
-    options = parser.parse_args()
+def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
+    """The lines of the table, each as soon as it is known; `python` is one that may have torch."""
     threads, per_second = len(os.sched_getaffinity(0)), rate()
-    print(f"{threads} threads, {2e-9 * per_second * threads:.0f} GFLOP/s in registers")
-    print(
+    yield f"{threads} threads, {2e-9 * per_second * threads:.0f} GFLOP/s in registers"
+    yield (
         f"{'workload':34}{'native ms':>10}{'XLA ms':>10}{'ratio':>8}{'needed':>8}"
         f"{'gradient/value':>16}"
     )
-    for name, needed, work in rows(options.quick):
+    for name, needed, work in rows(quick):
         native, xla, values = alternate(
             work.adjoint(Native),
             work.adjoint(Xla),
             work.values(),
             rounds=3 if work.paths > 9000 else ROUNDS,
         )
-        print(
+        yield (
             f"{name:34}{native:10.1f}{xla:10.1f}{xla / native:8.1f}{needed:8}"
-            f"{native / values:16.2f}",
-            flush=True,
+            f"{native / values:16.2f}"
         )
     work = Workload(Storage(), (7, 32, 32, 3))
     args = (work.simulator, work.policy, work.schedule, work.draws, work.smooth, work.weights)
@@ -272,19 +268,27 @@ def main() -> None:
         lambda: Native(threads=1).adjoint(*args), lambda: Native(threads=2).adjoint(*args)
     )
     least = floor(work, (7, 32, 32, 3), threads, rate())
-    print(
+    yield (
         f"times the multiply-add floor: {two / least:.2f} (needed 2.2); "
         f"one to two threads: {one / two:.2f} (1.8)"
     )
-    torch = torch_milliseconds(options.torch, threads)
-    print(
-        "PyTorch eager: "
-        + ("not installed" if torch is None else f"{torch:.0f} ms, {torch / two:.0f} times (25)")
+    torch = torch_milliseconds(python, threads)
+    yield "PyTorch eager: " + (
+        "not installed" if torch is None else f"{torch:.0f} ms, {torch / two:.0f} times (25)"
     )
     engine._runners.clear()
     begin = time.perf_counter()
     Native().adjoint(*args)
-    print(f"from call to first result, kernel on disk: {time.perf_counter() - begin:.2f} s (0.3)")
+    yield f"from call to first result, kernel on disk: {time.perf_counter() - begin:.2f} s (0.3)"
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--quick", action="store_true", help="the first rows only")
+    parser.add_argument("--torch", default=sys.executable, help="a Python that can import torch")
+    options = parser.parse_args()
+    for line in table(options.quick, options.torch):
+        print(line, flush=True)
 
 
 if __name__ == "__main__":
