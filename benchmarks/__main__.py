@@ -1,4 +1,4 @@
-"""`python -m benchmarks`: what gradients cost on this machine, and the native engine against XLA."""
+"""`python -m benchmarks`: what gradients cost here, and the native engine against XLA."""
 
 import os
 import platform
