@@ -265,18 +265,23 @@ def nearest(key: str, known) -> str:
     return f"the known keys are {', '.join(known)}"
 
 
-def read_objective(data: Mapping, file: str) -> Objective:
-    """Reads `[objective]` and checks that the keys are those of its kind."""
-    objective = parse(Objective, data, file, "objective")
+def read_objective(
+    data: Mapping, file: str, name: str = "objective", optional: tuple[str, ...] = ()
+) -> Objective:
+    """Reads the table `name`, and checks that the keys are those of its kind.
+
+    Keys in `optional` may be left out where other domains need them.
+    """
+    objective = parse(Objective, data, file, name)
     kind = objective.kind
     for key in OBJECTIVE_KEYS[kind]:
-        if key not in data:
-            raise CaseError(file, f"objective.{key}", None, f'kind "{kind}" needs this key')
+        if key not in data and key not in optional:
+            raise CaseError(file, f"{name}.{key}", None, f'kind "{kind}" needs this key')
     for key in data:
         if key not in ("kind", *OBJECTIVE_KEYS[kind]):
             owners = [f'"{each}"' for each, keys in OBJECTIVE_KEYS.items() if key in keys]
             what = f'kind "{kind}" has no such key; it belongs to {", ".join(owners)}'
-            raise CaseError(file, f"objective.{key}", data[key], what)
+            raise CaseError(file, f"{name}.{key}", data[key], what)
     return objective
 
 

@@ -1,6 +1,7 @@
 """A run that leaves everything in a folder, survives being stopped, and goes on where it was."""
 
 import hashlib
+import math
 import shutil
 import tempfile
 from collections.abc import Callable, Mapping
@@ -127,9 +128,31 @@ def _report(state: Progress, training: Training, tell: Tell) -> None:
     if state.history:
         last = state.history[-1]
         tell(
-            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.2f}, "
-            f"best {last.best:>14,.2f}, {last.seconds:6.1f} s"
+            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
+            f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
         )
+
+
+def copy_case(file: Path, out: Path) -> None:
+    """A copy of the case beside its results, with the plain files that may belong to it."""
+    target = out / "case"
+    target.mkdir(exist_ok=True)
+    for each in file.parent.iterdir():
+        if each.is_file() and each.suffix.lower() in (".toml", ".csv"):
+            shutil.copyfile(each, target / each.name)
+
+
+def plain_json(value: Any) -> Any:
+    """Plain JSON data: NumPy becomes lists, what is not finite becomes null."""
+    if isinstance(value, dict):
+        return {str(key): plain_json(each) for key, each in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain_json(each) for each in value]
+    if isinstance(value, np.ndarray | np.generic):
+        return plain_json(value.tolist())
+    if isinstance(value, float) and not math.isfinite(value):
+        return None
+    return value
 
 
 def solve_own(

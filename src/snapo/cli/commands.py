@@ -44,7 +44,7 @@ def say(text: str) -> None:
 
 
 def _new(options: argparse.Namespace) -> int:
-    written = write_case(KINDS[options.kind], options.folder)
+    written = write_case(KINDS[options.kind], options.folder, options.size)
     print("\n".join(map(str, written)))
     say(f"now: snapo solve {options.folder}")
     return OK
@@ -150,16 +150,21 @@ def summary(result: dict[str, Any]) -> str:
     lines = [f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
         if result.get(key) is not None:
-            lines.append(f"{key.replace('_', ' '):<24}{result[key]:>16,.2f}")
+            lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}")
     for name, value in (result.get("references") or {}).items():
         if value is not None:
-            lines.append(f"{name.replace('_', ' '):<24}{value:>16,.2f}")
+            lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}")
     seconds = (result.get("seconds") or {}).get("total")
     if seconds is not None:
         lines.append(f"{'seconds':<24}{seconds:>16,.1f}")
     if result.get("run"):
         lines.append(f"report: {Path(result['run']) / 'report.html'}")
     return "\n".join(lines)
+
+
+def _figure(value: float) -> str:
+    """Money to the cent; what is small, such as a utility, with its significant digits."""
+    return f"{value:,.2f}" if abs(value) >= 10 else f"{value:,.6g}"
 
 
 def to_json(result: Any) -> str:

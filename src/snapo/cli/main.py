@@ -5,12 +5,21 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-KINDS = {"gas-storage": "snapo.domains.gas_storage"}
+KINDS = {
+    "gas-storage": "snapo.domains.gas_storage",
+    "pension": "snapo.domains.pension",
+    "pharma": "snapo.domains.pharma",
+}
+# Examples of several sizes, the first is the default; a kind that is not here has one example.
+SIZES = {"pension": ("small", "medium", "large")}
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code: 0, 1 for a failure, 2 for bad input."""
-    options = _parser().parse_args(arguments)
+    parser = _parser()
+    options = parser.parse_args(arguments)
+    if options.command == "new":
+        options.size = _size(parser, options)
     from snapo.cli.commands import run
 
     return run(options)
@@ -28,6 +37,8 @@ def _parser() -> argparse.ArgumentParser:
     new = commands.add_parser("new", help="write a commented case that runs")
     new.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help=", ".join(sorted(KINDS)))
     new.add_argument("folder", metavar="DIR", type=Path, help="made if missing; overwrites nothing")
+    sizes = sorted({size for each in SIZES.values() for size in each})
+    new.add_argument("--size", choices=sizes, help="of the example (pension; default: small)")
 
     check = commands.add_parser("check", help="read a case and say what is wrong with it")
     _add_case(check)
@@ -60,6 +71,14 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulator", metavar="MODULE:CLASS", type=_simulator, help="a simulator of your own"
     )
+
+
+def _size(parser: argparse.ArgumentParser, options: argparse.Namespace) -> str | None:
+    """The size of the example, where the kind has several."""
+    known = SIZES.get(options.kind, ())
+    if options.size is not None and options.size not in known:
+        parser.error(f"argument --size: {options.kind} has one example only")
+    return options.size or (known[0] if known else None)
 
 
 def _seed(text: str) -> int:

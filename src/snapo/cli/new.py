@@ -6,14 +6,16 @@ from pathlib import Path
 from ..case import CaseError
 
 
-def write_case(package: str, folder: str | Path) -> list[Path]:
+def write_case(package: str, folder: str | Path, size: str | None = None) -> list[Path]:
     """Writes the template of the domain `package` into `folder`; returns the files written.
+
+    A domain with examples of several sizes keeps each in a folder of its own, `template_SIZE`.
 
     **Raises:** `CaseError` where the folder cannot be used, or a file of the same name is there
     already; then nothing is written.
     """
     folder = Path(folder)
-    source = files(package) / "template"
+    source = files(package) / (f"template_{size}" if size else "template")
     texts = {each.name: each.read_bytes() for each in source.iterdir() if each.is_file()}
     for name in texts:
         if (folder / name).exists():

@@ -10,7 +10,7 @@ from ...report.page import Page, render
 from ...report.quantity import array, decimals, finite, long_date
 from ...report.theme import LIGHT
 from .sections import evidence, headline, position, risk, today, value
-from .sections.run import Run, read
+from .sections.run import Run
 
 FILE = "report.html"
 HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
@@ -38,7 +38,7 @@ def write_report(folder: Path) -> Path:
     file or a key is missing, the section says so in a sentence. The same files give the same page,
     byte for byte.
     """
-    run = read(Path(folder))
+    run = Run.read(Path(folder))
     file = Path(folder) / FILE
     file.write_text(page(run), encoding="utf-8")
     return file
@@ -82,7 +82,7 @@ def readme_picture(folder: Path) -> str:
 
     Raises `ValueError` where the run lacks either.
     """
-    run = read(Path(folder))
+    run = Run.read(Path(folder))
     ladder = [each for each in run.get("value_ladder", []) if finite(each.get("value")) is not None]
     months = run.get("deltas_monthly", [])
     volumes = array([each.get("undiscounted") for each in months])

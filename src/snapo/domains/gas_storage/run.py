@@ -1,8 +1,6 @@
 """A gas-storage case from the file to the run folder: what `snapo solve` does."""
 
 import json
-import math
-import shutil
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -13,12 +11,12 @@ import numpy as np
 
 from ... import solver
 from ...adjoint import prepare
-from ...case import Objective
 from ...engine import Engines, choose
 from ...inputs import Input
-from ...objective import CRRA, CVaR, Entropic, ExpectedUtility, Mean, MeanVariance, Target
+from ...objective import Mean
 from ...objective import Objective as CoreObjective
-from ...runfolder import Task, check_folder, solve_into
+from ...objective_table import make_objective
+from ...runfolder import Task, check_folder, copy_case, plain_json, solve_into
 from ...scenarios import Pseudo, Scenarios, Supplied
 from ...sensitivity import sensitivities
 from ...simulator import Schedule, probe
@@ -91,7 +89,7 @@ def solve(
         return _write_expired(case, out, seed)
     problem = make_problem(case, seed, engine)
     out.mkdir(parents=True, exist_ok=True)
-    _copy_case(case, out)
+    copy_case(case.file, out)
     task = Task(
         problem.simulator,
         problem.inputs,
@@ -134,7 +132,7 @@ def make_problem(case: StorageCase, seed: int, engine: str = "auto") -> Problem:
     if noise:
         simulator = replace(simulator, hedge=_hedge(simulator, inputs, engines, seed))
         schedule = prepare(simulator, inputs)
-    objective = make_objective(case.objective)
+    objective = make_objective(case.objective, OUTPUT)
     return Problem(case, simulator, inputs, schedule, objective, training, evaluation, engines)
 
 
@@ -147,24 +145,6 @@ def _hedge(simulator: StorageSimulator, inputs, engines: Engines, seed: int) -> 
     )
     discount = prepare(simulator, inputs).steps.gas_discount
     return found.held["forward_curve"].value[: simulator.horizon] / discount
-
-
-def make_objective(given: Objective) -> CoreObjective:
-    """The objective that `[objective]` names, of the total cash flow."""
-    aversion = given.risk_aversion or 0.0
-    match given.kind:
-        case "cvar":
-            return CVaR(OUTPUT, given.level or 0.95)
-        case "mean-variance":
-            return MeanVariance(OUTPUT, aversion)
-        case "entropic":
-            return Entropic(OUTPUT, aversion)
-        case "crra":
-            return ExpectedUtility(OUTPUT, CRRA(aversion, given.wealth or 0.0))
-        case "target":
-            return Target(OUTPUT, given.target or 0.0)
-        case _:
-            return Mean(OUTPUT)
 
 
 def new_policy(problem: Problem) -> StoragePolicy:
@@ -214,9 +194,9 @@ def _write(
     result |= {"references": known} | found | {"status": status, "run": str(out)}
     try:
         solution.save(out)
-        write_text(out / RESULT, json.dumps(_finite(result), indent=1))
+        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
         found = details(problem, solution, plan, known)
-        write_text(out / DETAILS, json.dumps(_finite(found)))
+        write_text(out / DETAILS, json.dumps(plain_json(found)))
         write_csv(out / PROFILE, *profile_rows(found))
         write_report(out)
     except OSError as error:
@@ -250,26 +230,3 @@ def _write_expired(case: StorageCase, out: Path, seed: int) -> dict[str, Any]:
     write_text(out / DETAILS, json.dumps(found))
     write_report(out)
     return result
-
-
-def _copy_case(case: StorageCase, out: Path) -> None:
-    """A copy of the case beside its results, with the files it names."""
-    target = out / "case"
-    source = case.file.parent
-    target.mkdir(exist_ok=True)
-    for file in source.iterdir():
-        if file.is_file() and file.suffix.lower() in (".toml", ".csv"):
-            shutil.copyfile(file, target / file.name)
-
-
-def _finite(value: Any) -> Any:
-    """Plain JSON data: NumPy becomes lists, what is not finite becomes null."""
-    if isinstance(value, dict):
-        return {str(key): _finite(each) for key, each in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(each) for each in value]
-    if isinstance(value, np.ndarray | np.generic):
-        return _finite(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

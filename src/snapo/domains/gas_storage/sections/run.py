@@ -1,67 +1,21 @@
-"""The files of a run folder as the report reads them: whatever is missing is None."""
+"""The files of a storage run as its report reads them, with the units of gas."""
 
-import csv
-import json
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
-import numpy as np
-
-from ....report.quantity import array, finite, money, plus_minus, quantity
-
-
-@dataclass(frozen=True)
-class Sensitivity:
-    """One line of sensitivities.csv: d value / d input, per one unit of the input."""
-
-    input: str
-    label: str
-    value: float
-    standard_error: float | None
-    unit: str
+from ....report.folder import Folder
+from ....report.folder import Sensitivity as Sensitivity
+from ....report.quantity import quantity
 
 
 @dataclass(frozen=True)
-class Run:
-    """What a run folder holds.
-
-    **Attributes:**
-
-    - `result`: result.json.
-    - `details`: details.json; read with `get` and `numbers`, since any key may be missing.
-    - `sensitivities`: the lines of sensitivities.csv.
-    - `profile`, `history`: columns of profile.csv and history.csv by name, as text.
-    """
-
-    result: dict[str, Any]
-    details: dict[str, Any]
-    sensitivities: tuple[Sensitivity, ...]
-    profile: dict[str, list[str]]
-    history: dict[str, list[str]]
-
-    def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of details.json, or `default` where it is missing or null."""
-        return lookup(self.details, path, default)
-
-    def numbers(self, path: str, column: str = "") -> np.ndarray | None:
-        """A list of details.json as float64, else the column of profile.csv, else None."""
-        found = array(self.get(path))
-        return self.column("profile", column) if found is None and column else found
-
-    def column(self, table: str, name: str) -> np.ndarray | None:
-        """A column of numbers of `profile` or `history`; an empty cell is NaN."""
-        cells = getattr(self, table).get(name)
-        return None if cells is None else array([_number(cell) for cell in cells])
+class Run(Folder):
+    """A run folder with the units of the contract."""
 
     @property
     def days(self) -> list[str] | None:
         """Decision days [T], ISO."""
         return self.get("days") or self.profile.get("date") or None
-
-    @property
-    def currency(self) -> str:
-        return str(self.get("currency", ""))
 
     @property
     def volume(self) -> str:
@@ -78,64 +32,5 @@ class Run:
         """The unit of a flow, "MWh/day"."""
         return f"{self.volume}/day"
 
-    def money(self, value: Any, places: int | None = None, sign: bool = False) -> str:
-        return money(value, self.currency, places, sign)
-
     def gas(self, value: Any, places: int | None = None) -> str:
         return quantity(value, self.volume, places)
-
-    def worth(self, value: Any, error: Any, places: int) -> str:
-        """A value with its standard error, "EUR 78,312 ± 41"."""
-        return f"{self.money(value, places)} {plus_minus(error, places)}".rstrip()
-
-
-def read(folder: Path) -> Run:
-    """Reads the run in `folder`; a file that is not there counts as empty."""
-    lines = _columns(folder / "sensitivities.csv")
-    cells = [lines.get(name, []) for name in ("input", "label", "value", "standard_error", "unit")]
-    sensitivities = tuple(
-        Sensitivity(name, label, slope, _number(error), unit)
-        for name, label, value, error, unit in zip(*cells, strict=True)
-        if (slope := _number(value)) is not None
-    )
-    return Run(
-        _object(folder / "result.json"),
-        _object(folder / "details.json"),
-        sensitivities,
-        _columns(folder / "profile.csv"),
-        _columns(folder / "history.csv"),
-    )
-
-
-def lookup(table: Any, path: str, default: Any = None) -> Any:
-    """The entry "a.b" of nested tables, or `default` where it is missing or null."""
-    for key in path.split("."):
-        table = table.get(key) if isinstance(table, dict) else None
-    return default if table is None else table
-
-
-def _object(file: Path) -> dict[str, Any]:
-    if not file.exists():
-        return {}
-    found = json.loads(file.read_text(encoding="utf-8"))
-    return found if isinstance(found, dict) else {}
-
-
-def _columns(file: Path) -> dict[str, list[str]]:
-    if not file.exists():
-        return {}
-    with file.open(encoding="utf-8", newline="") as stream:
-        rows = [row for row in csv.reader(stream) if row]
-    # The last line of a run that was killed may be cut short; it is left out.
-    whole = [row for row in rows[1:] if len(row) == len(rows[0])]
-    return {name: [row[i] for row in whole] for i, name in enumerate(rows[0])} if rows else {}
-
-
-def _number(cell: str) -> float | None:
-    """A number; a yes or no as 1 or 0; an empty cell as None."""
-    if cell.strip().lower() in ("true", "false"):
-        return float(cell.strip().lower() == "true")
-    try:
-        return finite(float(cell))
-    except ValueError:
-        return None

@@ -1,0 +1,163 @@
+"""What the readers of a pension case share: optional cells, words, names, numbers that change."""
+
+import math
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ...case import CaseError, Given, Section, nearest
+from ...csvfile import Mention, Row, read_rows
+
+NEVER = 1e-9  # of a year: two times closer than this are one
+
+
+def single(name: str, value: float, unit: str = "1") -> Given:
+    """One plain number, used once (index [])."""
+    return Given(name, np.array([value], np.float64), ("",), unit, np.array(0))
+
+
+def empty(name: str, shape: tuple[int, ...] = (0,), unit: str = "1") -> Given:
+    """What the case has not: no number, zeros of `shape` where it is used."""
+    return Given(name, np.zeros(0), (), unit, np.zeros(shape, np.int64))
+
+
+def listed(name: str, values: Sequence[float], labels: Sequence[str], unit: str = "1") -> Given:
+    """One number per label, each used once (index [n])."""
+    array = np.array(values, np.float64)
+    return Given(name, array, tuple(labels), unit, np.arange(len(array)))
+
+
+def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
+    """The number in a cell; `default` where the column or the cell is left out."""
+    return row.number(column, low, high) if row.cells.get(column) else default
+
+
+def above_zero(row: Row, column: str) -> float:
+    """A number above zero."""
+    value = row.number(column)
+    if value <= 0:
+        raise row.error(column, "allowed is a number above 0")
+    return value
+
+
+def word(row: Row, column: str, known: Sequence[str]) -> str:
+    """One of a few words; in any case of letters."""
+    text = row.cells[column].lower()
+    if text not in known:
+        raise row.error(column, f"allowed is one of {', '.join(known)}")
+    return text
+
+
+def position(row: Row, column: str, names: Sequence[str], what: str) -> int:
+    """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
+    text = row.cells.get(column, "")
+    if not text:
+        return -1
+    if text not in names:
+        raise row.error(column, f"there is no such {what}; known are {', '.join(names) or 'none'}")
+    return list(names).index(text)
+
+
+def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
+    """The names in a column: none empty, none twice."""
+    names: list[str] = []
+    for row in rows:
+        if not row.cells[column]:
+            raise row.error(column, "every row needs a name")
+        if row.cells[column] in names:
+            raise row.error(column, "this name stands further up already")
+        names.append(row.cells[column])
+    return tuple(names)
+
+
+def rising(rows: Sequence[Row], column: str, least: float = 0.0) -> np.ndarray:
+    """The numbers of a column, each above the one before and all above `least`."""
+    found: list[float] = []
+    for row in rows:
+        value = row.number(column)
+        if value <= least and not found:
+            raise row.error(column, f"allowed is a number above {least:g}")
+        if found and value <= found[-1]:
+            raise row.error(column, f"{column}s must rise, and the row before has {found[-1]:g}")
+        found.append(value)
+    return np.array(found)
+
+
+def years(value: float) -> str:
+    """A time in words: "10y", or "18m" where it is whole months, else "2.35y"."""
+    if abs(value - round(value)) < NEVER:
+        return f"{round(value)}y"
+    months = 12 * value
+    return f"{round(months)}m" if abs(months - round(months)) < 1e-3 else f"{value:g}y"
+
+
+class Pieces(NamedTuple):
+    """A number that changes in time: `values` [n] with `labels`, and which holds in each step."""
+
+    values: list[float]
+    labels: list[str]
+    index: np.ndarray
+
+
+def pieces(
+    given: float | str, read: Callable[[], list[Row]], steps: int, step: float, low: float
+) -> Pieces:
+    """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
+    if not isinstance(given, str):
+        return Pieces([float(given)], [""], np.zeros(steps, np.int64))
+    rows = read()
+    begins = rising(rows, "from_year", -NEVER)
+    if begins[0] > NEVER:
+        raise rows[0].error("from_year", "the first value must hold from year 0 on")
+    values = [row.number("value", low) for row in rows]
+    times = np.arange(steps) * step
+    index = np.searchsorted(begins, times + NEVER, side="right") - 1
+    used = int(index[-1]) + 1
+    # What begins after the last decision is used nowhere: it is no input.
+    return Pieces(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
+
+
+def stepwise(
+    section: Section,
+    key: str,
+    given: float | str,
+    steps: int,
+    step: float,
+    low: float = 0.0,
+) -> Pieces:
+    """The same for a key of the TOML file."""
+    columns = ("from_year", "value")
+    return pieces(
+        given, lambda: read_rows(Mention(section, key, str(given)), columns), steps, step, low
+    )
+
+
+def side_by_side(name: str, unit: str, parts: Sequence[Pieces], names: Sequence[str]) -> Given:
+    """Several numbers that change in time as one input, index [T, len(parts)]."""
+    values, labels, columns = [], [], []
+    for part, own in zip(parts, names):
+        columns.append(part.index + len(values))
+        values += part.values
+        labels += [f"{own} {label}".strip() for label in part.labels]
+    index = np.stack(columns, 1)
+    return Given(name, np.array(values, np.float64), tuple(labels), unit, index)
+
+
+def alone(name: str, unit: str, part: Pieces) -> Given:
+    """One number that changes in time, index [T]."""
+    return Given(name, np.array(part.values, np.float64), tuple(part.labels), unit, part.index)
+
+
+def known_words(file: str, where: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Every word of a list must be known, and stand there once."""
+    for i, each in enumerate(given):
+        if each not in known:
+            raise CaseError(file, where, each, f"there is no such name; {nearest(each, known)}")
+        if each in given[:i]:
+            raise CaseError(file, where, each, "this name stands there twice")
+
+
+def plain(value: Any) -> float:
+    """The only number of a `Given`."""
+    return float(value.values[value.index])

@@ -1,0 +1,199 @@
+"""Classical policies, with the numbers that tuning may move, and closed forms of known problems."""
+
+import math
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...policy import Policy
+from ...simulator import Schedule, Simulator
+from .observation import RATIO, slots
+from .policy import Limits, present, with_swaps
+from .records import PensionCase
+
+WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
+
+
+class ConstantMix(Policy):
+    """The same weights and swaps always: `logits` [n + b] (see `policy.Limits`)."""
+
+    limits: Limits
+    logits: Array
+
+    def __init__(self, case: PensionCase, weights: np.ndarray | None = None):
+        self.limits = Limits(case)
+        start = present(case)
+        if weights is not None:
+            inside = np.clip(weights, 1e-3, 1 - 1e-3)
+            start[: len(weights)] = np.log(inside / (1 - inside))
+        self.logits = jnp.asarray(start, jnp.float32)
+
+    def __call__(self, observation, smooth):
+        return self.limits(self.logits.astype(observation.dtype), smooth)
+
+
+class GlidePath(Policy):
+    """From one mix to another, linear in the funding ratio between two bounds; swaps alike.
+
+    `logits` [2, n + b] of the mixes at and below `bounds[0]`, at and above `bounds[1]`.
+    """
+
+    limits: Limits
+    logits: Array
+    bounds: Array
+    place: int = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase):
+        self.limits, self.place = Limits(case), _ratio_slot(case)
+        self.logits = jnp.asarray(np.stack([present(case)] * 2), jnp.float32)
+        self.bounds = jnp.asarray([0.9, 1.3], jnp.float32)
+
+    def __call__(self, observation, smooth):
+        low, high = self.bounds.astype(observation.dtype)
+        width = jnp.maximum(high - low, 0.01)
+        ratio = jnp.exp(RATIO * observation[self.place])
+        share = smooth.clip((ratio - low) / width, 0.0, 1.0, WIDTH / width)
+        logits = self.logits.astype(observation.dtype)
+        below, above = (self.limits(each, smooth) for each in (logits[0], logits[1]))
+        return below + share * (above - below)
+
+
+class LiabilityDriven(Policy):
+    """A growth portfolio (classes with a shock of their own) and a hedge (bonds, credit, cash).
+
+    The growth share is `growth[0]` + `growth[1]` (F - 1), within 0 and 1; `mix` [n] are the logits
+    of the classes within the two portfolios and `hedge` [b] of the swaps' places.
+    """
+
+    limits: Limits
+    growth: Array
+    mix: Array
+    hedge: Array | None
+    own: tuple[bool, ...] = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase):
+        count = len(case.assets.classes)
+        self.limits, self.place = Limits(case), _ratio_slot(case)
+        self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
+        now = np.maximum(case.assets.weight.used(), 0.01)
+        self.growth = jnp.asarray([now[np.array(self.own)].sum(), 0.0], jnp.float32)
+        self.mix = jnp.asarray(np.log(now), jnp.float32)
+        self.hedge = jnp.asarray(present(case)[count:], jnp.float32) if case.buckets else None
+
+    def __call__(self, observation, smooth):
+        kind = observation.dtype
+        own = np.array(self.own)
+        growth = self.growth.astype(kind)
+        ratio = jnp.exp(RATIO * observation[self.place])
+        share = smooth.clip(growth[0] + growth[1] * (ratio - 1), 0.0, 1.0, WIDTH)
+        size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
+        grown = jnp.where(own, size, 0.0)
+        safe = jnp.where(own, 0.0, size)
+        weights = share * grown / jnp.maximum(jnp.sum(grown), 1e-9)
+        weights = weights + (1 - share) * safe / jnp.sum(safe)
+        return with_swaps(self.limits.nearest(weights, smooth), self.hedge)
+
+
+class StockBond(Policy):
+    """The rule of `vasicek_stock_bond` for one stock and one bond, by time left; the rest is cash.
+
+    `weights` [years, 2] of stock and bond with 0, 1, 2 … years left, linear between.
+    """
+
+    limits: Limits
+    weights: Array
+    stock: int = eqx.field(static=True)
+    bond: int = eqx.field(static=True)
+    cash: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    years: float = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, rule, stock: int, bond: int):
+        self.limits, self.stock, self.bond = Limits(case), stock, bond
+        self.cash = case.assets.cash
+        self.place, self.years = slots(case)["time"].start, case.steps * case.step
+        left = np.arange(math.ceil(self.years) + 1)
+        self.weights = jnp.asarray([rule(float(each)) for each in left], jnp.float32)
+
+    def __call__(self, observation, smooth):
+        left = self.years * (1 - observation[self.place]) / 2
+        table = self.weights.astype(observation.dtype)
+        nodes = np.arange(table.shape[0])
+        near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
+        places = np.arange(self.limits.low.array.shape[0])
+        wanted = near[0] * (places == self.stock) + near[1] * (places == self.bond)
+        wanted = wanted + (1 - near[0] - near[1]) * (places == self.cash)
+        return self.limits.nearest(wanted, smooth)
+
+
+def rivals(
+    case: PensionCase, simulator: Simulator, schedule: Schedule
+) -> dict[str, tuple[str, Policy]]:
+    """{key: (name, policy)} of the classical policies that fit the case, ready to be tuned.
+
+    Those that follow the funding ratio need it among the observations.
+    """
+    found: dict[str, tuple[str, Policy]] = {"constant_mix": ("Constant mix", ConstantMix(case))}
+    if {"funding_ratio", "relative_funding"} & set(case.observation):
+        found["glide_path"] = ("Glide path", GlidePath(case))
+        found["liability_driven"] = ("Liability-driven split", LiabilityDriven(case))
+    return found
+
+
+def merton(excess: float, volatility: float, risk_aversion: float) -> float:
+    """The stock's weight under CRRA and constant opportunities: excess / (gamma sigma^2).
+
+    `excess` is the stock's mean growth over cash, per year and continuous (R. Merton, Review of
+    Economics and Statistics 51, 1969).
+    """
+    return excess / (risk_aversion * volatility**2)
+
+
+class StockAndBond(NamedTuple):
+    """Weights; the rest is cash."""
+
+    stock: float
+    bond: float
+
+
+def vasicek_stock_bond(
+    mean_reversion: float,
+    rate_volatility: float,
+    rate_price: float,
+    excess: float,
+    volatility: float,
+    correlation: float,
+    risk_aversion: float,
+    horizon: float,
+    maturity: float,
+) -> StockAndBond:
+    """CRRA of wealth after `horizon` years with Vasicek rates, a stock and a bond of `maturity`.
+
+    Exposure to the two sources of risk is the price of risk over gamma, plus (1 - 1 / gamma) times
+    that of the bond that pays at the horizon (C. Sorensen, Journal of Financial and Quantitative
+    Analysis 34, 1999). `excess` of the stock and `correlation` of its shocks with the rate's;
+    `rate_price` is negative where bonds earn a premium.
+    """
+
+    def reach(years: float) -> float:
+        return -math.expm1(-mean_reversion * years) / mean_reversion
+
+    alone = math.sqrt(1 - correlation**2)
+    own_price = (excess / volatility - correlation * rate_price) / alone
+    stock = own_price / (risk_aversion * volatility * alone)
+    wanted = rate_price / risk_aversion
+    wanted -= (1 - 1 / risk_aversion) * rate_volatility * reach(horizon)
+    left = wanted - stock * volatility * correlation
+    return StockAndBond(stock, -left / (rate_volatility * reach(maturity)))
+
+
+def _ratio_slot(case: PensionCase) -> int:
+    """Where ln of the funding ratio stands, over that now where nothing else is seen."""
+    seen: dict[str, slice] = slots(case)
+    name = "funding_ratio" if "funding_ratio" in seen else "relative_funding"
+    return seen[name].start

@@ -1,0 +1,193 @@
+"""A pension case from the file to the run folder: what `snapo solve` does."""
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ... import solver
+from ...adjoint import prepare
+from ...case import CaseError
+from ...engine import Engines, choose
+from ...inputs import Input, plain
+from ...objective import Objective, Weighted
+from ...objective_table import make_objective
+from ...policy import Policy
+from ...runfolder import Task, check_folder, copy_case, plain_json, solve_into
+from ...scenarios import Scenarios, Supplied
+from ...simulator import Schedule
+from ...solution import RESULT, Solution, write_csv, write_text
+from ...train import Training
+from .compare import compare
+from .details import details, profile_rows
+from .inputs import pension_inputs
+from .policy import new_policy
+from .reconcile import Line
+from .reconcile import check as reconcile
+from .records import PensionCase
+from .report import write_report
+from .simulator import PensionSimulator
+
+DETAILS, PROFILE = "details.json", "profile.csv"
+
+
+class Problem(NamedTuple):
+    """A case made ready to solve."""
+
+    case: PensionCase
+    simulator: PensionSimulator
+    inputs: dict[str, Input]
+    schedule: Schedule
+    policy: Policy
+    objective: Objective
+    training: Training
+    evaluation: solver.Evaluation
+    engines: Engines
+
+
+def check(case: PensionCase) -> list[str]:
+    """What the case says, in a few lines: nothing is trained."""
+    inputs = pension_inputs(case)
+    numbers = sum(entry.value.size for entry in inputs.values())
+    scenarios = {"P": "real-world", "Q": "risk-neutral"}[case.measure]
+    lines = [
+        f"{case.title}: {case.steps} decisions over {case.steps * case.step:g} years, "
+        f"{len(case.assets.classes)} classes, {case.buckets} swap tenors",
+        f"scenarios: {'supplied' if case.scenarios else f'{case.measure} ({scenarios})'}",
+        f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
+        f"{len(case.held)} held",
+    ]
+    for line in _reconciled(case):
+        known = "" if line.given is None else f", given {line.given:,.6g}"
+        lines.append(f"{line.name}: {line.own:,.6g}{known}")
+    return lines
+
+
+def _reconciled(case: PensionCase) -> list[Line]:
+    """The lines of the reconciliation; a figure of the actuary's that is missed is a mistake."""
+    lines = reconcile(case, plain(pension_inputs(case)))
+    for line in lines:
+        if not line.ok and line.given is not None and case.reconcile is not None:
+            tolerance = case.reconcile.tolerance
+            what = (
+                f"this model's own figure is {line.own:.8g}, which differs by {line.error:.3g}; "
+                f"the tolerance is {tolerance:g}"
+            )
+            raise CaseError(str(case.file), f"reconcile.{line.name}", line.given, what)
+    return lines
+
+
+def solve(
+    case: PensionCase,
+    *,
+    out: Path,
+    seed: int,
+    engine: str = "auto",
+    reference: bool = False,
+    resume: bool = False,
+    progress: Callable[[str], None] = print,
+) -> dict[str, Any]:
+    """Solves a case into the folder `out` and returns what `result.json` says.
+
+    `reference`: the classical policies are tuned for as long as the network is trained.
+    """
+    out = Path(out)
+    check_folder(out)
+    lines = _reconciled(case)
+    problem = make_problem(case, seed, engine)
+    out.mkdir(parents=True, exist_ok=True)
+    copy_case(case.file, out)
+    task = Task(
+        problem.simulator,
+        problem.inputs,
+        problem.schedule,
+        problem.policy,
+        problem.objective,
+        problem.training,
+        problem.evaluation,
+        problem.engines,
+        supplied(case, "evaluation"),
+        supplied(case, "training"),
+    )
+    solution, troubles = solve_into(out, task, resume, progress)
+    return _write(problem, solution, out, reference, lines, troubles, progress)
+
+
+def report(folder: Path) -> Path:
+    """Writes `report.html` afresh from the files of a run folder."""
+    return write_report(Path(folder))
+
+
+def make_problem(case: PensionCase, seed: int, engine: str = "auto") -> Problem:
+    """Simulator, inputs, schedule, policy, objective and engines of a case."""
+    inputs = pension_inputs(case)
+    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    schedule = prepare(simulator, inputs)
+    policy = new_policy(case, simulator, schedule, jax.random.key(seed))
+    training = Training(**case.training.model_dump() | {"seed": seed})
+    evaluation = solver.Evaluation(**case.evaluation.model_dump())
+    if case.scenarios is not None:
+        paths = min(evaluation.paths, len(case.scenarios.evaluation))
+        evaluation = replace(evaluation, paths=paths)
+    engines = choose(engine, simulator, policy, schedule)
+    objective = objective_of(case)
+    return Problem(
+        case, simulator, inputs, schedule, policy, objective, training, evaluation, engines
+    )
+
+
+def objective_of(case: PensionCase) -> Objective:
+    """The sum of the case's terms."""
+    terms = [(term.weight, make_objective(term.objective, term.output)) for term in case.objective]
+    if len(terms) == 1 and terms[0][0] == 1:
+        return terms[0][1]
+    return Weighted(*terms)
+
+
+def supplied(case: PensionCase, which: str) -> Supplied | None:
+    """Ready-made paths in the order of time, "training" or "evaluation"; None where generated."""
+    if case.scenarios is None:
+        return None
+    paths = getattr(case.scenarios, which)
+    return Supplied(np.ascontiguousarray(np.swapaxes(paths, 0, 1)))
+
+
+def evaluation_source(problem: Problem) -> Scenarios:
+    """The scenarios on which policies are measured and compared: none of them was trained on."""
+    return supplied(problem.case, "evaluation") or problem.evaluation.source(problem.training.seed)
+
+
+def _write(
+    problem: Problem,
+    solution: Solution,
+    out: Path,
+    reference: bool,
+    lines: list[Line],
+    troubles: list[str],
+    progress: Callable[[str], None],
+) -> dict[str, Any]:
+    """The run folder's files; what cannot be written becomes a status."""
+    source = evaluation_source(problem)
+    rivals = compare(problem, solution, source, reference, progress)
+    references = {each["key"]: each["value"] for each in rivals if each["key"] != "learned"}
+    status = solution.status if not troubles else "not written"
+    found = solution.summary()
+    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
+    result = {"kind": problem.case.kind} | {key: found.pop(key) for key in head}
+    result |= {"references": references} | found | {"status": status, "run": str(out)}
+    try:
+        solution.save(out)
+        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
+        progress("measuring what the report shows")
+        found = details(problem, solution, source, rivals, lines)
+        write_text(out / DETAILS, json.dumps(plain_json(found)))
+        write_csv(out / PROFILE, *profile_rows(found))
+        write_report(out)
+    except OSError as error:
+        progress(f"could not write: {error.filename or out}: {error.strerror}")
+        result["status"] = "not written"
+    return result

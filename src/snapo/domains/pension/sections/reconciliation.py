@@ -1,0 +1,210 @@
+"""The first screen and the reconciliation: is this the fund that the actuary knows?"""
+
+import numpy as np
+
+from ....report.bands import Layer, stack
+from ....report.drawing import draw
+from ....report.page import (
+    Block,
+    Chart,
+    Facts,
+    Headline,
+    Mark,
+    Missing,
+    Section,
+    Table,
+    Text,
+)
+from ....report.quantity import finite, number, plus_minus, power
+from .evidence import checks
+from .run import Run, points, share
+
+NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
+
+
+def headline(run: Run) -> Section:
+    """What the policy is worth, and what it does today."""
+    value = finite(run.result.get("value"))
+    if value is None:
+        status = run.result.get("status") or "unknown"
+        text = f"There is no value in result.json (status: {status})."
+        return Section("headline", "Result", "", [Missing(text)])
+    found = checks(run)
+    failed = [name for name, passed in found if not passed]
+    marks = [Mark(True, f"all {len(found)} checks hold")] if found and not failed else []
+    if failed:
+        marks = [Mark(False, f"{len(failed)} of {len(found)} checks fail: {', '.join(failed[:3])}")]
+    sure, error = finite(run.get("objective.equivalent")), run.get("objective.equivalent_error")
+    aversion = number(run.get("objective.aversion"), 1)
+    if sure is not None:
+        label = f"Certainty-equivalent funding ratio {run.horizon} ({run.measure})"
+        shown, spread = share(sure), plus_minus(100 * (finite(error) or 0.0), 2)
+        note = f"The sure ratio that is worth as much as the policy's, at risk aversion {aversion};"
+    else:
+        label, shown = f"Value of the objective ({run.measure})", number(value)
+        spread, note = plus_minus(run.result.get("standard_error"), 4), "The objective of the case,"
+    block = Headline(
+        label=label,
+        value=shown,
+        error=spread,
+        note=f"{note} exact simulator on fresh scenarios, ± one standard error.",
+        action=_action(run),
+        sentence=_sentence(run),
+        when="What to do today",
+        marks=marks,
+    )
+    blocks: list[Block] = [block, Facts(_facts(run))]
+    return Section("headline", "Result", "", blocks)
+
+
+def _moves(run: Run) -> list[dict]:
+    rows = run.get("trades.classes", [])
+    return sorted(rows, key=lambda each: -abs(finite(each.get("trade")) or 0.0))
+
+
+def _action(run: Run) -> str:
+    moved = sum(abs(finite(each.get("trade")) or 0.0) for each in _moves(run)) / 2
+    assets = finite(run.get("assets"))
+    return f"Turn over {share(moved / assets)} of the assets" if assets else ""
+
+
+def _sentence(run: Run) -> str:
+    rows = [each for each in _moves(run)[:4] if finite(each.get("trade"))]
+    parts = [
+        f"{each['name']} {share(each['now'], 0)} → {share(each['target'], 0)}" for each in rows
+    ]
+    swaps = run.get("trades.swaps", [])
+    whole = sum(finite(each.get("target")) or 0.0 for each in swaps)
+    text = f"Largest trades: {'; '.join(parts)}." if parts else ""
+    return f"{text} Swaps: {run.large(whole)} receiver notional." if swaps else text
+
+
+def _facts(run: Run) -> list[tuple[str, str, str]]:
+    last = run.get("by_year", {})
+    under = (last.get("underfunded") or [None])[-1]
+    short = (last.get("shortfall") or [None])[-1]
+    return [
+        ("Funding ratio today", share(run.get("funding")), "assets over liability"),
+        ("Assets", run.large(run.get("assets")), "market value today"),
+        ("Liability", run.large(run.get("liability")), "on the case's basis"),
+        ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
+        ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, if below 0"),
+    ]
+
+
+def reconciliation(run: Run) -> Section:
+    """Own figures against those given, and the tests that scenarios must pass."""
+    title, short = "Reconciliation", "Reconciliation"
+    data = run.get("reconciliation", {})
+    if not data:
+        text = "This run has no reconciliation in details.json."
+        return Section("reconciliation", title, short, [Missing(text)])
+    rows = [_line(each) for each in data.get("lines", [])]
+    head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
+    blocks: list[Block] = []
+    if rows:
+        blocks.append(Table(head, rows, "Own figures, and those of the actuary where given", 2))
+    scale, unit = run.size(data.get("liability"))
+    blocks.append(
+        Facts(
+            [
+                ("Liability", f"{number((finite(data.get('liability')) or 0) / scale, 2)}", unit),
+                ("Duration", number(data.get("duration"), 2), "years, −d ln L / d parallel shift"),
+                ("Convexity", number(data.get("convexity"), 1), "years², of a parallel shift"),
+                ("Inflation +1 bp", run.large(data.get("inflation01"), 3, True), "change of L"),
+            ]
+        )
+    )
+    if tests := data.get("martingale"):
+        blocks.append(_martingale(run, tests))
+    flow = data.get("cash_flow")
+    if flow:
+        blocks.append(_cash_flow(run, np.asarray(flow, np.float64)))
+    return Section("reconciliation", title, short, blocks)
+
+
+def _line(each: dict) -> tuple:
+    ok = each.get("ok")
+    known = each.get("given") is not None
+    verdict = Mark(bool(ok), _word(ok)) if known else "not given"
+    name = NAMES.get(str(each.get("name")), str(each.get("name", "")))
+    return (
+        name[:1].upper() + name[1:],
+        verdict,
+        number(each.get("own")),
+        number(each.get("given")),
+        power(each.get("error")) if known else "",
+    )
+
+
+def _word(ok) -> str:
+    return "holds" if ok else "fails"
+
+
+def _martingale(run: Run, tests: list[dict]) -> Table:
+    rows = [
+        (
+            str(each["name"]),
+            Mark(bool(each["ok"]), _word(each["ok"])),
+            number(each["own"]),
+            number(each["expected"]),
+            number(each["standard_error"]),
+        )
+        for each in tests
+    ]
+    head = [("Test", ""), ("", ""), ("Simulated", ""), ("Expected", ""), ("Standard error", "")]
+    caption = "Market consistency under Q on fresh paths with the trained policy, 3 standard errors"
+    return Table(head, rows, caption, 2)
+
+
+def _cash_flow(run: Run, flow: np.ndarray) -> Chart | Text:
+    paid = np.flatnonzero(flow > flow.max() * 1e-4)
+    if not paid.size:
+        return Text("No payments are expected.")
+    flow = flow[: paid[-1] + 1]
+    scale, unit = run.size(flow)
+    layer = Layer("Expected payments", flow / scale, "main", 0.75)
+    peak = int(np.argmax(flow))
+    alt = f"Expected payments by year; they peak at {run.large(flow[peak])} in year {peak + 1}."
+    svg = draw(
+        "cash-flow", alt, lambda a: stack(a, np.arange(len(flow)), [layer], f"{unit} a year"), 200
+    )
+    caption = (
+        "Expected payments of the rights accrued today, with mortality as expected and no future"
+        f" indexation; in all {run.large(flow.sum())}. Points on the way: "
+        + ", ".join(f"year {y} {run.large(flow[y - 1])}" for y in (1, 10, 20) if y <= len(flow))
+        + "."
+    )
+    return Chart(svg, caption)
+
+
+def stress(run: Run) -> Section:
+    """The balance sheet at once after each shock of the case's file."""
+    title, short = "Stress table", "Stress"
+    rows = run.get("stresses", [])
+    if not rows:
+        text = "The case names no file of shocks ([stress] file)."
+        return Section("stress", title, short, [Missing(text)])
+    now = finite(run.get("funding")) or 0.0
+    scale, unit = run.size(run.get("assets"), run.get("liability"))
+    body = [
+        ("Today", *_balance(run.get("assets"), run.get("liability"), scale), points(now, 1), "")
+    ]
+    for each in rows:
+        amounts = _balance(each.get("assets"), each.get("liability"), scale)
+        change = (finite(each.get("funding")) or 0.0) - now
+        ratio = points(each.get("funding"), 1)
+        body.append((str(each["scenario"]), *amounts, ratio, points(change, 1, True)))
+    head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
+    head += [("Funding ratio", "%"), ("Change", "points")]
+    caption = (
+        "Instantaneous and fully revalued, present holdings and swaps kept. Classes with a shock of"
+        " their own do not react to rates."
+    )
+    table = Table(head, body, "", 1, strong=frozenset([0]))
+    return Section("stress", title, short, [table, Text(caption, caveat=True)])
+
+
+def _balance(assets, liability, scale: float) -> tuple[str, str, str]:
+    a, b = finite(assets) or 0.0, finite(liability) or 0.0
+    return number(a / scale, 1), number(b / scale, 1), number((a - b) / scale, 1)

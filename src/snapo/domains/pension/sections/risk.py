@@ -1,0 +1,180 @@
+"""Sensitivities: the tornado, key rates of the strategy and of the balance sheet, all others."""
+
+import numpy as np
+
+from ....report.bands import Bars, Swing, grouped, tornado
+from ....report.drawing import draw
+from ....report.page import Block, Chart, Missing, Section, Table, Text
+from ....report.quantity import decimals, finite, number, plus_minus
+from ..units import DEFINITIONS, name_of
+from .run import Run
+
+CURVES = ("zero_rate", "forward_rate", "break_even")
+BUCKETS = (0.0, 2.5, 5.0, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0, 1e9)
+BUCKET_NAMES = ("to 2.5y", "5y", "7.5y", "10y", "15y", "20y", "30y", "40y", "50y up")
+HELD = (
+    "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
+    " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
+    " answers by its rule, not trained anew; the distance between the two shows what training"
+    " and smoothing left. Prices of risk, excess returns and today's market values are held while"
+    " the curve moves."
+)
+TOP = 14
+
+
+def _scale(run: Run) -> tuple[float, str]:
+    """What effects are multiplied by, and their unit."""
+    if run.get("sensitivities.unit") == "ratio":
+        return 1e4, "bp of the certainty equivalent"
+    return 1.0, "objective"
+
+
+def sensitivities(run: Run) -> Section:
+    """Every input moved by its usual step."""
+    title, short = f"Sensitivities of the objective ({run.measure})", "Sensitivities"
+    families = run.get("sensitivities.families", [])
+    if not families:
+        text = "Sensitivities are not in this run."
+        return Section("sensitivities", title, short, [Missing(text)])
+    scale, unit = _scale(run)
+    blocks: list[Block] = [_tornado(families, scale, unit)]
+    blocks.append(_families(families, scale, unit))
+    rows = run.get("sensitivities.rows", [])
+    for name in CURVES:
+        own = [row for row in rows if row["input"] == name]
+        if own:
+            blocks.append(_nodes(name, own, scale, unit))
+    others = [row for row in rows if row["input"] not in CURVES]
+    if others:
+        blocks.append(_others(others, scale, unit))
+    blocks += [Text(HELD, caveat=True), _definitions(families)]
+    return Section("sensitivities", title, short, blocks, break_before=True)
+
+
+def _tornado(families: list[dict], scale: float, unit: str) -> Chart:
+    order = sorted(families, key=lambda each: -abs(finite(each["effect"]) or 0.0))[:TOP]
+    places = decimals([scale * (finite(each["effect"]) or 0.0) for each in order], 3)
+    swings = []
+    for each in order:
+        value = scale * (finite(each["effect"]) or 0.0)
+        half = 1.96 * scale * (finite(each.get("standard_error")) or 0.0)
+        count = f", all {each['count']}" if each["count"] > 1 else ""
+        name = f"{name_of(each['input'])}{count}: + {each['move']}"
+        swings.append(Swing(name, value, number(value, places, True), half))
+    alt = "Effects of the usual moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
+    svg = draw("tornado", alt, lambda axes: tornado(axes, swings, unit), 40 + 22 * len(swings))
+    caption = "The largest effects, all numbers of an input moved together; whiskers: 95 %."
+    return Chart(svg, caption)
+
+
+def _families(families: list[dict], scale: float, unit: str) -> Table:
+    rows = [_row(each, name_of(each["input"]), scale, each["count"]) for each in families]
+    head = [("Input", ""), ("Numbers", ""), ("Rise of each", ""), ("Decisions held", unit)]
+    head += [("Std. error", unit), ("Policy reacting", unit)]
+    caption = "All numbers of an input together; for a curve this is the parallel shift"
+    return Table(head, rows, caption, 3)
+
+
+def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple:
+    effect, error = scale * (finite(each["effect"]) or 0.0), finite(each.get("standard_error"))
+    places = min(decimals([scale * error], 2) if error else decimals([effect], 4), 6)
+    reacting = finite(each.get("reacting"))
+    numbers = () if count is None else (str(count),)
+    return (
+        name,
+        *numbers,
+        str(each["move"]),
+        number(effect, places, True),
+        plus_minus(None if error is None else scale * error, places),
+        number(None if reacting is None else scale * reacting, places, True),
+    )
+
+
+def _nodes(name: str, rows: list[dict], scale: float, unit: str) -> Table:
+    """One line per node and their sum, which is the parallel shift."""
+    body = [_row(each, each["label"], scale) for each in rows]
+    total = sum(finite(each["effect"]) or 0.0 for each in rows) * scale
+    react = sum(finite(each.get("reacting")) or 0.0 for each in rows) * scale
+    body.append(("Parallel = sum", "1 bp", number(total, 3, True), "", number(react, 3, True)))
+    head = [("Node", ""), ("Rise", ""), ("Decisions held", unit), ("Std. error", unit)]
+    head.append(("Policy reacting", unit))
+    folded = f"{name_of(name)} by node: {len(rows)} key rates"
+    strong = frozenset([len(body) - 1])
+    return Table(head, body, f"Key rates: {name_of(name)}", 2, strong=strong, folded=folded)
+
+
+def _others(rows: list[dict], scale: float, unit: str) -> Table:
+    body = [_row(each, name_of(each["input"], each["label"]), scale) for each in rows[:400]]
+    head = [("Input", ""), ("Rise", ""), ("Decisions held", unit), ("Std. error", unit)]
+    head.append(("Policy reacting", unit))
+    more = "" if len(rows) <= 400 else "; the rest is in sensitivities.csv"
+    folded = f"Each number alone: {len(rows)} sensitivities{more}"
+    return Table(head, body, "Each number alone", 2, folded=folded)
+
+
+def _definitions(families: list[dict]) -> Table:
+    present = [each["input"] for each in families]
+    rows = [(name_of(name), text) for name, text in DEFINITIONS.items() if name in present]
+    return Table([("Input", ""), ("What is moved", "")], rows, "Definitions", 2)
+
+
+def ladder(run: Run) -> Section:
+    """Key-rate ladder of assets, swaps and liabilities today, with hedge ratios by bucket."""
+    title, short = "Key-rate ladder and hedge ratios today", "Hedge ratios"
+    now = run.get("ladder")
+    tenor = run.numbers("ladder.tenor")
+    if not now or tenor is None:
+        text = "The key-rate ladder is not in this run."
+        return Section("ladder", title, short, [Missing(text)])
+    place = np.digitize(tenor, BUCKETS[1:-1])
+
+    def bucketed(path: str) -> np.ndarray:
+        values = run.numbers(path)
+        values = np.zeros(len(tenor)) if values is None else np.nan_to_num(values)
+        return np.bincount(place, values, len(BUCKET_NAMES))
+
+    names = ("assets", "swaps", "liability")
+    before = {name: bucketed(f"ladder.{name}") for name in names}
+    after = {name: bucketed(f"ladder_after.{name}") for name in names}
+    used = np.flatnonzero(np.abs(before["liability"]) + np.abs(before["assets"]) > 0)
+    labels = [BUCKET_NAMES[i] for i in used]
+    scale, unit = run.size(*before.values(), *after.values())
+    series = [
+        Bars("Assets, policy", after["assets"][used] / scale, "inject"),
+        Bars("Swaps, policy", after["swaps"][used] / scale, "withdraw"),
+        Bars("Liability", before["liability"][used] / scale, "main"),
+    ]
+    alt = "Change of value for a rise of 1 bp by tenor bucket, of assets, swaps and liability."
+    svg = draw("ladder", alt, lambda axes: grouped(axes, labels, series, f"{unit} per bp"), 230)
+    caption = (
+        "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
+        " gain: the hedge ratio is the assets' and swaps' change over the liability's."
+    )
+    table = _hedge(before, after, used, labels, scale, unit)
+    return Section("ladder", title, short, [Chart(svg, caption), table])
+
+
+def _hedge(before: dict, after: dict, used, labels, scale: float, unit: str) -> Table:
+    def line(name: str, i) -> tuple[str, ...]:
+        parts = [float(np.sum(each[key][i])) for each, key in _columns(before, after)]
+        liability = parts[4]
+        ratios = [_ratio(parts[0] + parts[1], liability), _ratio(parts[2] + parts[3], liability)]
+        shown = [number(each / scale, 3, True) for each in parts]
+        return (name, shown[4], shown[0], shown[1], ratios[0], shown[2], shown[3], ratios[1])
+
+    rows = [line(label, [i]) for label, i in zip(labels, used)]
+    rows.append(line("All", used))
+    head = [("Tenor", ""), ("Liability", unit), ("Assets now", unit), ("Swaps now", unit)]
+    head += [("Hedge ratio", "%"), ("Assets, policy", unit), ("Swaps, policy", unit)]
+    head.append(("Hedge ratio", "%"))
+    text = "Change for +1 bp, and hedge ratios: now, and after today's trades"
+    return Table(head, rows, text, 1, strong=frozenset([len(rows) - 1]))
+
+
+def _columns(before: dict, after: dict):
+    keys = ("assets", "swaps")
+    return [(each, key) for each in (before, after) for key in keys] + [(before, "liability")]
+
+
+def _ratio(part: float, whole: float) -> str:
+    return number(100 * part / whole, 0) if abs(whole) > 0 else ""

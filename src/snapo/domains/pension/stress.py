@@ -1,0 +1,152 @@
+"""Shocks from a file, `[stress]`: lines of the same scenario hold together.
+
+A line moves a curve ("curve", "break_even": `label` is a tenor in years, between tenors the size
+is linear and beyond them constant; no label moves all nodes alike), the price of assets ("price":
+`label` is a class or a kind of classes), or any other input of the case by its name and label.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ...case import Section, load, nearest, parse
+from ...csvfile import Mention, Row, read_rows
+from .cells import word
+from .inputs import every_given
+from .records import Curve, PensionCase
+from .tables import StressTable
+
+CURVES = ("curve", "break_even")
+PRICE = "price"
+
+
+@dataclass(frozen=True)
+class Shock:
+    """One line: "add" `size` in the input's unit, or "multiply" by 1 + `size`."""
+
+    scenario: str
+    target: str
+    label: str
+    kind: str
+    size: float
+
+    def of(self, values: np.ndarray, size: np.ndarray | float | None = None) -> np.ndarray:
+        """The values after the shock, of this `size` where it is not the same for all."""
+        size = self.size if size is None else size
+        return values + size if self.kind == "add" else values * (1 + size)
+
+
+def read_shocks(case: PensionCase) -> tuple[Shock, ...]:
+    """The shocks of the file that `[stress]` names; none without it."""
+    return parse_shocks(case, load(case.file)[1].get("stress"))
+
+
+def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
+    """The same for the table of a TOML file that was read already; None where it has none."""
+    if data is None:
+        return ()
+    table = parse(StressTable, data, str(case.file), "stress")
+    mention = Mention(Section(case.file, "stress", []), "file", table.file)
+    rows = read_rows(mention, ("scenario", "input", "label", "kind", "size"))
+    return tuple(_shock(case, row) for row in rows)
+
+
+def _shock(case: PensionCase, row: Row) -> Shock:
+    target, label = row.cells["input"], row.cells["label"]
+    if not row.cells["scenario"]:
+        raise row.error("scenario", "every line belongs to a scenario with a name")
+    given = {each.name: each for each in every_given(case)}
+    known = (*CURVES, PRICE, *given)
+    if target not in known:
+        raise row.error("input", f"there is no such input; {nearest(target, known)}")
+    if target in CURVES:
+        if label:
+            row.number("label", 0.0)
+    elif target == PRICE:
+        _held(case, row)
+    elif label and label not in given[target].labels:
+        raise row.error("label", f"{target} has the labels {', '.join(given[target].labels)}")
+    kind = word(row, "kind", ("add", "multiply"))
+    if target == PRICE and kind != "multiply":
+        raise row.error("kind", "prices are multiplied: a size of -0.3 is a fall by 30 %")
+    size = row.number("size", -1.0 if kind == "multiply" else -np.inf)
+    return Shock(row.cells["scenario"], target, label, kind, size)
+
+
+def _held(case: PensionCase, row: Row) -> None:
+    names = [each.name for each in case.assets.classes] + [e.kind for e in case.assets.classes]
+    label = row.cells["label"]
+    if label and label not in names:
+        known = ", ".join(dict.fromkeys(names))
+        raise row.error("label", f"there is no such class or kind of classes; known are {known}")
+
+
+@dataclass(frozen=True)
+class Stressed:
+    """A case after one scenario: numbers of the inputs that moved, and by class the price ratio.
+
+    `values`: {input: [n]}; `price`: [classes], without what bonds lose to rates and spreads.
+    """
+
+    scenario: str
+    values: dict[str, np.ndarray]
+    price: np.ndarray
+
+
+def scenarios(case: PensionCase, shocks: Sequence[Shock]) -> list[Stressed]:
+    """The scenarios in the order of the file."""
+    names = dict.fromkeys(shock.scenario for shock in shocks)
+    return [_scenario(case, name, [s for s in shocks if s.scenario == name]) for name in names]
+
+
+def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed:
+    given = {each.name: each for each in every_given(case)}
+    values: dict[str, np.ndarray] = {}
+    price = np.ones(len(case.assets.classes))
+    for target, curve in zip(CURVES, (case.curve, case.inflation.break_even)):
+        lines = [shock for shock in shocks if shock.target == target]
+        if lines:
+            values[curve.rate.name] = _moved(curve, lines)
+    for shock in shocks:
+        if shock.target == PRICE:
+            for i, each in enumerate(case.assets.classes):
+                if shock.label in ("", each.name, each.kind):
+                    price[i] *= 1 + shock.size
+        elif shock.target not in CURVES:
+            known = given[shock.target]
+            now = values.get(shock.target, known.values).copy()
+            chosen = np.array([shock.label in ("", label) for label in known.labels])
+            now[chosen] = shock.of(now[chosen])
+            values[shock.target] = now
+    return Stressed(name, values, price)
+
+
+def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
+    """The quotes of a curve whose zero rates the lines move."""
+    zero = zero_rates(curve)
+    for kind in ("multiply", "add"):
+        own = [line for line in lines if line.kind == kind]
+        for line in own:
+            if not line.label:
+                zero = line.of(zero)
+        known = sorted((float(line.label), line.size) for line in own if line.label)
+        if known:
+            tenors, sizes = np.array(known).T
+            zero = own[0].of(zero, np.interp(curve.tenor, tenors, sizes))
+    return from_zero_rates(curve, zero)
+
+
+def zero_rates(curve: Curve) -> np.ndarray:
+    """[n] continuous zero rates at the nodes, whatever is quoted."""
+    if curve.quote == "zero":
+        return curve.rate.used()
+    return np.cumsum(curve.rate.used() * np.diff(curve.tenor, prepend=0.0)) / curve.tenor
+
+
+def from_zero_rates(curve: Curve, zero: np.ndarray) -> np.ndarray:
+    """The quotes of these zero rates: the inverse of `zero_rates`."""
+    if curve.quote == "zero":
+        return zero
+    return np.diff(zero * curve.tenor, prepend=0.0) / np.diff(curve.tenor, prepend=0.0)

@@ -1,0 +1,180 @@
+"""Charts of distributions over time, of policies over two numbers, and of risks side by side."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+from matplotlib.ticker import NullLocator
+
+from .axes import number_axis
+from .drawing import legend_above, unit_above
+from .theme import LIGHT
+
+DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
+
+
+def quantile_fan(
+    axes: Axes, years: np.ndarray, fan: Mapping[str, np.ndarray], unit: str, level: float | None
+) -> None:
+    """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
+
+    `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at.
+    """
+    for low, high, alpha, name in (
+        ("p01", "p99", 0.14, "1–99 %"),
+        ("p05", "p95", 0.22, "5–95 %"),
+        ("p25", "p75", 0.32, "25–75 %"),
+    ):
+        if low in fan and high in fan:
+            style = {"color": LIGHT["main"], "alpha": alpha, "linewidth": 0}
+            axes.fill_between(years, fan[low], fan[high], label=name, **style)
+    axes.plot(years, fan["p50"], color=LIGHT["main"], linewidth=2.0, label="Median")
+    style = {"color": LIGHT["withdraw"], "linewidth": 1.4, "linestyle": (0, (4, 2))}
+    axes.plot(years, fan["mean"], label="Mean", **style)
+    if level is not None:
+        axes.axhline(level, color=LIGHT["limit"], linewidth=1.1, linestyle=(0, (1, 1.5)))
+    axes.set_xlim(years[0], years[-1])
+    axes.set_xlabel("Year")
+    number_axis(axes.xaxis, 10)
+    number_axis(axes.yaxis)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def heat(
+    axes: Axes, table: np.ndarray, across: Sequence[str], down: Sequence[str], unit: str
+) -> None:
+    """Shares from 0 to 1 in a grid [rows, columns], the first row at the bottom.
+
+    Darker is more, and the number stands in the cell as a percentage; a cell without a number
+    stays empty.
+    """
+    rows, columns = table.shape
+    top = float(np.nanmax(table, initial=1e-9))
+    for i in range(rows):
+        for j in range(columns):
+            if not np.isfinite(table[i, j]):
+                continue
+            alpha = DARKEST * max(0.0, table[i, j]) / top
+            cell = Rectangle((j, i), 1, 1, facecolor=LIGHT["main"], alpha=alpha, linewidth=0)
+            axes.add_patch(cell)
+            text = f"{100 * table[i, j]:.0f}"
+            axes.text(j + 0.5, i + 0.5, text, ha="center", va="center")
+    axes.set_xlim(0, columns)
+    axes.set_ylim(0, rows)
+    axes.set_xticks(np.arange(columns) + 0.5, list(across))
+    axes.set_yticks(np.arange(rows) + 0.5, list(down))
+    axes.tick_params(length=0)
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+    unit_above(axes, unit)
+
+
+@dataclass(frozen=True)
+class Bars:
+    """One series of a grouped bar chart."""
+
+    label: str
+    values: np.ndarray
+    colour: str
+
+
+def grouped(axes: Axes, labels: Sequence[str], series: Sequence[Bars], unit: str) -> None:
+    """Bars side by side per label, and above all of them the zero line."""
+    width = 0.8 / len(series)
+    place = np.arange(len(labels))
+    for i, each in enumerate(series):
+        offset = (i - (len(series) - 1) / 2) * width
+        axes.bar(
+            place + offset, each.values, width=width, color=LIGHT[each.colour], label=each.label
+        )
+    axes.axhline(0.0, color=LIGHT["other"], linewidth=0.8)
+    axes.set_xticks(place, list(labels))
+    axes.tick_params(axis="x", length=0)
+    axes.set_xlim(-0.6, len(labels) - 0.4)
+    number_axis(axes.yaxis)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+@dataclass(frozen=True)
+class Swing:
+    """One line of a tornado: what a rise and a fall of an input do, with a 95 % half width."""
+
+    name: str
+    value: float
+    text: str
+    half: float = 0.0
+
+
+def tornado(axes: Axes, swings: Sequence[Swing], unit: str) -> None:
+    """Horizontal bars from zero, the first on top; gains and losses in different colours."""
+    reach = max((abs(each.value) + each.half for each in swings), default=1.0) or 1.0
+    for row, each in enumerate(swings):
+        colour = LIGHT["inject"] if each.value >= 0 else LIGHT["withdraw"]
+        axes.barh(row, each.value, height=0.62, color=colour)
+        if each.half:
+            line = {"ecolor": LIGHT["ink"], "elinewidth": 1.1, "capsize": 3.0}
+            axes.errorbar(each.value, row, xerr=each.half, fmt="none", **line)
+        side = 1 if each.value >= 0 else -1
+        end = each.value + side * (each.half + 0.015 * reach)
+        axes.text(end, row, each.text, va="center", ha="left" if side > 0 else "right")
+    axes.set_yticks(range(len(swings)), [each.name for each in swings])
+    axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
+    axes.set_ylim(len(swings) - 0.45, -0.55)
+    axes.set_xlim(-1.35 * reach, 1.35 * reach)
+    axes.xaxis.set_major_locator(NullLocator())
+    axes.grid(False)
+    axes.spines["bottom"].set_visible(False)
+    axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
+    unit_above(axes, unit)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """One layer of a stack over time."""
+
+    label: str
+    values: np.ndarray
+    colour: str
+    alpha: float = 1.0
+
+
+def stack(axes: Axes, years: np.ndarray, layers: Sequence[Layer], unit: str) -> None:
+    """Layers on top of one another, each held for its year."""
+    edges = np.append(years, years[-1] + (years[1] - years[0] if len(years) > 1 else 1.0))
+    below = np.zeros(len(years))
+    for each in layers:
+        above = below + each.values
+        style = {"color": LIGHT[each.colour], "alpha": each.alpha, "linewidth": 0}
+        axes.fill_between(
+            edges,
+            np.append(below, below[-1]),
+            np.append(above, above[-1]),
+            step="post",
+            label=each.label,
+            **style,
+        )
+        below = above
+    axes.set_xlim(edges[0], edges[-1])
+    axes.set_xlabel("Year")
+    number_axis(axes.xaxis, 10)
+    number_axis(axes.yaxis)
+    unit_above(axes, unit)
+    legend_above(axes)
+
+
+def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units) -> None:
+    """Named points (name, x, y, strong) with their names beside them."""
+    for name, x, y, strong in points:
+        colour = LIGHT["main"] if strong else LIGHT["other"]
+        axes.plot(x, y, "o", color=colour, markersize=9 if strong else 7)
+        weight = "bold" if strong else "normal"
+        axes.annotate(name, (x, y), (7, 4), textcoords="offset points", fontweight=weight)
+    axes.margins(x=0.25, y=0.25)
+    number_axis(axes.xaxis)
+    number_axis(axes.yaxis)
+    axes.set_xlabel(units[0])
+    unit_above(axes, units[1])
