@@ -1,0 +1,92 @@
+"""What each unit takes in and gives out, and what can be measured on it, by names."""
+
+from .records_units import (
+    Crystalliser,
+    Dissolution,
+    Dryer,
+    Filter,
+    Reactor,
+    Splitter,
+    Tank,
+    Unit,
+)
+
+
+def inlets(unit: Unit) -> tuple[str, ...]:
+    """Names of the ports that must be fed, each by exactly one connection."""
+    match unit:
+        case Reactor():
+            return ("feed", "dose") if unit.kind == "semi-batch" else ("feed",)
+        case Crystalliser():
+            return ("feed", "antisolvent") if unit.dosing is not None else ("feed",)
+        case Filter():
+            return ("slurry",)
+        case Dryer():
+            return ("cake",)
+        case Dissolution():
+            return ("product",)
+        case Tank():
+            return unit.inlets
+        case Splitter():
+            return ("feed",)
+
+
+def outlets(unit: Unit) -> tuple[str, ...]:
+    """Names of the ports that may feed another unit, each at most one; the rest leave as waste."""
+    match unit:
+        case Reactor() | Tank():
+            return ("product",)
+        case Crystalliser():
+            return ("slurry",)
+        case Filter():
+            return ("cake", "filtrate", "washings")
+        case Dryer():
+            return ("product", "vapour")
+        case Dissolution():
+            return ()
+        case Splitter():
+            return unit.outlets
+
+
+def measures(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
+    """{measure: its unit in the domain} at the unit's end; attributes name them "unit.measure".
+
+    Beside these stands "process.yield.PRODUCT.KEY", in "1": new crystals of PRODUCT, kmol, per
+    kmol of KEY in all feeds.
+    """
+    match unit:
+        case Reactor():
+            return {f"concentration.{s}": "kmol/m3" for s in species} | {"temperature": "K"}
+        case Crystalliser():
+            sizes = {"d32": "m", "d43": "m"}
+            found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
+            if unit.separate:
+                found |= {"seed_volume": "m3/m3", "nuclei_volume": "m3/m3"}
+            return found | sizes
+        case Filter():
+            found = {"time": "s", "resistance": "m/kg", "liquor": "m3/kg"}
+            return found | {f"impurity.{s}": "1" for s in species}
+        case Dryer():
+            return {"solvent": "1", "temperature": "K"}
+        case Dissolution():
+            return {"dissolved": "1"}
+        case _:
+            return {}
+
+
+def states(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
+    """{state: its unit in the domain} over the unit's time: recorded, measured by a policy, fitted.
+
+    A dryer's "solvent" is kg per kg of crystals; "mu0" to "mu5" are m^k per m3.
+    """
+    match unit:
+        case Reactor():
+            return {f"concentration.{s}": "kmol/m3" for s in species} | {"temperature": "K"}
+        case Crystalliser():
+            found = {"concentration": "kg/m3", "supersaturation": "1", "temperature": "K"}
+            moments = {f"mu{k}": "1/m3" if k == 0 else f"m^{k}/m3" for k in range(6)}
+            return found | {"d43": "m", "d32": "m"} | moments
+        case Dryer():
+            return {"solvent": "1", "temperature": "K"}
+        case _:
+            return {}

@@ -1,0 +1,37 @@
+"""Assumptions, notes, timings, versions and hashes: how to get this report again."""
+
+from ....report.page import Block, Facts, Missing, Section, Table, Text
+from ....report.quantity import number, seconds
+from .run import Run
+
+
+def assumptions(run: Run) -> Section:
+    """What the model takes for granted, what was remarked, and what made the numbers."""
+    blocks: list[Block] = [Text(str(text)) for text in run.get("assumptions", [])]
+    if not blocks:
+        blocks.append(Missing("The assumptions are not in details.json."))
+    blocks += [Text(str(note), caveat=True) for note in run.get("notes", [])]
+    times = run.get("seconds") or {}
+    if times.get("total") is not None:
+        blocks.append(Facts([("Whole study", seconds(times["total"]), "wall clock")]))
+    rows = [(name.capitalize(), seconds(each)) for name, each in times.items() if name != "total"]
+    if rows:
+        blocks.append(Table([("Part", ""), ("Time", "")], rows, folded="Time of every part"))
+    blocks.append(_made_with(run))
+    title = "Assumptions, versions and hashes"
+    return Section("assumptions", title, "Assumptions", blocks)
+
+
+def _made_with(run: Run) -> Table | Missing:
+    rows = [("Seed", number(run.get("seed"), 0))] if run.get("seed") is not None else []
+    numerics = run.get("numerics") or {}
+    if numerics:
+        rows.append(("Integration", f"{numerics['method']}, {numerics['steps']} steps per piece, "
+                     f"tolerance {numerics['tolerance']:g}"))  # fmt: skip
+    versions = run.get("versions") or {}
+    if versions:
+        rows.append(("Versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
+    rows += [(f"SHA-256 of {name}", text) for name, text in (run.get("hashes") or {}).items()]
+    if not rows:
+        return Missing("Seed, versions and hashes are not in this run.")
+    return Table([], rows, "How to get these numbers again", 2)

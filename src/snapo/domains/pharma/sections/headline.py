@@ -1,0 +1,89 @@
+"""The first screen: the chance that a batch keeps all limits, and every attribute's value."""
+
+from ....report.page import Block, Facts, Headline, Mark, Missing, Section, Table
+from ....report.quantity import finite, number, percent, plus_minus, quantity
+from .run import Run, limits
+from .verification import checks
+
+
+def headline(run: Run) -> Section:
+    """Probability of all limits, and the table of attributes at the set point."""
+    title = "Quality at the set point"
+    value, error = finite(run.result.get("value")), finite(run.result.get("standard_error"))
+    blocks: list[Block] = []
+    if value is None:
+        status = run.result.get("status") or "unknown"
+        blocks.append(Missing(f"There is no probability in this run (status: {status})."))
+    else:
+        blocks.append(
+            Headline(
+                label="Probability that a batch keeps all limits",
+                value=percent(value),
+                error=plus_minus(None if error is None else 100 * error, 1),
+                note=_note(run),
+                marks=_marks(run),
+            )
+        )
+    if facts := _facts(run):
+        blocks.append(Facts(facts))
+    blocks.append(_table(run))
+    return Section("headline", title, "", blocks)
+
+
+def _note(run: Run) -> str:
+    who = "of the trained policy" if run.get("closed_loop") else "of the recipe as given"
+    return (
+        f"{who}, over the batch-to-batch variation that the case states; ± one standard error of "
+        "the sample, in percentage points."
+    )
+
+
+def _marks(run: Run) -> list[Mark]:
+    found = checks(run)
+    failed = [name for name, good in found if not good]
+    if failed:
+        return [Mark(False, f"{len(failed)} of {len(found)} checks fail: {', '.join(failed)}")]
+    return [Mark(True, f"all {len(found)} checks hold")] if found else []
+
+
+def _facts(run: Run) -> list[tuple[str, str, str]]:
+    facts = []
+    ranking = run.get("matrix.ranking", [])
+    if ranking and ranking[0].get("attribute"):
+        first = ranking[0]
+        share = percent(first.get("share"), 0)
+        note = f"its normal range uses {share} of the room that {first['attribute']} has"
+        facts.append(("Most critical parameter", first["parameter"], note))
+    box = run.get("design_space.box")
+    if box:
+        facts.append(("Largest box inside", percent(box["volume"], 0), "of the studied range"))
+    joint = finite(run.get("capability.joint"))
+    if joint is not None:
+        batches = number(run.get("capability.batches"), 0)
+        facts.append(("Out of specification", percent(joint), f"of {batches} simulated batches"))
+    return facts
+
+
+def _table(run: Run) -> Table | Missing:
+    values = run.get("run.attributes")
+    if not values:
+        return Missing("No batch was computed, so the attributes have no values.")
+    rows = []
+    for i, each in enumerate(run.attributes):
+        unit = "" if each["unit"] == "1" else each["unit"]
+        holds = run.get("run.holds", [])
+        known = each["low"] is not None or each["high"] is not None
+        room = (run.get("run.distance") or [None] * (i + 1))[i]
+        rows.append(
+            (
+                each["name"],
+                limits(each),
+                each["citation"] or "–",
+                Mark(bool(holds[i]), "holds" if holds[i] else "broken") if known else "–",
+                quantity(values.get(each["name"]), unit),
+                quantity(room, unit) if known else "–",
+            )
+        )
+    head = [("Attribute", ""), ("Limit", ""), ("Where it stands", ""), ("", ""), ("Value", ""),
+            ("Room to the limit", "")]  # fmt: skip
+    return Table(head, rows, "Quality attributes of one batch at the set point", 4)

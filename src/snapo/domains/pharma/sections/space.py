@@ -1,0 +1,172 @@
+"""Design space, proven ranges, capability, and where the spread comes from."""
+
+from typing import Any
+
+import numpy as np
+
+from ....report.drawing import draw
+from ....report.page import Block, Chart, Mark, Missing, Section, Table, Text
+from ....report.quantity import finite, number, percent, quantity
+from . import pictures
+from .run import Run
+
+
+def design_space(run: Run) -> Section:
+    """The probability that all limits hold over the axes, and what breaks them where."""
+    title, short = "Design space", "Design space"
+    found, probability = run.get("design_space"), run.table("design_space.probability")
+    if found is None or probability is None:
+        text = "No design space was mapped: the case has no [design_space], or its part failed."
+        return Section("space", title, short, [Missing(text)])
+    binding = np.asarray(found["binding"])
+    error = np.asarray(found["error"], float)
+    blocks: list[Block] = [_words(found, probability, error)]
+    for place, words in _slices(found, probability):
+        blocks.append(_map(run, found, probability[place], binding[place], words))
+    return Section("space", title, short, blocks, break_before=True)
+
+
+def _slices(found: dict[str, Any], probability: np.ndarray) -> list[tuple[Any, str]]:
+    """A third axis is shown at its ends and in the middle."""
+    if probability.ndim == 2:
+        return [(slice(None), "")]
+    grid = found["grid"][2]
+    chosen = sorted({0, len(grid) // 2, len(grid) - 1})
+    name, unit = found["axes"][2], found["units"][2]
+    return [((slice(None), slice(None), k), f"{name} {quantity(grid[k], unit)}") for k in chosen]
+
+
+def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) -> Text:
+    required, share = found["required"], float((probability >= found["required"]).mean())
+    text = (
+        f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
+        f"{number(required)} or more; {number(found['samples'], 0)} batches per point, the same "
+        f"draws at every point, standard error at most {percent(error.max())}."
+    )
+    if found.get("box") is None:
+        return Text(text + " No box around the set point keeps what is required.")
+    box = found["box"]
+    sides = [
+        f"{name} {number(low)} to {quantity(high, unit)}"
+        for name, unit, low, high in zip(found["axes"], found["units"], box["low"], box["high"])
+    ]
+    return Text(f"{text} The largest box inside: {', '.join(sides)}.")
+
+
+def _map(run: Run, found, probability: np.ndarray, binding: np.ndarray, words: str) -> Chart:
+    names, _ = run.names
+    axes_names = found["axes"][:2]
+
+    def paint(upper, lower):
+        pictures.space(upper, found, probability, axes_names)
+        pictures.binding(lower, found, binding, axes_names, names)
+
+    key = words.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
+    svg = draw(f"space{key}", "Probability that all limits hold, with contours; below, the "
+               "attribute that most often breaks its limits.", paint, 560, (1.2, 1.0))  # fmt: skip
+    at = f" at {words}" if words else ""
+    caption = (
+        f"Above: probability that a batch keeps all limits{at}, deeper is better, with its "
+        "contours. Below: the attribute that most often breaks its limits."
+    )
+    return Chart(svg, caption)
+
+
+def ranges(run: Run) -> Section:
+    """Proven acceptable ranges one at a time, and whether normal operation stays inside."""
+    title, short = "Proven acceptable ranges and edge of failure", "Ranges"
+    rows = run.get("ranges")
+    if not rows:
+        return Section("ranges", title, short, [Missing("Proven ranges were not computed.")])
+    normal = {each["name"]: each["normal"] for each in run.parameters}
+    body = []
+    for each in rows:
+        inside = bool(each["probable"]["holds_normal"])
+        body.append(
+            (
+                f"{each['parameter']}, {each['unit']}",
+                _edges(each["nominal"]),
+                _edges(each["probable"]),
+                Mark(inside, "inside" if inside else "not inside"),
+                " – ".join(number(x) for x in normal.get(each["parameter"], [])),
+                _span(each["nominal"]),
+                _span(each["probable"]),
+            )
+        )
+    required = percent(rows[0]["required"], 0)
+    head = [("Parameter", ""), ("Edge, nominal model", ""), (f"Edge, at {required}", ""),
+            ("Normal range", ""), ("Normal range", ""), ("Nominal model", ""),
+            (f"Probability {required}", "")]  # fmt: skip
+    caption = (
+        "How far one parameter may move with all others at their set point: by the model at its "
+        "nominal numbers, and with the required probability under all variation "
+        f"({number(rows[0]['samples'], 0)} batches per point). An edge names the attribute that "
+        "fails beyond it; “studied range” where none does."
+    )
+    return Section("ranges", title, short, [Table(head, body, caption, 4)])
+
+
+def _span(found: dict[str, Any]) -> str:
+    if found["low"] is None:
+        return "set point fails"
+    return f"{number(found['low'])} – {number(found['high'])}"
+
+
+def _edges(found: dict[str, Any]) -> str:
+    if found["low"] is None:
+        return str(found["low_edge"]) or "set point fails"
+    low, high = (found[key] or "studied range" for key in ("low_edge", "high_edge"))
+    return low if low == high else f"{low} | {high}"
+
+
+def capability(run: Run) -> Section:
+    """Spread, Cpk and out-of-specification rates, and which source causes how much of them."""
+    title, short = "Capability and sources of variation", "Capability"
+    found = run.get("capability")
+    if not found:
+        return Section("capability", title, short, [Missing("Capability was not computed.")])
+    names, _ = run.names
+    linear = run.get("spread.total") or [None] * len(names)
+    rows = [
+        (
+            f"{name}, {run.attributes[q]['unit']}",
+            number(found["mean"][q]),
+            number(found["deviation"][q]),
+            number(linear[q]),
+            number(found["cpk"][q], 2),
+            number(found["sigmas"][q], 2),
+            percent(found["outside"][q], 2),
+            percent(found["error"][q], 2),
+            " – ".join(number(x) for x in (found["quantiles"][q][0], found["quantiles"][q][2])),
+        )
+        for q, name in enumerate(names)
+    ]
+    head = [("Attribute", ""), ("Mean", ""), ("Deviation", ""), ("to first order", ""),
+            ("Cpk", ""), ("Sigmas to the edge", ""), ("Out of limits", ""), ("±", ""),
+            ("1–99 %", "")]  # fmt: skip
+    caption = (
+        f"Over {number(found['batches'], 0)} simulated batches at the set point; together "
+        f"{percent(found['joint'])} ± {percent(found['joint_error'])} break a limit. Cpk takes an "
+        "attribute for normal; the share out of limits is counted. Where the deviation to first "
+        "order is another than the counted one, the process is not linear over its variation."
+    )
+    blocks: list[Block] = [Table(head, rows, caption)]
+    if (finite(found.get("failed")) or 0) > 0:
+        blocks.append(Text(f"{number(found['failed'], 0)} batches gave no finite result."))
+    blocks.append(_sources(run))
+    return Section("capability", title, short, blocks)
+
+
+def _sources(run: Run) -> Table | Missing:
+    parts, total = run.table("spread.part"), run.table("spread.total")
+    if parts is None or total is None:
+        return Missing("Sources of variation were not computed.")
+    names, _ = run.names
+    share = np.divide(parts**2, (parts**2).sum(1, keepdims=True), out=np.zeros_like(parts),
+                      where=parts.any(1, keepdims=True))  # fmt: skip
+    rows = [
+        (source, *(percent(x, 0) if x else "0" for x in share[:, v]))
+        for v, source in enumerate(run.get("spread.sources", []))
+    ]
+    head = [("Source", ""), *((name, "") for name in names)]
+    return Table(head, rows, "Share of each attribute's variance, to first order, source by source")

@@ -1,0 +1,115 @@
+"""Why to believe the numbers: balances, convergence in time, adjoint against differences."""
+
+from ....report.page import Block, Mark, Missing, Section, Table, Text
+from ....report.quantity import finite, number, power
+from .run import Run
+
+CLOSED, AGREED = 1e-10, 1e-10
+
+
+def checks(run: Run) -> list[tuple[str, bool]]:
+    """(what was checked, whether it held)."""
+    found = []
+    balances = run.get("balances")
+    if balances:
+        found.append(("balances", all(_closed(each) for each in balances)))
+    if run.get("convergence") is not None:
+        found.append(("convergence in time", bool(run.get("convergence.passed"))))
+    if run.get("certificate"):
+        good = all(each.get("passed") for each in run.get("certificate"))
+        found.append(("adjoint against differences", good))
+    closure = finite(run.get("attribution.closure"))
+    if closure is not None:
+        found.append(("paths add up", closure <= AGREED))
+    return found
+
+
+def _closed(each: dict) -> bool:
+    return abs(finite(each.get("relative")) or 0.0) <= CLOSED or each.get("quantity") == "energy"
+
+
+def verification(run: Run) -> Section:
+    """Every check that this very run was put to."""
+    blocks: list[Block] = [_balances(run), *_convergence(run), _certificate(run)]
+    closure = finite(run.get("attribution.closure"))
+    if closure is not None:
+        blocks.append(
+            Text(
+                "Sensitivities put together from the units' own derivatives along every path agree "
+                f"with those of the whole to {power(closure)} of the largest in their row."
+            )
+        )
+    return Section("verification", "Verification", "Verification", blocks, break_before=True)
+
+
+def _balances(run: Run) -> Table | Missing:
+    rows = run.get("balances")
+    if not rows:
+        return Missing("The balances of this run were not computed.")
+    body = [
+        (
+            each["unit"],
+            each["quantity"],
+            Mark(_closed(each), "closes" if _closed(each) else "open"),
+            number(each["inflow"]),
+            number(each["outflow"]),
+            number(each["accumulation"]),
+            power(abs(each["relative"])),
+        )
+        for each in rows
+    ]
+    head = [("Unit", ""), ("Balance of", ""), ("", ""), ("In", ""), ("Out", ""), ("Stays", ""),
+            ("Relative gap", "")]  # fmt: skip
+    caption = "Balances of one batch: mass and solvent in kg, species in kmol, energy in J"
+    return Table(head, body, caption, 3)
+
+
+def _convergence(run: Run) -> list[Block]:
+    rows = run.get("convergence.rows")
+    if not rows:
+        return [Missing("Convergence in time was not examined in this run.")]
+    worst = max(rows, key=lambda row: abs(row["halving_gap"] or 0.0))
+    other = max(rows, key=lambda row: abs(row["adaptive_gap"] or 0.0))
+    body = [
+        (
+            row["attribute"],
+            row["parameter"],
+            number(row["mesh"]),
+            number(row["finer"]),
+            number(row["adaptive"]),
+            power(row["halving_gap"]),
+            power(row["adaptive_gap"]),
+        )
+        for row in rows
+    ]
+    head = [("Attribute", ""), ("By", ""), ("Mesh", ""), ("Half the mesh", ""),
+            ("Error-controlled", ""), ("Halving gap", ""), ("Adaptive gap", "")]  # fmt: skip
+    text = (
+        f"On half the mesh no value or derivative moves by more than {power(worst['halving_gap'])} "
+        "(values relative to themselves, derivatives to the largest in their row); the "
+        f"error-controlled solution differs by at most {power(other['adaptive_gap'])}."
+    )
+    table = Table(head, body, "Values and derivatives in three ways", 2, folded="Every number")
+    return [Text(text), table]
+
+
+def _certificate(run: Run) -> Table | Missing:
+    rows = run.get("certificate")
+    if not rows:
+        return Missing("The adjoint was not checked against differences in this run.")
+    body = [
+        (
+            each["point"],
+            Mark(bool(each["passed"]), "agrees" if each["passed"] else "differs"),
+            f"{each['attribute']} by {each['parameter']}",
+            number(each["kinks"], 0),
+            power(each["worst"]),
+        )
+        for each in rows
+    ]
+    head = [("Point", ""), ("", ""), ("Worst entry", ""), ("Kinks", ""), ("Gap", "")]
+    caption = (
+        "Adjoint against fourth-order central differences, every attribute by every parameter; "
+        "gap over the largest of the row; at a kink both one-sided derivatives differ"
+    )
+    return Table(head, body, caption, 3)

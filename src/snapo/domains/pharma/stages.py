@@ -1,0 +1,324 @@
+"""One batch of the process as stages of decisions: each timed unit, and the rest at the end.
+
+A stage's state holds what the batch is: its drawn numbers, the streams made so far, the last
+value of every control and the last reading of every sensor.
+"""
+
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...simulator import Box, Schedule, Simulator
+from .dynamics import Dynamics
+from .flow import sources, yields
+from .inputs import every_given
+from .integrate import runge_kutta
+from .mixing import feed
+from .ports import outlets
+from .profile import values_at
+from .records import Distribution, Manipulated, PharmaCase
+from .records_units import Crystalliser, Reactor
+from .stream import Stream, clear, flat, unflat
+from .units import dynamics, operate
+
+PLAIN_STEPS = 16  # of a crystalliser on which nothing is decided
+
+State = dict[str, Any]
+
+
+def timed_units(case: PharmaCase) -> tuple[Reactor | Crystalliser, ...]:
+    """The units that are integrated over time, in order."""
+    return tuple(each for each in case.units if isinstance(each, Reactor | Crystalliser))
+
+
+def decided(case: PharmaCase, unit: Reactor | Crystalliser | None) -> tuple[int, ...]:
+    """Numbers of the `Manipulated` that belong to a timed unit, or (None) to all the others."""
+    names = {each.name for each in timed_units(case)}
+
+    def owner(item: Manipulated) -> str | None:
+        name = item.input.partition(".")[0]
+        return name if name in names else None
+
+    assert case.control is not None
+    wanted = None if unit is None else unit.name
+    return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == wanted)
+
+
+def drawn(distribution: Distribution, centre, z) -> Array:
+    """The value that a standard normal stands for; formulas in `Distribution`."""
+    if distribution.kind == "normal":
+        return centre + distribution.spread * z
+    if distribution.kind == "lognormal":
+        return centre * jnp.exp(distribution.spread * z - distribution.spread**2 / 2)
+    return centre + distribution.spread * (2 * jax.scipy.special.ndtr(z) - 1)
+
+
+class Stage(Simulator):
+    """What all stages share. `unit` is None in the last one, which runs all that has no time."""
+
+    case: PharmaCase = eqx.field(static=True)
+    unit: Reactor | Crystalliser | None = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    before: int = eqx.field(static=True)
+    total: int = eqx.field(static=True)
+
+    @property
+    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Box(max(1, len(decided(self.case, self.unit))), 0.0, 1.0)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.case.uncertainty.inputs) + len(self.control.measurements)
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.noise_size
+
+    @property
+    def control(self):
+        assert self.case.control is not None
+        return self.case.control
+
+    def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        uncertain = self.case.uncertainty
+        size = len(uncertain.inputs)
+        correlated = np.linalg.cholesky(uncertain.correlation) if size else np.zeros((0, 0))
+        number = np.arange(self.horizon)
+        steps = {"clock": (self.before + number) / self.total, "share": number / self.horizon}
+        constants = {name: jnp.asarray(each) for name, each in inputs.items()}
+        return Schedule({"inputs": constants, "correlated": jnp.asarray(correlated)}, steps)
+
+    def draw(self, constants, noise) -> Float[Array, " U"]:
+        """Values of the uncertain numbers."""
+        uncertain, inputs = self.case.uncertainty, constants["inputs"]
+        z = constants["correlated"] @ noise[: len(uncertain.inputs)]
+        found = [
+            drawn(each, inputs[name][entry], z[i])
+            for i, (each, name, entry) in enumerate(
+                zip(uncertain.distributions, uncertain.inputs, uncertain.entries)
+            )
+        ]
+        return jnp.stack(found) if found else jnp.zeros(0)
+
+    def inputs_of(self, constants, draws) -> dict[str, Array]:
+        """The inputs of this batch."""
+        found, uncertain = dict(constants["inputs"]), self.case.uncertainty
+        for i, (name, entry) in enumerate(zip(uncertain.inputs, uncertain.entries)):
+            found[name] = found[name].at[entry].set(draws[i])
+        return found
+
+    def initial(self, constants, noise) -> State:
+        case, size = self.case, len(self.case.uncertainty.inputs)
+        draws = self.draw(constants, noise)
+        firsts = [
+            constants["inputs"].get(each.input, _values(case, each.input))[0]
+            for each in self.control.manipulated
+        ]
+        state = {
+            "y": jnp.zeros(0),
+            "streams": {},
+            "measures": {},
+            "draws": draws,
+            "control": jnp.stack(firsts) if firsts else jnp.zeros(0),
+            "seen": jnp.zeros(len(self.control.measurements)),
+            "error": noise[size:],
+            "worst": jnp.zeros(()),
+        }
+        return self.enter(constants, state)
+
+    def enter(self, constants, state: State) -> State:
+        """The state with which this stage begins."""
+        if self.unit is None:
+            return state | {"y": jnp.zeros(0)}
+        problem = self.problem(self.inputs_of(constants, state["draws"]), state["streams"])
+        y = problem.start
+        controls = [
+            state["control"][i] if (i := self._manipulated(profile.value.name)) >= 0 else value[0]
+            for profile, value in problem.controls
+        ]
+        return state | {"y": y, "seen": self.read(problem, y, controls, state)}
+
+    def leave(self, constants, state: State) -> State:
+        """The state with the streams and measures of this stage's unit."""
+        assert self.unit is not None
+        inputs = self.inputs_of(constants, state["draws"])
+        problem = self.problem(inputs, state["streams"])
+        ends = []
+        for profile, value in problem.controls:
+            i = self._manipulated(profile.value.name)
+            ends.append(state["control"][i] if i >= 0 else value[-1])
+        finish, name = problem.finish(state["y"], *ends), self.unit.name
+        streams = {
+            f"{name}.{port}": flat(stream)
+            for port, stream in zip(outlets(self.unit), finish.outlets)
+        }
+        wanted = {each.measure for each in self.case.attributes}
+        measures = {f"{name}.{each}": value for each, value in finish.measures.items()}
+        kept = {each: value for each, value in measures.items() if each in wanted}
+        return state | {
+            "streams": state["streams"] | streams,
+            "measures": state["measures"] | kept,
+        }
+
+    def streams(self, inputs, made: dict[str, Array]) -> tuple[dict[str, Stream], dict]:
+        """All streams and measures that follow from the feeds and the vectors `made` so far."""
+        case, fed = self.case, sources(self.case)
+        found = {each.name: feed(each, inputs) for each in case.feeds}
+        species = jnp.zeros(len(case.network.species))
+        like = clear(species, *(jnp.zeros(()) for _ in range(3)))
+        found |= {name: unflat(vector, like) for name, vector in made.items()}
+        measures = {}
+        for unit in case.units:
+            ready = all(name in found for name in fed[unit.name])
+            if isinstance(unit, Reactor | Crystalliser) or not ready:
+                continue
+            given = tuple(found[name] for name in fed[unit.name])
+            finish = operate(unit, case.network, case.numerics, given, inputs).finish
+            measures |= {f"{unit.name}.{name}": each for name, each in finish.measures.items()}
+            for port, stream in zip(outlets(unit), finish.outlets):
+                found[f"{unit.name}.{port}"] = stream
+        return found, measures
+
+    def problem(self, inputs, made) -> Dynamics:
+        """This stage's unit as an initial value problem."""
+        assert self.unit is not None
+        streams, _ = self.streams(inputs, made)
+        inlets = tuple(streams[name] for name in sources(self.case)[self.unit.name])
+        return dynamics(self.unit, self.case.network, inlets, inputs)
+
+    def read(self, problem: Dynamics, y, controls, state: State) -> Float[Array, " M"]:
+        """What the sensors say: this unit's anew, with their errors, of order one."""
+        assert self.unit is not None
+        states, seen = problem.states(y, *controls), []
+        for i, sensor in enumerate(self.control.measurements):
+            unit, _, name = sensor.state.partition(".")
+            if unit == self.unit.name:
+                measured = states[name] + sensor.error * state["error"][i]
+                seen.append((measured - sensor.centre) / sensor.width)
+            else:
+                seen.append(state["seen"][i])
+        return jnp.stack(seen) if seen else jnp.zeros(0)
+
+    def observe(self, constants, now, state: State) -> Float[Array, " features"]:
+        low = np.array([each.low for each in self.control.manipulated])
+        high = np.array([each.high for each in self.control.manipulated])
+        control = (state["control"] - low) / (high - low)
+        clock = jnp.stack([now["clock"], now["share"]])
+        return jnp.concatenate([clock, state["seen"], control])
+
+    def renewed(self, constants, state: State, noise) -> State:
+        """The state with this step's disturbances and sensor errors."""
+        size = len(self.case.uncertainty.inputs)
+        state = state | {"error": noise[size:]}
+        again = np.array([each == "step" for each in self.case.uncertainty.when], bool)
+        if not again.any():
+            return state
+        draws = jnp.where(again, self.draw(constants, noise), state["draws"])
+        return state | {"draws": draws}
+
+    def wanted(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
+        """The controls after this decision, in their units and within their ramps."""
+        control = state["control"]
+        for place, i in enumerate(decided(self.case, self.unit)):
+            item = self.control.manipulated[i]
+            value = item.low + action[place] * (item.high - item.low)
+            if item.ramp is not None and self.unit is not None:
+                most = item.ramp * seconds
+                value = smooth.clip(value, control[i] - most, control[i] + most, scale=most)
+            control = control.at[i].set(value)
+        return control
+
+    def step(self, constants, now, state: State, action, noise, smooth):
+        state = self.renewed(constants, state, noise)
+        inputs = self.inputs_of(constants, state["draws"])
+        if self.unit is None:
+            return self._finish(inputs, state, action, smooth)
+        problem = self.problem(inputs, state["streams"])
+        seconds = problem.duration / self.horizon
+        control = self.wanted(state, action, smooth, seconds)
+        count = self.control.substeps
+        start = np.arange(count) / count
+        part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
+        courses, ends = [], []
+        for profile, value in problem.controls:
+            i = self._manipulated(profile.value.name)
+            if i >= 0:
+                first = state["control"][i]
+                course = first + (control[i] - first) * part
+                course = course + self._disturbance(constants, state, i)
+            else:
+                course = values_at(profile, value, now["share"] + part / self.horizon)
+            courses.append(course)
+            ends.append(course[-1, 2])
+        y, worst = self._advance(problem, state, courses, seconds / count, smooth)
+        after = state | {"y": y, "control": control, "worst": worst}
+        return after | {"seen": self.read(problem, y, ends, after)}, {}
+
+    def _advance(self, problem: Dynamics, state: State, courses, step, smooth):
+        """y after the substeps, and the largest supersaturation on the way."""
+        drive = problem.drive(*courses)
+        margin = self.control.solubility_margin
+        watch = margin is not None and isinstance(self.unit, Crystalliser)
+
+        def advance(carry, now):
+            y, worst = carry
+            y = runge_kutta(problem.rate, y, step, now[0])
+            if watch:
+                level = problem.states(y, *now[1])["supersaturation"]
+                worst = smooth.maximum(worst, level, scale=margin)
+            return (y, worst), None
+
+        ends = [course[:, 2] for course in courses]
+        first = state["y"], state["worst"]
+        return jax.lax.scan(advance, first, (drive, ends))[0]
+
+    def _disturbance(self, constants, state: State, i: int):
+        """How far a decided control is off in this step, in its unit."""
+        name, off = self.control.manipulated[i].input, 0.0
+        for u, (each, entry) in enumerate(
+            zip(self.case.uncertainty.inputs, self.case.uncertainty.entries)
+        ):
+            if each == name:
+                off = off + state["draws"][u] - constants["inputs"][name][entry]
+        return off
+
+    def _finish(self, inputs, state: State, action, smooth):
+        """The last step: what is decided there, the other units, and every attribute."""
+        control = self.wanted(state, action, smooth, None)
+        for i in decided(self.case, None):
+            name = self.control.manipulated[i].input
+            shape = inputs.get(name, _values(self.case, name)).shape
+            inputs[name] = jnp.broadcast_to(control[i], shape)
+        streams, measures = self.streams(inputs, state["streams"])
+        measures |= state["measures"] | yields(self.case, streams)
+        outputs, success, violation = {}, jnp.ones(()), jnp.zeros(())
+        gaps = []
+        for each in self.case.attributes:
+            value = each.scale * measures[each.measure]
+            outputs[f"attribute.{each.name}"] = value
+            if each.low is not None:
+                gaps.append((value - each.low, each.margin))
+            if each.high is not None:
+                gaps.append((each.high - value, each.margin))
+        margin = self.control.solubility_margin
+        if margin is not None:
+            gaps.append((margin - state["worst"], margin / 10))
+        for gap, width in gaps:
+            success = success * smooth.indicator(gap, scale=width)
+            violation = violation + smooth.positive_part(-gap, scale=width) / width
+        outputs |= {"success": success, "violation": violation}
+        return state | {"control": control}, outputs
+
+    def _manipulated(self, name: str) -> int:
+        """The number of the `Manipulated` with this input, -1 if nobody decides it."""
+        names = [each.input for each in self.control.manipulated]
+        return names.index(name) if name in names else -1
+
+
+def _values(case: PharmaCase, name: str) -> np.ndarray:
+    """The numbers of a `Given` that is held fixed."""
+    return next(g.values for g in every_given(case.units) if g.name == name)
