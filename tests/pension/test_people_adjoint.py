@@ -90,7 +90,10 @@ def slopes(value, inputs):
     return unravel((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * steps))
 
 
-@pytest.mark.parametrize("name", CASES)
+SLOW = pytest.param("open", marks=pytest.mark.slow)
+
+
+@pytest.mark.parametrize("name", [*(name for name in CASES if name != "open"), SLOW])
 def test_every_number_of_members_and_mortality(name):
     case = people_case(3, **CASES[name])
     with jax.enable_x64(True):
