@@ -53,6 +53,18 @@ class Bump(NamedTuple):
     def passed(self) -> bool:
         return self.error <= self.allowed
 
+    def row(self) -> dict[str, Any]:
+        """The bump as a row of a table."""
+        return {
+            "family": self.input,
+            "inputs": self.direction,
+            "worst_error": self.error,
+            "allowed": self.allowed,
+            "passed": self.passed,
+            "kink": self.kink,
+            "crossing": self.crossing,
+        }
+
 
 class Feasibility(NamedTuple):
     """The smallest slack of one limit over all paths and steps, and where it was."""
@@ -61,6 +73,10 @@ class Feasibility(NamedTuple):
     worst: float
     path: int
     step: int
+
+    def row(self, round_off: float) -> dict[str, Any]:
+        """The limit as a row of a table; kept, where it is violated by no more than round-off."""
+        return self._asdict() | {"passed": self.worst > -round_off}
 
 
 def nudged(inputs: PyTree, zeros: Mapping[str, float] | None = None, seed: int = 0) -> PyTree:

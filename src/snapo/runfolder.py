@@ -1,10 +1,11 @@
 """A run that leaves everything in a folder, survives being stopped, and goes on where it was."""
 
 import hashlib
+import json
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,10 +22,11 @@ from .objective import Objective
 from .policy import MLP, Policy
 from .scenarios import Scenarios, Supplied
 from .simulator import Schedule, Simulator, probe
-from .solution import HISTORY, Solution, versions, write_csv
+from .solution import HISTORY, RESULT, Solution, versions, write_csv, write_text
 from .train import Progress, Record, Training, begin
 
 CHECKPOINT = "checkpoint.npz"
+DETAILS, PROFILE = "details.json", "profile.csv"
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 Tell = Callable[[str], None]
@@ -131,6 +133,51 @@ def _report(state: Progress, training: Training, tell: Tell) -> None:
             f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
             f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
         )
+
+
+class Pages(NamedTuple):
+    """What a domain adds to a run folder.
+
+    - `details`: the figures of the report, as plain data or NumPy.
+    - `profile`: header and rows of `profile.csv`, from the details.
+    - `report`: writes `report.html` from the files in a folder.
+    """
+
+    details: Callable[[], dict[str, Any]]
+    profile: Callable[[dict[str, Any]], tuple[Iterable[str], Iterable[Iterable]]]
+    report: Callable[[Path], Path]
+
+
+def write_run(
+    out: Path,
+    kind: str,
+    solution: Solution,
+    references: Mapping[str, float | None],
+    troubles: list[str],
+    pages: Pages,
+    tell: Tell,
+) -> dict[str, Any]:
+    """The files of a finished run, and what `result.json` says.
+
+    What cannot be written, now or during training (`troubles`), becomes a status.
+    """
+    found = solution.summary()
+    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
+    result = {"kind": kind} | {key: found.pop(key) for key in head} | {"references": references}
+    status = "not written" if troubles else solution.status
+    result |= found | {"status": status, "run": str(out)}
+    try:
+        solution.save(out)
+        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
+        tell("measuring what the report shows")
+        details = pages.details()
+        write_text(out / DETAILS, json.dumps(plain_json(details)))
+        write_csv(out / PROFILE, *pages.profile(details))
+        pages.report(out)
+    except OSError as error:
+        tell(f"could not write: {error.filename or out}: {error.strerror}")
+        result["status"] = "not written"
+    return result
 
 
 def copy_case(file: Path, out: Path) -> None:

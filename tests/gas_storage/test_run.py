@@ -285,7 +285,7 @@ def test_results_that_cannot_be_written_are_a_status(
     whole, case, folder, tmp_path, monkeypatch, capsys
 ):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
-    monkeypatch.setattr(run, "write_text", full_disk)
+    monkeypatch.setattr(runfolder, "write_text", full_disk)
     monkeypatch.setattr(commands, "_read", lambda path: case)
     given = ["--out", str(out), "--resume", "--seed", "3", "--engine", "native", "--json"]
     assert main(["solve", str(folder), *given]) == 1

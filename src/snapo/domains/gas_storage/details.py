@@ -291,19 +291,8 @@ def _certificate(problem: "Problem", solution: Solution, source: Scenarios) -> d
     )
     slack = 1e-6 * float(problem.schedule.constants.rate_scale)
     return {
-        "bump_check": [
-            {
-                "family": bump.input,
-                "inputs": bump.direction,
-                "worst_error": bump.error,
-                "allowed": bump.allowed,
-                "passed": bump.passed,
-                "kink": bump.kink,
-                "crossing": bump.crossing,
-            }
-            for bump in bumps
-        ],
-        "feasibility": [entry._asdict() | {"passed": entry.worst > -slack} for entry in limits],
+        "bump_check": [bump.row() for bump in bumps],
+        "feasibility": [limit.row(slack) for limit in limits],
         "smoothing_gap": solution.smoothing_gap,
         "policy_gradient_norm": solution.policy_gradient_norm,
         "homogeneity": homogeneity(problem, solution),

@@ -16,11 +16,11 @@ from ...inputs import Input
 from ...objective import Mean
 from ...objective import Objective as CoreObjective
 from ...objective_table import make_objective
-from ...runfolder import Task, check_folder, copy_case, plain_json, solve_into
+from ...runfolder import DETAILS, Pages, Task, check_folder, copy_case, solve_into, write_run
 from ...scenarios import Pseudo, Scenarios, Supplied
 from ...sensitivity import sensitivities
 from ...simulator import Schedule, probe
-from ...solution import RESULT, Solution, write_csv, write_text
+from ...solution import RESULT, Solution, write_text
 from ...train import EVALUATE_STREAM, Training
 from . import references
 from .details import details, profile_rows
@@ -32,7 +32,6 @@ from .records import StorageCase, SuppliedModel
 from .report import write_report
 from .simulator import StorageSimulator
 
-DETAILS, PROFILE = "details.json", "profile.csv"
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
 
@@ -179,7 +178,7 @@ def supplied(paths: np.ndarray, simulator: StorageSimulator) -> Supplied:
 def _write(
     problem: Problem, solution: Solution, out: Path, reference: bool, troubles: list[str], progress
 ) -> dict[str, Any]:
-    """The run folder's files; what cannot be written becomes a status."""
+    """Finds the references, and writes the run folder."""
     plan = references.intrinsic(problem.schedule, problem.interpolation)
     known: dict[str, float | None] = {"intrinsic": plan.value, "dynamic_programming": None}
     if reference and not isinstance(problem.case.model, SuppliedModel):
@@ -187,22 +186,8 @@ def _write(
         known["dynamic_programming"] = references.lattice(
             problem.schedule, problem.interpolation
         ).value
-    status = solution.status if not troubles else "not written"
-    found = solution.summary()
-    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
-    result = {"kind": problem.case.kind} | {key: found.pop(key) for key in head}
-    result |= {"references": known} | found | {"status": status, "run": str(out)}
-    try:
-        solution.save(out)
-        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
-        found = details(problem, solution, plan, known)
-        write_text(out / DETAILS, json.dumps(plain_json(found)))
-        write_csv(out / PROFILE, *profile_rows(found))
-        write_report(out)
-    except OSError as error:
-        progress(f"could not write: {error.filename or out}: {error.strerror}")
-        result["status"] = "not written"
-    return result
+    pages = Pages(lambda: details(problem, solution, plan, known), profile_rows, write_report)
+    return write_run(out, problem.case.kind, solution, known, troubles, pages, progress)
 
 
 def _write_expired(case: StorageCase, out: Path, seed: int) -> dict[str, Any]:

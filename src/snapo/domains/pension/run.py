@@ -1,6 +1,5 @@
 """A pension case from the file to the run folder: what `snapo solve` does."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +16,10 @@ from ...inputs import Input, plain
 from ...objective import Objective, Weighted
 from ...objective_table import make_objective
 from ...policy import Policy
-from ...runfolder import Task, check_folder, copy_case, plain_json, solve_into
+from ...runfolder import Pages, Task, check_folder, copy_case, solve_into, write_run
 from ...scenarios import Scenarios, Supplied
 from ...simulator import Schedule
-from ...solution import RESULT, Solution, write_csv, write_text
+from ...solution import Solution
 from ...train import Training
 from .compare import compare
 from .details import details, profile_rows
@@ -31,8 +30,6 @@ from .reconcile import check as reconcile
 from .records import PensionCase
 from .report import write_report
 from .simulator import PensionSimulator
-
-DETAILS, PROFILE = "details.json", "profile.csv"
 
 
 class Problem(NamedTuple):
@@ -170,24 +167,13 @@ def _write(
     troubles: list[str],
     progress: Callable[[str], None],
 ) -> dict[str, Any]:
-    """The run folder's files; what cannot be written becomes a status."""
+    """Compares with the classical policies, and writes the run folder."""
     source = evaluation_source(problem)
     rivals = compare(problem, solution, source, reference, progress)
     references = {each["key"]: each["value"] for each in rivals if each["key"] != "learned"}
-    status = solution.status if not troubles else "not written"
-    found = solution.summary()
-    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
-    result = {"kind": problem.case.kind} | {key: found.pop(key) for key in head}
-    result |= {"references": references} | found | {"status": status, "run": str(out)}
-    try:
-        solution.save(out)
-        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
-        progress("measuring what the report shows")
-        found = details(problem, solution, source, rivals, lines)
-        write_text(out / DETAILS, json.dumps(plain_json(found)))
-        write_csv(out / PROFILE, *profile_rows(found))
-        write_report(out)
-    except OSError as error:
-        progress(f"could not write: {error.filename or out}: {error.strerror}")
-        result["status"] = "not written"
-    return result
+    pages = Pages(
+        lambda: details(problem, solution, source, rivals, lines, progress),
+        profile_rows,
+        write_report,
+    )
+    return write_run(out, problem.case.kind, solution, references, troubles, pages, progress)

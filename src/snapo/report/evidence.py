@@ -1,0 +1,158 @@
+"""What every run with a trained policy shows as evidence: its training, its checks, its making."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from . import charts
+from .drawing import draw
+from .folder import Folder
+from .page import Chart, Facts, Mark, Missing, Section, Table
+from .quantity import finite, number, percent, power, seconds
+
+HISTORY = (
+    ("objective", "Smooth objective, training paths", "other", 0.8),
+    ("exact", "Exact value, validation paths", "withdraw", 1.6),
+    ("best", "Best so far", "main", 1.6),
+)
+BELOW = (
+    ("gradient_norm", "Gradient norm", "inject", "-"),
+    ("temperature", "Temperature", "limit", "--"),
+)
+CHECKED = (("certificate.bump_check", "family"), ("certificate.feasibility", "limit"))
+
+
+def history(run: Folder, unit: str) -> Section:
+    """The objective, in its `unit`, and the gradient norm over the steps of training."""
+    title, short = "Training history", "Training"
+    steps = run.column("history", "step")
+    lines = [
+        charts.Line(label, values, colour, width=width, step=name == "best")
+        for name, label, colour, width in HISTORY
+        if (values := run.column("history", name)) is not None
+    ]
+    if steps is None or not lines:
+        return Section("history", title, short, [Missing("This run has no history.csv.")])
+    below = [
+        charts.Line(label, np.where(values > 0, values, np.nan), colour, style)
+        for name, label, colour, style in BELOW
+        if (values := run.column("history", name)) is not None and (values > 0).any()
+    ]
+
+    def paint(upper, lower=None):
+        charts.trace(upper, steps, lines, unit)
+        if lower is not None:
+            charts.trace(lower, steps, below, "log scale", log=True)
+        (lower or upper).set_xlabel("Training step")
+
+    rows = (2.0, 1.0) if below else (1.0,)
+    last = number(lines[-1].values[np.isfinite(lines[-1].values)][-1])
+    alt = f"Training over {number(steps[-1], 0)} steps; {lines[-1].label.lower()} ends at {last}"
+    svg = draw("training", f"{alt} {unit}.", paint, 330 if below else 230, rows)
+    bad = run.column("history", "bad_paths")
+    count = 0 if bad is None else float(np.nansum(bad))
+    caption = (
+        "The policy kept is the one with the best exact value on the validation paths, not the"
+        f" last. Paths masked because a number was not finite: {number(count, 0)}."
+    )
+    return Section("history", title, short, [Chart(svg, caption)])
+
+
+def checks(run: Folder) -> list[tuple[str, bool]]:
+    """(what was checked, whether it held) for every check of the certificate with a verdict."""
+    return [
+        (str(each.get(key, "")).replace("_", " "), bool(each["passed"]))
+        for path, key in CHECKED
+        for each in run.get(path, [])
+        if each.get("passed") is not None
+    ]
+
+
+def bump_table(run: Folder, unit: str, name_of: Callable[[str], str]) -> Table | Missing:
+    """The adjoint against differences, one row per family of inputs; errors in `unit`."""
+    rows = run.get("certificate.bump_check", [])
+    if not rows:
+        return Missing("The adjoint was not checked against central differences in this run.")
+    body = [
+        (
+            name_of(str(each.get("family", ""))),
+            _direction(each.get("inputs")),
+            verdict(each.get("passed"), "holds", "fails"),
+            power(each.get("worst_error")),
+            power(each.get("allowed")),
+            percent(crossing) if (crossing := finite(each.get("crossing"))) else "",
+        )
+        for each in rows
+    ]
+    head = [
+        ("Family of inputs", ""),
+        ("Bumped", ""),
+        ("", ""),
+        ("Worst error", unit),
+        ("Allowed", unit),
+        ("At a kink", "of paths"),
+    ]
+    caption = "Adjoint against central differences, per unit of the input, on the same paths"
+    held = sum(bool(each.get("passed")) for each in rows)
+    folded = f"Adjoint against bumps: {held} of {len(rows)} hold"
+    return Table(head, body, caption, 3, folded=folded)
+
+
+def limit_table(run: Folder, unit: str, step: str, when: Callable[[Any], str]) -> Table | Missing:
+    """The smallest slack of every limit, in `unit`; `step` names a step and `when` words one."""
+    rows = run.get("certificate.feasibility", [])
+    if not rows:
+        return Missing("The exact simulator's limits were not checked in this run.")
+    body = [
+        (
+            str(each.get("limit", "")).replace("_", " ").capitalize(),
+            verdict(each.get("passed"), "holds", "violated"),
+            power(each.get("worst")),
+            number(each.get("path"), 0),
+            when(each.get("step")),
+        )
+        for each in rows
+    ]
+    head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
+    caption = f"Limits over all paths and {step.lower()}s, exact simulator (slack: room to a limit)"
+    return Table(head, body, caption, 2)
+
+
+def verdict(passed: Any, good: str, bad: str) -> Mark | str:
+    """A mark with its word; a check that was not made says so."""
+    return "not tried" if passed is None else Mark(bool(passed), good if passed else bad)
+
+
+def times(run: Folder) -> list[Facts]:
+    """What the run took, part by part."""
+    known = run.get("seconds") or run.result.get("seconds") or {}
+    facts = [
+        (name.capitalize(), seconds(each), "wall clock")
+        for name, each in known.items()
+        if finite(each) is not None
+    ]
+    return [Facts(facts)] if facts else []
+
+
+def made_with(run: Folder) -> Table | Missing:
+    """Engine, paths, seed and versions."""
+    engine = run.get("engine") or run.result.get("engine")
+    name = engine.get("name") if isinstance(engine, dict) else engine
+    reason = engine.get("reason") if isinstance(engine, dict) else None
+    paths = run.get("paths") or run.result.get("paths") or {}
+    seed = run.get("seed", run.result.get("seed"))
+    rows = [("Engine", f"{name}: {reason}" if reason else name)] if name else []
+    rows += [(f"Paths to {key}", number(each, 0)) for key, each in paths.items()]
+    rows += [] if seed is None else [("Seed", str(seed))]
+    versions = [f"{key} {each}" for key, each in run.get("versions", {}).items()]
+    rows += [("Versions", ", ".join(versions))] if versions else []
+    if not rows:
+        return Missing("Engine, seed and versions are not in this run.")
+    return Table([], rows, "How to get these numbers again", 2)
+
+
+def _direction(inputs: Any) -> str:
+    """What was bumped: a direction in words, or how many inputs."""
+    known = finite(inputs)
+    return str(inputs or "") if known is None else number(known, 0)
