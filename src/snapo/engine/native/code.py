@@ -4,6 +4,7 @@
 operands broadcasts, as in NumPy.
 """
 
+import platform
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -296,6 +297,11 @@ class Module:
         self.declared: dict[str, None] = {}
         self.instances: dict[str, None] = {}
         self.tables: list[str] = []
+
+    @property
+    def few(self) -> bool:
+        """Whether the processor has 16 vector registers only: x86 before AVX-512."""
+        return self.register < 64 and platform.machine().lower() in ("x86_64", "amd64")
 
     def declare(self, text: str) -> None:
         self.declared[text] = None

@@ -10,7 +10,7 @@ from .program import Op, Value
 from .storage import Place
 
 WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
-ACCUMULATORS = 16  # vector registers that hold a tile's sums
+ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
 
 
 def dot(body, op: Op) -> None:
@@ -75,7 +75,8 @@ def tiled(code: Code, left, right, target: Place, sizes) -> None:
         target.base, target.offset, (batch, rows, columns), order, target.dtype, target.lanes
     )
     registers = max(1, code.lanes * target.dtype.itemsize // code.module.register)
-    tile = tile_rows(rows, max(2, ACCUMULATORS // registers))
+    sums = FEW if code.module.few else ACCUMULATORS
+    tile = tile_rows(rows, max(2, sums // registers))
     whole, rest = divmod(rows, tile)
 
     def block(first, height: int) -> None:

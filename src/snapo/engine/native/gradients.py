@@ -200,7 +200,7 @@ def product_function(module, rows: int, columns: int, dtype: str) -> str:
     module.instances[name] = None
     width = min(module.lanes, module.register // np.dtype(dtype).itemsize)
     code = Code(module.lanes, module)
-    tile = (4, 4) if module.register == 64 else (4, 2)
+    tile = (4, 3) if module.few else (4, 4)
 
     def tall(i: str, height: int) -> None:
         def block(j: str, breadth: int) -> None:
