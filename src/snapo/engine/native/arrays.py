@@ -177,6 +177,19 @@ def _cropped(body, op: Op, x: Value, config):
     return part, [(max(0, int(low)), max(0, int(high)), gap) for low, high, gap in config]
 
 
+def _tile(body, op: Op) -> None:
+    """An array side by side with itself."""
+    (x,), out, reps = op.inputs, op.outputs[0], op.params["reps"]
+    if out.size <= BIG:
+        body.set(out, np.tile(body.small(x), reps))
+        return
+    target = body.target(out)
+    for corner in np.ndindex(*reps):
+        starts = [(i * n, 1) for i, n in zip(corner, x.shape)]
+        body.copy(x, sliced(target, starts, x.shape))
+    body.where[out] = target
+
+
 def _split(body, op: Op) -> None:
     axis, start = op.params["axis"], 0
     known = body.get(op.inputs[0])
@@ -322,6 +335,7 @@ RULES = {
     "concatenate": _concatenate,
     "stack": _stack,
     "pad": _pad,
+    "tile": _tile,
     "split": _split,
     "unstack": _unstack,
     **dict.fromkeys(REDUCERS, _reduce),

@@ -12,6 +12,8 @@ from .program import Op, Unsupported, Value
 from .schedule import Region, regions
 from .storage import Place, Small, row_major
 
+# What goes wrong while an operation is emitted is a reason to take another engine.
+ACCIDENTS = (LookupError, AssertionError, TypeError, ValueError, NotImplementedError)
 INTERLEAVED = 4  # vector registers of neighbouring elements that a loop works on at once
 
 
@@ -33,10 +35,15 @@ class Body:
         for value in list(self.where):
             self.settle(value)
         for region in regions(ops, set(wanted) | set(self.homes)):
-            if region.shape is None:
-                self.single(region.ops[0])
-            else:
-                self.loop(region)
+            try:
+                if region.shape is None:
+                    self.single(region.ops[0])
+                else:
+                    self.loop(region)
+            except ACCIDENTS as error:
+                op = region.ops[0]
+                reason = f"{op.name}: {type(error).__name__}: {error}, at {op.where}"
+                raise Unsupported(reason) from error
             for op in region.ops:
                 for value in op.outputs:
                     self.settle(value)

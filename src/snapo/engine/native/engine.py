@@ -14,6 +14,7 @@ from ...scenarios import Counter, Draws
 from ...simulator import Schedule, Simulator
 from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_window
 from . import compiler, rollout
+from .body import ACCIDENTS
 from .kernel import Kernel, emit
 from .program import Unsupported
 from .runtime import Inputs, Runner, aligned
@@ -107,10 +108,10 @@ class _Call:
         self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
         self.ends = self.window.first + self.window.length == simulator.horizon
         self.paths = draws.size
-        self.start = start if start is None else rollout.cast(start, engine.dtype)
-        self.shared, self.steps = rollout.arguments(
-            simulator, policy, schedule, smooth, engine.precision
-        )
+        self.start = jax.tree.map(lambda x: rollout.cast(x, engine.dtype), start)
+        shared = (policy, schedule.constants, smooth, simulator)
+        self.shared = rollout.Given(shared, engine.dtype)
+        self.steps = rollout.Given(schedule.steps, engine.dtype)
 
     def runner(
         self, adjoint: bool, record: tuple[str, ...], clip: float | None, wrt: tuple[str, ...]
@@ -123,13 +124,9 @@ class _Call:
             self.ends, clip, wrt, counter, counter and self.draws.antithetic,
         )  # fmt: skip
         like = self._state_like()
-        key = (
-            setup,
-            _key(self.shared),
-            _key(self.steps, 1),
-            _key((like, None)),
-            type(self.simulator),
-        )
+        leaves, tree = jax.tree.flatten(like)
+        starts = tree, tuple((x.shape, x.dtype) for x in leaves)
+        key = setup, self.shared.key(), self.steps.key(1), starts, type(self.simulator)
         if key not in _runners:
             kernel = self.kernel(setup, like)
             names = ("prepare", "run", "finish") if adjoint else ("prepare", "run")
@@ -143,10 +140,11 @@ class _Call:
         """Traces and emits. What goes wrong inside the emitter is a reason, not an accident."""
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
-        traced = rollout.traced(self.shared, self.steps, like, setup, sizes, simulator.action.size)
+        given = self.shared.split(), self.steps.split()
+        traced = rollout.traced(*given, like, setup, sizes, simulator.action.size)
         try:
             return emit(traced, compiler.lanes(self.engine.precision), compiler.host()[2])
-        except (KeyError, IndexError, AssertionError, TypeError, NotImplementedError) as error:
+        except ACCIDENTS as error:
             raise Unsupported(
                 f"{type(simulator).__name__}: {type(error).__name__}: {error}"
             ) from error
@@ -166,11 +164,11 @@ class _Call:
             "table": aligned(layouts["table"].stride),
             "steps": aligned(length * layouts["steps"].stride),
         }
-        for leaf, array in zip(traced.call, jax.tree.leaves(self.shared[0])):
-            layouts["table"].view(rows["table"], leaf)[...] = np.asarray(array)
+        for leaf, array in zip(traced.call, self.shared.arrays):
+            layouts["table"].view(rows["table"], leaf)[...] = array
         steps = rows["steps"].reshape(length, -1)
-        for leaf, array in zip(traced.now, jax.tree.leaves(self.steps[0])):
-            layouts["steps"].view(steps, leaf)[...] = np.asarray(array)[first : first + length]
+        for leaf, array in zip(traced.now, self.steps.arrays):
+            layouts["steps"].view(steps, leaf)[...] = array[first : first + length]
         pad = np.minimum(np.arange(blocks * lanes), self.paths - 1)
 
         def fill(name: str, arrays: dict, *axes: int) -> None:
@@ -224,7 +222,8 @@ class _Call:
         blocks = runner.blocks(self.paths)
         view = runner.kernel.layouts[name].view(memory.reshape(blocks, *axes, -1), key)
         moved = np.moveaxis(np.moveaxis(view, -1, len(axes) + 1), 0, len(axes))
-        flat = moved.reshape(*axes, -1, *moved.shape[len(axes) + 2 :])
+        lanes = blocks * runner.kernel.lanes
+        flat = moved.reshape(*axes, lanes, *moved.shape[len(axes) + 2 :])
         return flat[(slice(None),) * len(axes) + (slice(0, self.paths),)]
 
     def finals(self, runner: Runner, memory: np.ndarray) -> Any:
@@ -259,8 +258,7 @@ class _Call:
                 else None
             )
 
-        tree = jax.tree.structure(self.shared[0])
-        policy, constants, _, _ = jax.tree.unflatten(tree, [shared(leaf) for leaf in traced.call])
+        policy, constants, _, _ = self.shared.like(shared(leaf) for leaf in traced.call)
         memory = out.step_sums.reshape(length, -1)
 
         def stepwise(leaf, array):
@@ -270,8 +268,7 @@ class _Call:
             full[first : first + length] = layouts["step_sums"].view(memory, leaf)
             return full
 
-        leaves, tree = jax.tree.flatten(self.steps[0])
-        steps = jax.tree.unflatten(tree, [stepwise(leaf, x) for leaf, x in zip(traced.now, leaves)])
+        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays))
         start = None
         if self.start is not None:
             start = jax.tree.unflatten(traced.state_tree, [
@@ -280,15 +277,6 @@ class _Call:
                 for i, x in enumerate(traced.state)
             ])  # fmt: skip
         return policy, Schedule(constants, steps), start
-
-
-def _key(pair, skip: int = 0):
-    """What a kernel depends on: structure, types, shapes, and everything that is no array."""
-    arrays, static = pair
-    leaves, tree = jax.tree.flatten(arrays)
-    shapes = tuple((x.shape[skip:], str(x.dtype)) for x in leaves)
-    rest, rest_tree = jax.tree.flatten(static)
-    return tree, shapes, rest_tree, tuple((type(x), x) for x in rest)
 
 
 __all__ = ["Native", "Unsupported"]

@@ -68,18 +68,25 @@ def explain(
 def unsupported(
     simulator: Simulator, schedule: Schedule, policy: Policy, smooth, precision: str = "float32"
 ) -> str | None:
-    """Why a value and its gradient cannot be compiled: the primitive and the line of user code.
+    """Why a simulator cannot be compiled: the primitive and the line of user code.
 
-    None where they can. Nothing is compiled; tracing takes some tenths of a second.
+    None where it can: its value and gradient, with every record, and clipped by `state_scale`.
+    Nothing is compiled; tracing takes some tenths of a second.
     """
     try:
-        _kernel(Native(precision), simulator, schedule, policy, smooth)
+        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, 1.0)
     except Unsupported as reason:
         return str(reason)
     return None
 
 
-def _kernel(engine: Native, simulator, schedule, policy, smooth):
+RECORDS = ("state", "action", "outputs", "slack")
+
+
+def _kernel(
+    engine: Native, simulator, schedule, policy, smooth, record=(), clip: float | None = None
+):
+    """The kernel of a whole adjoint."""
     from .rollout import Setup
 
     with engine.numbers():
@@ -87,5 +94,5 @@ def _kernel(engine: Native, simulator, schedule, policy, smooth):
         window = Window(0, simulator.horizon)
         call = _Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
         wrt = ("policy", "schedule", "start")
-        setup = Setup(engine.precision, True, (), False, False, True, None, wrt, True, True)
+        setup = Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)
         return call.kernel(setup, None)

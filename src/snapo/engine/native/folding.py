@@ -32,6 +32,8 @@ _DIRECT = {
 
 def fold(name: str, params, inputs: list, avals) -> list[np.ndarray] | None:
     """The outputs, or None where something is not known or not foldable."""
+    if all(_size(a) == 0 for a in avals):
+        return [np.zeros(a.shape, a.dtype) for a in avals]
     if any(i is None for i in inputs) or any(_size(a) > SMALL for a in avals):
         return None
     with np.errstate(all="ignore"):
@@ -80,7 +82,33 @@ def _evaluate(name, params, inputs, aval):
         return inputs[0][slices(params)]
     if name == "transpose":
         return inputs[0].transpose(params["permutation"])
+    if name == "pad" and inputs[0].size == 0:
+        return np.broadcast_to(inputs[1], aval.shape)
+    if name in _OVER_NOTHING and inputs[0].size == 0:
+        return np.broadcast_to(_OVER_NOTHING[name](aval.dtype), aval.shape)
     return None
+
+
+def _lowest(dtype, sign: int = -1):
+    """The least number of a type, or the largest."""
+    if dtype.kind == "f":
+        return sign * np.inf
+    if dtype.kind == "b":
+        return sign > 0
+    return np.iinfo(dtype).min if sign < 0 else np.iinfo(dtype).max
+
+
+# Reductions and products over no elements.
+_OVER_NOTHING = {
+    "reduce_sum": lambda dtype: 0,
+    "reduce_prod": lambda dtype: 1,
+    "reduce_max": _lowest,
+    "reduce_min": lambda dtype: _lowest(dtype, 1),
+    "reduce_and": lambda dtype: True,
+    "reduce_or": lambda dtype: False,
+    "reduce_xor": lambda dtype: False,
+    "dot_general": lambda dtype: 0,
+}
 
 
 def select(which, *options):

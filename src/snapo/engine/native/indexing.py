@@ -228,6 +228,9 @@ SCATTERS = {
     "scatter_add": "add",
     "scatter-mul": "mul",
     "scatter_mul": "mul",
+    "scatter-sub": "sub",
+    "scatter-min": "min",
+    "scatter-max": "max",
 }
 
 

@@ -99,6 +99,7 @@ SEARCH = "_searchsorted_scan_impl"
 class _Flattener:
     def __init__(self):
         self.ops: list[Op] = []
+        self.line = ""  # of the call whose equations these are, as those may know none
 
     def run(self, jaxpr, consts: list[Value], inputs: list[Value]) -> list[Value]:
         env: dict[Any, Value] = dict(zip(jaxpr.constvars, consts))
@@ -115,31 +116,42 @@ class _Flattener:
         return [read(a) for a in jaxpr.outvars]
 
     def equation(self, eqn, inputs: list[Value]) -> list[Value]:
+        caller, self.line = self.line, where(eqn) or self.line
+        outputs = self.operation(eqn, inputs, self.line)
+        self.line = caller
+        return outputs
+
+    def operation(self, eqn, inputs: list[Value], line: str) -> list[Value]:
         name = eqn.primitive.name
         if name in CALLS and eqn.params.get("name") != SEARCH:
             return self.inline(eqn.params[CALLS[name]], inputs)
         if name in IDENTITIES:
             return inputs
         if name == "scan":
-            return self.scan(eqn, inputs)
+            return self.scan(eqn, inputs, line)
         if name == "cond":
-            return self.branches(eqn, inputs)
+            return self.branches(eqn, inputs, line)
         if name == "while":
-            raise Unsupported(f"while: loops of unknown length, at {where(eqn)}")
+            raise Unsupported(f"while: loops of unknown length, at {line}")
         if len(self.ops) > LARGEST:
-            raise Unsupported(
-                f"{name}: more than {LARGEST} operations in one step, at {where(eqn)}"
-            )
+            raise Unsupported(f"{name}: more than {LARGEST} operations in one step, at {line}")
         name = "searchsorted" if eqn.params.get("name") == SEARCH else name
-        return self.add(name, inputs, [v.aval for v in eqn.outvars], eqn.params, where(eqn))
+        return self.add(name, inputs, [v.aval for v in eqn.outvars], eqn.params, line)
 
     def add(self, name, inputs, avals, params, line="") -> list[Value]:
         """Appends an operation, or folds it when everything it reads is known."""
         if any(not known(a.dtype) for a in avals):
             raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
+        inputs = [v if v.size else constant(np.zeros(v.shape, v.dtype)) for v in inputs]
+        if name == "concatenate":
+            inputs = [v for v in inputs if v.size] or inputs
         folded = folding.fold(name, params, [v.constant for v in inputs], avals)
         if folded is not None:
             return [constant(a) for a in folded]
+        if any(v.size == 0 for v in inputs):
+            if name.startswith("scatter") or name == "dynamic_update_slice":
+                return inputs[:1]  # nothing is written
+            raise Unsupported(f"{name}: of an array without elements, at {line}")
         path = any(v.path for v in inputs)
         outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
         self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
@@ -149,7 +161,7 @@ class _Flattener:
         jaxpr, consts = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
         return self.run(jaxpr, [constant(c) for c in consts], inputs)
 
-    def branches(self, eqn, inputs: list[Value]) -> list[Value]:
+    def branches(self, eqn, inputs: list[Value], line: str) -> list[Value]:
         """`cond` and `switch`: every branch, then a selection."""
         index, *rest = inputs
         branches = eqn.params["branches"]
@@ -157,7 +169,6 @@ class _Flattener:
             chosen = int(np.clip(int(index.constant), 0, len(branches) - 1))
             return self.inline(branches[chosen], rest)
         outcomes = [self.inline(b, rest) for b in branches]
-        line = where(eqn)
         if index.dtype != np.bool_:
             low, high = constant(index.dtype.type(0)), constant(index.dtype.type(len(branches) - 1))
             (index,) = self.add("clamp", [low, index, high], [index], {}, line)
@@ -167,18 +178,18 @@ class _Flattener:
             for aval, *options in zip(avals, *outcomes)
         ]
 
-    def scan(self, eqn, inputs: list[Value]) -> list[Value]:
+    def scan(self, eqn, inputs: list[Value], line: str) -> list[Value]:
         """An inner `scan` or `fori_loop`, written out."""
         p = eqn.params
         length, consts, carries = p["length"], p["num_consts"], p["num_carry"]
         if length > UNROLL:
-            raise Unsupported(f"scan: {length} inner steps (at most {UNROLL}), at {where(eqn)}")
+            raise Unsupported(f"scan: {length} inner steps (at most {UNROLL}), at {line}")
         fixed, carry, xs = (
             inputs[:consts],
             inputs[consts : consts + carries],
             inputs[consts + carries :],
         )
-        body, line = p["jaxpr"], where(eqn)
+        body = p["jaxpr"]
         order = range(length - 1, -1, -1) if p["reverse"] else range(length)
         rows: dict[int, list[Value]] = {}
         for i in order:

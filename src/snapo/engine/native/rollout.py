@@ -8,7 +8,7 @@ The carry is the state's leaves and the running totals. Between the phases only 
 each is compiled for itself and differentiated for itself.
 """
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,8 +16,8 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
-from ...simulator import Schedule, Simulator
 from . import trace
 from .trace import CALL, PATH, STEP, Cut, Leaf
 
@@ -64,28 +64,49 @@ class Traced:
     bound: Callable | None
 
 
-def arguments(simulator: Simulator, policy, schedule: Schedule, smooth, dtype):
-    """What all paths share: (policy, constants, smooth, simulator) and the steps, with statics."""
-    policy, constants, steps, smooth = cast(
-        (policy, schedule.constants, schedule.steps, smooth), dtype
-    )
-    shared, shared_static = trace.partition((policy, constants, smooth, simulator))
-    steps, steps_static = trace.partition(steps)
-    return (shared, shared_static), (steps, steps_static)
+class Given:
+    """A tree that all paths share, taken apart once per call: flattening is what a call pays for.
 
+    Arrays, as NumPy with floating ones in the call's precision, are read anew at every call;
+    everything else is compiled in.
+    """
 
-def cast(tree, dtype):
-    """Every floating array in the call's precision, as NumPy arrays: nothing is compiled for it."""
+    def __init__(self, tree, dtype):
+        leaves, self.tree = jax.tree.flatten(tree)
+        self.leaves = [cast(x, dtype) if _is_array(x) else x for x in leaves]
 
-    def convert(leaf):
-        if not isinstance(leaf, np.ndarray | np.generic | jax.Array):
-            return leaf
-        array = np.asarray(leaf)
-        return (
-            array.astype(dtype, copy=False) if jnp.issubdtype(array.dtype, jnp.floating) else array
+    @property
+    def arrays(self) -> list[np.ndarray]:
+        return [x for x in self.leaves if isinstance(x, np.ndarray)]
+
+    def key(self, skip: int = 0) -> tuple:
+        """What a kernel depends on: structure, types, shapes, and everything that is no array."""
+        return self.tree, tuple(
+            (x.shape[skip:], x.dtype) if isinstance(x, np.ndarray) else (type(x), x)
+            for x in self.leaves
         )
 
-    return jax.tree.map(convert, tree)
+    def split(self) -> tuple[PyTree, PyTree]:
+        """The tree with its arrays only, and with all the rest only; None elsewhere."""
+        arrays = [x if isinstance(x, np.ndarray) else None for x in self.leaves]
+        rest = [None if isinstance(x, np.ndarray) else x for x in self.leaves]
+        return jax.tree.unflatten(self.tree, arrays), jax.tree.unflatten(self.tree, rest)
+
+    def like(self, values: Iterable) -> PyTree:
+        """The tree with these in place of its arrays, in order, and None in place of the rest."""
+        values = iter(values)
+        filled = [next(values) if isinstance(x, np.ndarray) else None for x in self.leaves]
+        return jax.tree.unflatten(self.tree, filled)
+
+
+def _is_array(x) -> bool:
+    return isinstance(x, np.ndarray | np.generic | jax.Array)
+
+
+def cast(x, dtype) -> np.ndarray:
+    """An array as NumPy, floating ones in this precision: nothing is compiled for it."""
+    array = np.asarray(x)
+    return array.astype(dtype, copy=False) if jnp.issubdtype(array.dtype, jnp.floating) else array
 
 
 def traced(

@@ -14,6 +14,7 @@ from .kernel import CONTEXT, Kernel
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
 SLOTS = {name: i for i, name in enumerate(CONTEXT)}
+PROCESSORS = os.cpu_count() or 1
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
@@ -177,7 +178,7 @@ class Runner:
 
     def _return(self, scratch: dict[str, np.ndarray]) -> None:
         with self._lock:
-            if len(self._spare) < 2 * (os.cpu_count() or 1):
+            if len(self._spare) < 2 * PROCESSORS:
                 self._spare.append(scratch)
 
 
@@ -187,7 +188,7 @@ def _pool(process: int) -> ThreadPoolExecutor:
 
     A forked child has none of its parent's threads, hence one pool per process.
     """
-    return ThreadPoolExecutor(os.cpu_count(), thread_name_prefix="snapo")
+    return ThreadPoolExecutor(PROCESSORS, thread_name_prefix="snapo")
 
 
 def _context(memory: dict, numbers: dict[str, int]) -> np.ndarray:

@@ -26,6 +26,8 @@ class Small:
     @property
     def uniform(self) -> Ref | None:
         """The one register that fills the array, if it is one."""
+        if not self.items.size:
+            return None
         if self.items.size == 1 or not any(
             s for s, n in zip(self.items.strides, self.shape) if n > 1
         ):

@@ -15,7 +15,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import equinox as eqx
 import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
@@ -64,7 +63,8 @@ class Piece:
             return atom.val if isinstance(atom, jex.Literal) else env[atom]
 
         for eqn in self.eqns:
-            env.update(zip(eqn.outvars, _bind(eqn, [read(a) for a in eqn.invars])))
+            inputs, line = [read(a) for a in eqn.invars], eqn.source_info.traceback
+            env.update(zip(eqn.outvars, _bind(eqn, inputs, line)))
         return [read(a) for a in self.outputs]
 
 
@@ -74,7 +74,8 @@ def inlined(function: Callable, avals: Sequence[Any]):
     return jax.make_jaxpr(lambda *values: _evaluate(closed, values))(*avals)
 
 
-def _evaluate(closed, values):
+def _evaluate(closed, values, caller=None):
+    """Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's."""
     jaxpr = closed.jaxpr
     env = dict(zip(jaxpr.constvars, closed.consts))
     env.update(zip(jaxpr.invars, values))
@@ -84,19 +85,21 @@ def _evaluate(closed, values):
 
     for eqn in jaxpr.eqns:
         inputs = [read(a) for a in eqn.invars]
-        name = eqn.primitive.name
+        name, line = eqn.primitive.name, eqn.source_info.traceback
+        if source_info_util.user_frame(line) is None:
+            line = caller
         if name in ("jit", "pjit", "closed_call") and eqn.params.get("name") != SEARCH:
-            outputs = _evaluate(eqn.params[CALLS[name]], inputs)
+            outputs = _evaluate(eqn.params[CALLS[name]], inputs, line)
         else:
-            outputs = _bind(eqn, inputs)
+            outputs = _bind(eqn, inputs, line)
         env.update(zip(eqn.outvars, outputs))
     return [read(a) for a in jaxpr.outvars]
 
 
-def _bind(eqn, inputs):
+def _bind(eqn, inputs, line):
     """Applies an equation, under the line of user code that it came from."""
     params = eqn.primitive.get_bind_params(eqn.params)
-    with source_info_util.user_context(eqn.source_info.traceback), eqn.ctx.manager:
+    with source_info_util.user_context(line), eqn.ctx.manager:
         outputs = eqn.primitive.bind(*inputs, **params)
     return outputs if eqn.primitive.multiple_results else [outputs]
 
@@ -245,8 +248,3 @@ def joint(
 
 def _lanes(piece: Piece, path_avals, own_path: bool, tail: int) -> list[bool]:
     return [False] * len(piece.reads) + [own_path] * (len(path_avals) + tail)
-
-
-def partition(tree):
-    """Arrays, which the engine reads anew at every call, and the rest, which it compiles in."""
-    return eqx.partition(tree, lambda x: isinstance(x, np.ndarray | np.generic) or eqx.is_array(x))
