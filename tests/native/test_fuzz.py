@@ -1,12 +1,14 @@
-"""A few of the random step functions; `fuzz.py` runs thousands."""
+"""A few of the random step functions, of one size, as XLA's kernels then serve all; `fuzz.py` runs
+thousands."""
 
 import fuzz
 import pytest
 
 
-@pytest.mark.parametrize("case", range(2))
-def test_random_step_functions(case):
-    assert fuzz.compare(1000 * case) <= 1
+def test_random_step_functions():
+    for case in range(2, 38, 6):
+        agree, word = fuzz.compare(case)
+        assert agree, f"case {case}: {word}"
 
 
 @pytest.mark.slow

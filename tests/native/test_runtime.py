@@ -1,23 +1,19 @@
-"""Threads, forks, interruptions, memory, and what the engine says when it cannot."""
+"""Threads, forks, interruptions, segments, and kernels on disk."""
 
 import os
-import resource
 import signal
 import subprocess
 import sys
 import threading
 import time
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 from problems import Store, Tanh, difference
 
-from snapo.engine.native import Native, Unsupported, explain, runtime, unsupported
-from snapo.policy import Constant
+from snapo.engine.native import Native, explain, runtime
 from snapo.scenarios import Pseudo
-from snapo.smooth import Exact, Smooth
+from snapo.smooth import Smooth
 
 PATHS = 333
 
@@ -137,38 +133,6 @@ def test_ctrl_c_returns_promptly():
     out, _ = child.communicate(timeout=60)
     assert "stopped" in out
     assert time.perf_counter() - begin < 10
-
-
-@pytest.mark.slow
-def test_no_leak_over_ten_thousand_calls():
-    call(Native(), 32)
-    for _ in range(300):
-        call(Native(), 32)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    for _ in range(10_000):
-        call(Native(), 32)
-    grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
-    assert grown < 50_000  # kilobytes
-
-
-class Odd(Store):
-    """Asks for what the engine does not have."""
-
-    def step(self, constants, now, state, action, noise, smooth):
-        doubled = jax.lax.while_loop(lambda x: x < 1.0, lambda x: 2 * x + 0.1, jnp.abs(state["x"]))
-        return state, {"cash": jax.lax.stop_gradient(doubled)}
-
-
-def test_unsupported_names_the_primitive_and_the_line():
-    simulator = Odd()
-    schedule = simulator.prepare(None)
-    reason = unsupported(simulator, schedule, Constant(np.zeros(2, np.float32)), Exact())
-    assert reason is not None and "while" in reason and "test_runtime.py" in reason
-    with pytest.raises(Unsupported, match="while"):
-        draws = Pseudo(0).draws(np.arange(4), simulator)
-        Native().values(simulator, Constant(np.zeros(2, np.float32)), schedule, draws, Exact())
-    store = Store()
-    assert unsupported(store, store.prepare(None), Tanh((4, 14, 2)), Exact()) is None
 
 
 def test_explain_shows_every_stage():

@@ -62,7 +62,9 @@ def explain(
     rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
     processor, _, register = compiler.host()
     target = f"{processor}: registers of {register} bytes, blocks of {kernel.lanes} paths"
-    return Explanation(tuple(kernel.stages), "\n".join(rows), kernel.text, target)
+    # Emitted last, but what the paths share comes first in time.
+    programs = sorted(kernel.stages, key=lambda stage: "computed once" not in stage[0])
+    return Explanation(tuple(programs), "\n".join(rows), kernel.text, target)
 
 
 def unsupported(

@@ -149,9 +149,12 @@ class _Flattener:
         if folded is not None:
             return [constant(a) for a in folded]
         if any(v.size == 0 for v in inputs):
-            if name.startswith("scatter") or name == "dynamic_update_slice":
-                return inputs[:1]  # nothing is written
-            raise Unsupported(f"{name}: of an array without elements, at {line}")
+            written = inputs[-1] if name.startswith("scatter") else inputs[min(1, len(inputs) - 1)]
+            if name.startswith(("scatter", "dynamic_update")) and not written.size:
+                return inputs[:1]
+            # Indices without elements choose the whole array.
+            if not name.startswith(("scatter", "gather")) or not inputs[0].size:
+                raise Unsupported(f"{name}: of an array without elements, at {line}")
         path = any(v.path for v in inputs)
         outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
         self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
