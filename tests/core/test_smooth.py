@@ -213,8 +213,8 @@ jacobian_of = jax.jit(jax.jacrev(shares_of), static_argnums=1)
 @quick
 @given(logits, st.booleans())
 def test_simplex_obeys_bounds_and_groups_and_adds_up(raw, grouped):
-    """To 1e-12: the level is solved by 44 halvings of a bracket under 140 wide and one Newton
-    step, which leaves less than the square of 1e-11."""
+    """To 1e-12: 11 halvings of a bracket under 60 wide leave an error below 0.015, four Newton
+    steps less than a digit."""
     with jax.enable_x64(True):
         shares = np.asarray(shares_of(jnp.asarray(raw + [0.0] * 13), grouped))
         assert shares.sum() == pytest.approx(1.0, abs=1e-12)
