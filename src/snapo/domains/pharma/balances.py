@@ -16,7 +16,8 @@ class Balance(NamedTuple):
     """`relative`: (inflow - outflow - accumulation) over the largest of them; 0 where all are 0.
 
     Of one batch. "mass" in kg; a species: kmol, `inflow` with what reactions made of it and
-    seed; "solvent": kg with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K.
+    seed; "solvent": kg with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and
+    of vapour its latent heat.
     """
 
     unit: str

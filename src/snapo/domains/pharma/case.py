@@ -7,16 +7,26 @@ import numpy as np
 
 from ...case import CaseError, Section, load, parse, read_evaluation, read_training
 from .draws import process_entries
-from .flowsheet import in_order, read_connections
+from .flowsheet import ancestors, in_order, read_connections
 from .inputs import every_given
+from .profile import profiles_of
 from .read_control import read_control, read_design_space, read_goal
 from .read_estimation import read_estimation
 from .read_network import read_feeds, read_network
-from .read_quality import Numbers, read_attributes, read_parameters, read_uncertainty
+from .read_optimise import read_optimise
+from .read_quality import Numbers, every_measure, read_attributes, read_parameters, read_uncertainty
 from .read_units import read_units
 from .records import Numerics, PharmaCase
-from .records_units import Crystalliser, Dryer, Feed, Profile, Reactor, Unit
+from .records_units import Crystalliser, Dryer, Feed, Profile, Reactor, Timed, TrayDryer, Unit
+from .stages import staged
 from .tables import NumericsTable, PharmaTable
+
+# Where a case does not say: limits as soft as their margins at first, so that all of them are felt.
+TRAINING = {
+    "steps": 150, "paths": 256, "learning_rate": 0.02, "warmup": 10, "temperature_start": 1.0,
+    "temperature_end": 0.1, "validation_paths": 2048, "validation_every": 25,
+}  # fmt: skip
+EVALUATION = {"paths": 16384, "sensitivity_paths": 1024}
 
 
 def read_case(path: str | Path) -> PharmaCase:
@@ -61,11 +71,14 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         pairs=_read_pairs(file, top.pairs, [each.name for each in parameters]),
         held=_read_held(file, top.held, numbers, parameters),
         numerics=_read_numerics(file, top.numerics, units),
-        training=read_training(top.training, str(file)),
-        evaluation=read_evaluation(top.evaluation, str(file)),
+        training=read_training({**TRAINING, **top.training}, str(file)),
+        evaluation=read_evaluation({**EVALUATION, **top.evaluation}, str(file)),
         assumptions=tuple(top.assumptions),
         notes=tuple(notes),
+        optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
+    _check_moved(case)
+    _check_decided(case)
     _check_varied_once(case)
     return case
 
@@ -90,6 +103,47 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
     return frozenset(raw)
 
 
+def _check_decided(case: PharmaCase) -> None:
+    """A policy decides profiles of units that take time, and numbers of units after these."""
+    control = case.control
+    if control is None:
+        return
+    by_name, before = (
+        {unit.name: unit for unit in case.units},
+        ancestors(case.units, case.connections),
+    )
+    needed = set().union(*(before[unit.name] for unit in staged(case)))
+    for i, each in enumerate(control.manipulated):
+        name = each.input.partition(".")[0]
+        unit = by_name.get(name)
+        if unit is None:
+            what = "a policy decides on units, and this number is none of a unit"
+        elif isinstance(unit, Timed):
+            profiles = [profile.value.name for profile in profiles_of(unit)]
+            if each.input in profiles:
+                continue
+            what = f"of {name} a policy decides what may change over time: {', '.join(profiles)}"
+        elif name in needed:
+            what = f"{name} runs before a unit over whose time a policy decides or measures"
+        else:
+            continue
+        raise CaseError(str(case.file), f"control.manipulated[{i}].of", each.input, what)
+
+
+def _check_moved(case: PharmaCase) -> None:
+    """What is decided or uncertain cannot be held."""
+    tables = {
+        "optimise.decisions": case.optimise.decisions if case.optimise else (),
+        "control.manipulated": case.control.manipulated if case.control else (),
+    }
+    moved = [(f"{key}[{i}]", x.input) for key, xs in tables.items() for i, x in enumerate(xs)]
+    moved += [("uncertainty", name) for name in case.uncertainty.inputs]
+    for where, name in moved:
+        if name in case.held:
+            what = "this number is among those `held`, which do not move"
+            raise CaseError(str(case.file), f"{where}.of", name, what)
+
+
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
     """ "auto" is a mesh where it may hold the event, and else error control."""
     table = parse(NumericsTable, raw, str(file), "numerics")
@@ -100,11 +154,12 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
 
 
 def _moves_before_event(unit: Unit) -> bool:
-    """Whether the concentration changes while nothing grows, or the unit is stiff."""
+    """Whether the concentration changes while nothing grows, the unit is stiff, or its cells set
+    how long a step may be."""
     if isinstance(unit, Crystalliser):
         dissolves = bool(unit.kinetics.dissolution.values.any())
-        return dissolves or unit.dosing is not None
-    return isinstance(unit, Reactor) and unit.jacket is not None
+        return dissolves or unit.dosing is not None or unit.edges is not None
+    return isinstance(unit, TrayDryer) or (isinstance(unit, Reactor) and unit.jacket is not None)
 
 
 def _check_varied_once(case: PharmaCase) -> None:
@@ -131,7 +186,7 @@ def _check_amounts(file, feeds, units, connections, notes: list[str]) -> None:
         if continuous and main is not None and main.duration is None:
             what = f"unit {unit.name} runs continuously and needs to know over which time"
             raise CaseError(str(file), f"feeds.{main.name}.duration", None, what)
-        if isinstance(unit, Reactor | Crystalliser | Dryer):
+        if isinstance(unit, Timed | Dryer):
             notes += _steep(unit.name, unit.temperature, float(unit.duration.values[0]))
 
 

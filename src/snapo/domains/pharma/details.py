@@ -5,13 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from . import attribution, batches, design_space, estimation, ranges, sensitivities
+from . import attribution, batches, design_space, estimation, optimise, ranges, sensitivities
 from .balances import balances
 from .capability import Capability
 from .certify import certify
 from .convergence import convergence
 from .draws import all_entries
-from .inputs import pharma_inputs
+from .inputs import every_entry, pharma_inputs
 from .jacobian import matrix, second
 from .limits import Limits
 from .local import local
@@ -19,7 +19,7 @@ from .ports import states
 from .process import Process, Run
 from .profile import with_nodes
 from .records import PharmaCase
-from .records_units import Crystalliser, Dryer, Reactor
+from .records_units import Crystalliser, Dryer, Timed
 
 SHOWN = 240  # points of a trajectory that a report shows
 NODES = 61  # of a profile whose sensitivity over time is shown
@@ -151,7 +151,7 @@ def profile_gradients(case: PharmaCase) -> list[dict[str, Any]]:
     """
     found = []
     for unit in case.units:
-        if not isinstance(unit, Reactor | Crystalliser | Dryer):
+        if not isinstance(unit, Timed | Dryer):
             continue
         if unit.temperature.kind != "linear":
             continue
@@ -205,6 +205,11 @@ def spread_rows(case: PharmaCase, found: dict[str, Any] | None) -> dict[str, Any
     if found is None:
         return None
     return sensitivities.spread(case, np.asarray(found["varied"]))._asdict()
+
+
+def best_recipe(process: Process, sampled: Process, seed: int) -> dict[str, Any]:
+    """The recipe that `[optimise]` asks for; `sampled` measures what it promises."""
+    return optimise.table(sampled, optimise.optimise(process, seed), seed + 2)
 
 
 def map_tables(process: Process, seed: int) -> dict[str, Any]:
@@ -264,8 +269,8 @@ def estimation_rows(process: Process) -> dict[str, Any]:
 def every_sensitivity(process: Process) -> Iterable[tuple]:
     """attribute, input, label, value, unit: by all numbers of the case."""
     inputs = pharma_inputs(process.case)
-    entries = tuple((name, i) for name, entry in inputs.items() for i in range(entry.value.size))
-    found = matrix(process, entries=entries).jacobian
+    entries = every_entry(process.inputs)
+    found = matrix(process, entries=entries, mode="adjoint").jacobian
     for attribute, row in zip(process.case.attributes, found):
         for (name, i), value in zip(entries, row.tolist()):
             unit = f"({attribute.unit})/({inputs[name].unit})"

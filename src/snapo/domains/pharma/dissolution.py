@@ -5,8 +5,8 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .crystalliser import mean_sizes
 from .inputs import use
+from .population import mean_sizes
 from .records_units import Dissolution
 from .stream import Stream
 

@@ -5,11 +5,11 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from .crystalliser import mean_sizes
 from .dynamics import Finish, Track, ledger
 from .inputs import use
 from .mesh import edges_of, make_mesh
 from .network import GAS_CONSTANT
+from .population import mean_sizes
 from .records_units import Dryer
 from .stream import Stream, clear
 

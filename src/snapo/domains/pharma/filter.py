@@ -10,9 +10,9 @@ import jax.numpy as jnp
 from jax.scipy.special import erfc
 from jaxtyping import Array, Float
 
-from .crystalliser import mean_sizes
 from .dynamics import Finish, ledger
 from .inputs import use
+from .population import mean_sizes
 from .records import Network
 from .records_units import Filter
 from .stream import Stream, clear

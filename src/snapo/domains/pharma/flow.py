@@ -3,7 +3,7 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from .mixing import feed
 from .ports import inlets, outlets
@@ -52,24 +52,32 @@ def flow(case: PharmaCase, inputs: dict[str, Any], record: bool = False) -> Flow
 
 
 def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:
-    """{"process.yield.PRODUCT.KEY": new crystals of PRODUCT per KEY fed}, those asked for."""
+    """{"process.yield.PRODUCT.KEY": new crystals of PRODUCT per KEY fed, both in kmol;
+    "process.product.PRODUCT": kg of them}, those asked for."""
     found, out = {}, leaving(case)
-    for name in dict.fromkeys(each.measure for each in case.attributes):
-        if name.startswith("process.yield."):
-            product, key = name.split(".")[2:]
-            found[name] = product_yield(case, streams, out, product, key)
+    species = case.network.species
+    for name in asked(case):
+        kind, _, names = name.removeprefix("process.").partition(".")
+        if not name.startswith("process.") or kind not in ("yield", "product"):
+            continue
+        product, _, key = names.partition(".")
+        made = species.index(product)
+        crystals = jnp.zeros(())
+        for each in out:
+            crystals = crystals + streams[each].solid[made] - streams[each].seed[made]
+        if kind == "product":
+            found[name] = crystals * case.network.molar_mass[made]
+        else:
+            used = species.index(key)
+            found[name] = crystals / sum(streams[each.name].species[used] for each in case.feeds)
     return found
 
 
-def product_yield(
-    case: PharmaCase, streams: dict[str, Stream], out: tuple[str, ...], product: str, key: str
-) -> Float[Array, ""]:
-    """kmol of new crystals of `product` in the streams `out` per kmol of `key` in all feeds."""
-    made, used = case.network.species.index(product), case.network.species.index(key)
-    crystals = jnp.zeros(())
-    for name in out:
-        crystals = crystals + streams[name].solid[made] - streams[name].seed[made]
-    return crystals / sum(streams[each.name].species[used] for each in case.feeds)
+def asked(case: PharmaCase) -> tuple[str, ...]:
+    """The measures that attributes, and an optimisation, name."""
+    terms = () if case.optimise is None else case.optimise.terms + case.optimise.per
+    named = [each.measure for each in case.attributes]
+    return tuple(dict.fromkeys([*named, *(each.of for each in terms if each.entry is None)]))
 
 
 def _name(source: str, outlet: str) -> str:

@@ -6,7 +6,7 @@ from ...case import CaseError, Section, parse
 from .ports import inlets, outlets
 from .read_numbers import suggest
 from .records import Connection
-from .records_units import Crystalliser, Dissolution, Dryer, Feed, Filter, Unit
+from .records_units import Crystalliser, Dissolution, Dryer, Feed, Filter, TrayDryer, Unit
 from .tables import ConnectionTable
 
 
@@ -92,9 +92,13 @@ def _check_crystals(file, units: Sequence[Unit], before: dict[str, list[str]]) -
     """Filters, dryers and dissolution need crystals, which only a crystalliser makes."""
     crystals: set[str] = set()
     for unit in units:
+        on_grid = isinstance(unit, Crystalliser) and unit.edges is not None
+        if on_grid and crystals & set(before[unit.name]):
+            what = "crystals reach this unit, and a grid of sizes starts from its own seed alone"
+            raise CaseError(str(file), f"units.{unit.name}.method", "finite-volumes", what)
         if isinstance(unit, Crystalliser) or crystals & set(before[unit.name]):
             crystals.add(unit.name)
-        if isinstance(unit, Filter | Dryer | Dissolution) and unit.name not in crystals:
+        if isinstance(unit, Filter | Dryer | TrayDryer | Dissolution) and unit.name not in crystals:
             what = "no crystals reach this unit: there is no crystalliser before it"
             raise CaseError(str(file), f"units.{unit.name}", None, what)
 

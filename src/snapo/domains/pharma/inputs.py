@@ -1,6 +1,6 @@
 """Every number of a pharma case that has a gradient, as `Input`s named "unit.field"."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import fields, is_dataclass
 from typing import Any
 
@@ -22,6 +22,11 @@ def pharma_inputs(case: PharmaCase) -> dict[str, Input]:
         if given.name not in case.held:
             found[given.name] = Input(given.values, given.unit, given.labels)
     return found
+
+
+def every_entry(inputs: Mapping[str, Any]) -> tuple[tuple[str, int], ...]:
+    """(input, position) of all numbers, in order."""
+    return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
 
 
 def every_given(record: Any) -> Iterator[Given]:

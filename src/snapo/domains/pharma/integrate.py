@@ -13,6 +13,9 @@ from .dynamics import Dynamics, Track
 from .mesh import Mesh, edges_of, make_mesh
 from .profile import values_at
 from .records import Numerics
+from .runge_kutta import last_state, runge_kutta
+
+MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
 
 
 class Solved(NamedTuple):
@@ -41,15 +44,6 @@ def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> So
     return Solved(final, ends, reached, Track(time, states, slope, controls))
 
 
-def runge_kutta(rate: Callable, y: Array, step: Array, drive: Float[Array, "3 D"]) -> Array:
-    """One classical step of order four; `drive` at its start, middle and end."""
-    k1 = rate(y, drive[0])
-    k2 = rate(y + step / 2 * k1, drive[1])
-    k3 = rate(y + step / 2 * k2, drive[1])
-    k4 = rate(y + step * k3, drive[2])
-    return y + step / 6 * (k1 + 2 * (k2 + k3) + k4)
-
-
 def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     """States [n + 1, m] or None, the last of them, and the share of the time that is finite."""
     drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
@@ -59,7 +53,10 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
         after = runge_kutta(problem.rate, y, *now)
         return after, after if record else None
 
-    final, later = jax.lax.scan(advance, problem.start, (step, drive))
+    if not (record or numerics.along) and len(step) * problem.start.size**2 <= MEMORY:
+        final, later = last_state(problem.rate, problem.start, step, drive), None
+    else:
+        final, later = jax.lax.scan(advance, problem.start, (step, drive))
     share = jnp.where(jnp.all(jnp.isfinite(final)), 1.0, 0.0)
     if later is None:
         return None, final, share

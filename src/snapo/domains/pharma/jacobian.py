@@ -5,6 +5,7 @@ from typing import Literal, NamedTuple
 import jax
 import numpy as np
 
+from ...adjoint import adjoint_jacobian
 from .process import Entry, Process
 
 ADJOINT_COST = 2.5  # forward runs that one adjoint pass costs, beside its own forward run
@@ -36,7 +37,7 @@ def matrix(
     names = process.names if attributes is None else tuple(attributes)
     rows = np.array([process.names.index(name) for name in names], int)
     mode, reason = choose(process, len(rows), len(entries), mode)
-    derivative = jax.jacrev if mode == "adjoint" else jax.jacfwd
+    derivative = adjoint_jacobian if mode == "adjoint" else jax.jacfwd
 
     def of_entries(numbers, inputs):
         found = process.attributes(process.shifted(numbers, entries, inputs))[rows]
@@ -70,7 +71,7 @@ def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndar
     """One attribute by every entry of every input, from ONE adjoint pass; per domain unit."""
     row = process.names.index(attribute)
     call = process.compiled(
-        ("gradient", row), lambda: jax.grad(lambda given: process.attributes(given)[row])
+        ("gradient", row), lambda: adjoint_jacobian(lambda given: process.attributes(given)[row])
     )
     return call(process.given(inputs))
 
@@ -84,6 +85,6 @@ def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None
     def of_entries(numbers, inputs):
         return process.attributes(process.shifted(numbers, entries, inputs))
 
-    call = process.compiled(("second", entries), lambda: jax.jacfwd(jax.jacrev(of_entries)))
+    call = process.compiled(("second", entries), lambda: jax.jacfwd(adjoint_jacobian(of_entries)))
     hessian = call(process.at(entries, inputs), process.given(inputs))
     return np.stack([hessian[:, entries.index(a), entries.index(b)] for a, b in pairs])

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...adjoint import adjoint_jacobian
 from .flow import leaving, sources, yields
 from .inputs import every_given
 from .mixing import feed
@@ -102,7 +103,8 @@ def _block(process: Process, name, inlets, outlets, unit, streams, inputs) -> Bl
 
     def derivatives(numbers, inputs, fixed):
         rows = jnp.stack([flat(each) for each in fixed]) if fixed else jnp.zeros((0, size))
-        derivative = jax.jacrev if process.case.numerics.method == "adaptive" else jax.jacfwd
+        adaptive = process.case.numerics.method == "adaptive"
+        derivative = adjoint_jacobian if adaptive else jax.jacfwd
         return derivative(vectors, argnums=(0, 1))(rows, numbers, inputs, fixed)
 
     call = process.compiled(("local", name), lambda: derivatives)

@@ -8,8 +8,11 @@ from .records_units import (
     Reactor,
     Splitter,
     Tank,
+    TrayDryer,
     Unit,
 )
+
+QUANTILES = {"d10": "m", "d50": "m", "d90": "m"}  # by volume
 
 
 def inlets(unit: Unit) -> tuple[str, ...]:
@@ -21,7 +24,7 @@ def inlets(unit: Unit) -> tuple[str, ...]:
             return ("feed", "antisolvent") if unit.dosing is not None else ("feed",)
         case Filter():
             return ("slurry",)
-        case Dryer():
+        case Dryer() | TrayDryer():
             return ("cake",)
         case Dissolution():
             return ("product",)
@@ -40,7 +43,7 @@ def outlets(unit: Unit) -> tuple[str, ...]:
             return ("slurry",)
         case Filter():
             return ("cake", "filtrate", "washings")
-        case Dryer():
+        case Dryer() | TrayDryer():
             return ("product", "vapour")
         case Dissolution():
             return ()
@@ -51,8 +54,8 @@ def outlets(unit: Unit) -> tuple[str, ...]:
 def measures(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
     """{measure: its unit in the domain} at the unit's end; attributes name them "unit.measure".
 
-    Beside these stands "process.yield.PRODUCT.KEY", in "1": new crystals of PRODUCT, kmol, per
-    kmol of KEY in all feeds.
+    Beside these stand "process.yield.PRODUCT.KEY", in "1": new crystals of PRODUCT, kmol, per
+    kmol of KEY in all feeds; and "process.product.PRODUCT", the same crystals in kg.
     """
     match unit:
         case Reactor():
@@ -62,11 +65,13 @@ def measures(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
             found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
             if unit.separate:
                 found |= {"seed_volume": "m3/m3", "nuclei_volume": "m3/m3"}
+            if unit.edges is not None:
+                sizes |= QUANTILES | {"span": "1", "at_largest": "1"}
             return found | sizes
         case Filter():
             found = {"time": "s", "resistance": "m/kg", "liquor": "m3/kg"}
             return found | {f"impurity.{s}": "1" for s in species}
-        case Dryer():
+        case Dryer() | TrayDryer():
             return {"solvent": "1", "temperature": "K"}
         case Dissolution():
             return {"dissolved": "1"}
@@ -77,7 +82,8 @@ def measures(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
 def states(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
     """{state: its unit in the domain} over the unit's time: recorded, measured by a policy, fitted.
 
-    A dryer's "solvent" is kg per kg of crystals; "mu0" to "mu5" are m^k per m3.
+    A dryer's "solvent" is kg per kg of crystals, and its "rate" what leaves of it; "mu0" to "mu5"
+    are m^k per m3.
     """
     match unit:
         case Reactor():
@@ -85,8 +91,12 @@ def states(unit: Unit, species: tuple[str, ...]) -> dict[str, str]:
         case Crystalliser():
             found = {"concentration": "kg/m3", "supersaturation": "1", "temperature": "K"}
             moments = {f"mu{k}": "1/m3" if k == 0 else f"m^{k}/m3" for k in range(6)}
-            return found | {"d43": "m", "d32": "m"} | moments
+            sizes = {"d43": "m", "d32": "m"} | (QUANTILES if unit.edges is not None else {})
+            return found | sizes | moments
         case Dryer():
             return {"solvent": "1", "temperature": "K"}
+        case TrayDryer():
+            found = {"solvent": "1", "temperature": "K", "rate": "1/s"}
+            return found | {"shelf": "K", "pressure": "Pa"}
         case _:
             return {}

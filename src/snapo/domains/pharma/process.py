@@ -1,6 +1,9 @@
 """A flowsheet as one differentiable function: from its inputs to its quality attributes."""
 
+import os
 from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -8,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ...adjoint import adjoint_jacobian
 from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .records import PharmaCase
@@ -56,18 +60,20 @@ class Process:
         self.traces = 0
         self._compiled: dict[Any, Callable] = {}
 
-    def attributes(self, inputs: dict[str, Array]) -> Float[Array, " Q"]:
-        """The quality attributes in their owner's units; plain JAX, to be traced."""
-        return self.of_measures(self.flow(inputs).measures)
+    def attributes(self, inputs: dict[str, Array], along: bool = False) -> Float[Array, " Q"]:
+        """The quality attributes in their owner's units; plain JAX, to be traced. `along` as in
+        `Numerics`."""
+        return self.of_measures(self.flow(inputs, along=along).measures)
 
     def of_measures(self, measures: dict[str, Array]) -> Float[Array, " Q"]:
         """The attributes from the measures of all units."""
         return jnp.stack([each.scale * measures[each.measure] for each in self.case.attributes])
 
-    def flow(self, inputs: dict[str, Array], record: bool = False) -> Flow:
+    def flow(self, inputs: dict[str, Array], record: bool = False, along: bool = False) -> Flow:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
-        return flow(self.case, inputs, record)
+        numerics = replace(self.case.numerics, along=along)
+        return flow(replace(self.case, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
@@ -141,33 +147,39 @@ class Process:
     ) -> Batch:
         """Attributes, and derivatives by `sensitivities`, at `draws` [N, E] of `entries`.
 
-        The rest stands as in `inputs`. Chunks of one shape run side by side; the last is filled
-        up with its own first row.
+        The rest stands as in `inputs`. Chunks are of one shape: the last is filled up with its own
+        first row. They run on all cores.
         """
         entries, by = tuple(entries), tuple(sensitivities)
 
         def one(draw, inputs):
             drawn = self.shifted(draw, entries, inputs)
             if not by:
-                return self.attributes(drawn), jnp.zeros((len(self.names), 0))
+                return self.attributes(drawn, along=True), jnp.zeros((len(self.names), 0))
 
             def moved(numbers):
-                found = self.attributes(self.shifted(numbers, by, drawn))
+                found = self.attributes(self.shifted(numbers, by, drawn), along=True)
                 return found, found
 
             numbers = jnp.stack([drawn[name][position] for name, position in by])
-            derivative = jax.jacrev if self.case.numerics.method == "adaptive" else jax.jacfwd
+            adaptive = self.case.numerics.method == "adaptive"
+            derivative = adjoint_jacobian if adaptive else jax.jacfwd
             jacobian, found = derivative(moved, has_aux=True)(numbers)
             return found, jacobian
 
         call = self.compiled(("batch", entries, by), lambda: jax.vmap(one, in_axes=(0, None)))
         nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
-        parts = []
-        for start in range(0, len(draws), chunk):
+
+        def run(start: int) -> list[np.ndarray]:
             rows = draws[start : start + chunk]
             short = min(chunk, len(draws)) - len(rows)
             filled = np.concatenate([rows, np.repeat(rows[:1], short, 0)])
-            parts.append([each[: len(rows)] for each in call(filled, nominal)])
+            return [each[: len(rows)] for each in call(filled, nominal)]
+
+        # One chunk keeps one core busy: the others run beside it, once the first is compiled.
+        parts = [run(0)]
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            parts += threads.map(run, range(chunk, len(draws), chunk))
         values, jacobian = (np.concatenate(each) for each in zip(*parts))
         ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
         return Batch(values, jacobian if by else None, np.asarray(ok))

@@ -1,6 +1,6 @@
 """Profiles over a unit's time: their value anywhere, on a mesh, and with more nodes."""
 
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import jax.numpy as jnp
 import numpy as np
@@ -39,6 +39,13 @@ def mean_value(profile: Profile, value: Float[Array, " N"]) -> Float[Array, ""]:
     if profile.kind == "constant":
         return jnp.sum(width * value)
     return jnp.sum(width * (value[1:] + value[:-1])) / 2
+
+
+def profiles_of(unit) -> tuple[Profile, ...]:
+    """The profiles of a unit and of its jacket."""
+    owners = [unit, getattr(unit, "jacket", None)]
+    found = [getattr(each, field.name) for each in owners if each for field in fields(each)]
+    return tuple(each for each in found if isinstance(each, Profile))
 
 
 def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:

@@ -156,6 +156,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
     heat, duration = _heat(unit.jacket, network, inputs), use(inputs, unit.duration)
     volume, flow = use(inputs, unit.volume), feed.volume / feed.duration
     entering, first = feed.concentration(), use(inputs, unit.temperature.value)[0]
+    inside = entering if unit.filled == "feed" else jnp.zeros(species)
     turnover, size = flow / volume, cells * species
     ends = [size, size + species, size + species + count, size + species + count + cells]
 
@@ -187,9 +188,9 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         out = y[size : ends[1]] * volume
         extent = list(y[ends[1] : ends[2]] * volume)
         made = jnp.stack(_mixed(network, jnp.zeros(species), extent))
-        inside = jnp.mean(y[:size].reshape(cells, species), 0) * volume
+        gained = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
         waiting = 1 - ran / feed.volume
-        held = inside - entering * volume + waiting * feed.species
+        held = gained + waiting * feed.species
         mean = mean_value(unit.temperature, use(inputs, unit.temperature.value))
         if heat is not None:
             mean = y[ends[3]] / (turnover * duration)
@@ -204,7 +205,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
             book = book._replace(energy=(into, sensible * y[ends[3]], kept))
         return Finish((product,), states(y, control), book)
 
-    start = [jnp.tile(entering, cells), jnp.zeros(species + count)]
+    start = [jnp.tile(inside, cells), jnp.zeros(species + count)]
     if heat is not None:
         start += [jnp.full(cells, first), jnp.zeros(2)]
     drive = _drive(network, inputs, heat is not None)

@@ -16,7 +16,7 @@ from .records import (
     Measurement,
     Parameter,
 )
-from .records_units import Unit
+from .records_units import Timed, Unit
 from .tables import (
     ControlTable,
     DesignSpaceTable,
@@ -41,7 +41,13 @@ def read_control(
             raise section.error(
                 f"steps.{name}", table.steps[name], f"there is no such unit; {hint}"
             )
-    known = {f"{u.name}.{state}": unit for u in units for state, unit in states(u, species).items()}
+    # A unit that is not integrated over time has no reading until it is too late to decide.
+    known = {
+        f"{each.name}.{state}": unit
+        for each in units
+        if isinstance(each, Timed)
+        for state, unit in states(each, species).items()
+    }
     margin = table.solubility_margin
     if margin is not None:
         margin = quantity(section, "solubility_margin", margin, "1", POSITIVE)

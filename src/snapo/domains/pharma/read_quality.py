@@ -37,6 +37,8 @@ class Numbers(NamedTuple):
         if unit == "(m3/kmol)^(order-1)/s":
             order = self.network.order[entry].sum()
             return f"m^{3 * (order - 1):g}*kmol^{1 - order:g}/s"
+        if ", " in unit:
+            return unit.split(", ")[entry]
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
     def all(self, section: Section, key: str, text: str) -> list[Entry]:
@@ -135,15 +137,7 @@ def read_attributes(
     file, raw: list[dict], network: Network, feeds: Sequence[Feed], units: Sequence[Unit], notes
 ) -> tuple[Attribute, ...]:
     """`[[attributes]]`: a measure of a unit, in the owner's unit, with cited limits."""
-    known = {
-        f"{unit.name}.{measure}": domain
-        for unit in units
-        for measure, domain in measures(unit, network.species).items()
-    }
-    species = network.species
-    known |= {
-        f"process.yield.{made}.{key}": "1" for made in species for key in species if made != key
-    }
+    known = every_measure(network, units)
     found: list[Attribute] = []
     for i, each in enumerate(raw):
         section = Section(file, f"attributes[{i}]", notes)
@@ -153,6 +147,20 @@ def read_attributes(
             raise section.error("name", table.name, "another attribute has this name")
         found.append(attribute)
     return tuple(found)
+
+
+def every_measure(network: Network, units: Sequence[Unit]) -> dict[str, str]:
+    """{"unit.measure": its unit in the domain} of all units and of the process."""
+    found = {
+        f"{unit.name}.{measure}": domain
+        for unit in units
+        for measure, domain in measures(unit, network.species).items()
+    }
+    species = network.species
+    found |= {
+        f"process.yield.{made}.{key}": "1" for made in species for key in species if made != key
+    }
+    return found | {f"process.product.{made}": "kg" for made in species}
 
 
 def _attribute(section: Section, table: AttributeTable, known: dict[str, str]) -> Attribute:

@@ -1,86 +1,38 @@
 """Reads `[units.NAME]`: each unit of operation with its numbers in the domain's units."""
 
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from ...case import Given, Section, Table, parse
 from . import tables_units as tables
+from .read_crystalliser import read_crystalliser
 from .read_network import check_name
 from .read_numbers import (
-    ANY,
     INSIDE,
     NOT_NEGATIVE,
     POSITIVE,
     SHARE,
-    Bounds,
-    absent,
-    profile,
-    quantity,
     several,
-    single,
     suggest,
 )
+from .read_table import Reader
 from .records_units import (
-    Crystalliser,
     Dissolution,
     Dryer,
     Filter,
     Jacket,
-    Kinetics,
-    Profile,
+    Liquid,
     Reactor,
-    Seed,
-    Solubility,
     Splitter,
     Tank,
+    TrayDryer,
     Unit,
 )
 from .units_of_measure import UnitError, conversion
 
 ZERO_CELSIUS = 273.15
-
-
-class Reader(NamedTuple):
-    """One table while it is read; its numbers are called "name.key"."""
-
-    section: Section
-    name: str
-    table: Any
-
-    def number(self, key: str, unit: str, bounds: Bounds = ANY) -> Given:
-        raw = getattr(self.table, key)
-        return single(self.section, f"{self.name}.{key}", key, raw, unit, bounds)
-
-    def perhaps(self, key: str, unit: str, bounds: Bounds = ANY) -> Given | None:
-        return None if getattr(self.table, key) is None else self.number(key, unit, bounds)
-
-    def plain(self, key: str, unit: str, bounds: Bounds = ANY) -> float:
-        return quantity(self.section, key, getattr(self.table, key), unit, bounds)
-
-    def profile(self, key: str, unit: str, bounds: Bounds = POSITIVE) -> Profile:
-        raw = getattr(self.table, key)
-        return profile(self.section, f"{self.name}.{key}", key, raw, unit, bounds)
-
-    def inner(self, key: str, table: type[Table]) -> "Reader":
-        """The table under `key`."""
-        where = f"{self.section.name}.{key}"
-        found = parse(table, getattr(self.table, key), str(self.section.file), where)
-        section = Section(self.section.file, where, self.section.notes)
-        return Reader(section, f"{self.name}.{key}", found)
-
-    def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
-        """Refuses `keys` where `kind` is not one of `kinds`; where it is they may be `needed`."""
-        kind = self.table.kind
-        for key in keys:
-            given = getattr(self.table, key)
-            if kind not in kinds and given is not None:
-                words = " or ".join(f'"{each}"' for each in kinds)
-                what = f'kind "{kind}" has no such key; it belongs to {words}'
-                raise self.section.error(key, given, what)
-            if kind in kinds and needed and given is None:
-                raise self.section.error(key, None, f'kind "{kind}" needs this key')
 
 
 def read_units(file, units: dict, species: tuple[str, ...], notes: list[str]) -> tuple[Unit, ...]:
@@ -109,6 +61,9 @@ def _reactor(read: Reader, species) -> Reactor:
     if table.kind != "plug-flow" and "cells" in table.model_fields_set:
         what = f'kind "{table.kind}" has no such key; it belongs to "plug-flow"'
         raise read.section.error("cells", table.cells, what)
+    if table.kind not in ("stirred", "plug-flow") and "filled" in table.model_fields_set:
+        what = f'kind "{table.kind}" has no such key; it belongs to "stirred" or "plug-flow"'
+        raise read.section.error("filled", table.filled, what)
     jacket = None
     if table.jacket is not None:
         inner = read.inner("jacket", tables.JacketTable)
@@ -126,87 +81,8 @@ def _reactor(read: Reader, species) -> Reactor:
         dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
         jacket=jacket,
         cells=table.cells,
+        filled=table.filled,
     )
-
-
-def _crystalliser(read: Reader, species) -> Crystalliser:
-    table = read.table
-    if table.solute not in species:
-        hint = suggest(table.solute, species, "species")
-        raise read.section.error("solute", table.solute, f"there is no such species; {hint}")
-    return Crystalliser(
-        name=read.name,
-        solute=table.solute,
-        duration=read.number("duration", "s", POSITIVE),
-        temperature=read.profile("temperature", "K"),
-        initial_concentration=read.perhaps("initial_concentration", "kg/m3", POSITIVE),
-        solubility=_solubility(read.inner("solubility", tables.SolubilityTable)),
-        kinetics=_kinetics(read.inner("kinetics", tables.KineticsTable)),
-        shape=read.number("shape", "1", POSITIVE),
-        density=read.number("density", "kg/m3", POSITIVE),
-        nuclei_size=read.number("nuclei_size", "m", NOT_NEGATIVE),
-        seed=_seed(read.inner("seed", tables.SeedTable)),
-        separate=table.separate,
-        dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
-    )
-
-
-def _solubility(read: Reader) -> Solubility:
-    table = read.table
-    try:
-        scale = conversion(table.unit, "kg/m3").scale
-    except UnitError as error:
-        raise read.section.error("unit", table.unit, str(error)) from None
-    values = np.array(table.coefficients)
-    if table.kind == "polynomial":
-        values = values * scale
-    else:  # the unit is a factor of the whole, which the logarithm adds
-        values[0] += np.log(scale)
-    unit = "kg/m3/K^k" if table.kind == "polynomial" else "1/K^k"
-    labels = tuple(f"t^{k}" for k in range(len(values)))
-    extra = absent(f"{read.name}.antisolvent", "1")
-    if table.antisolvent is not None:
-        extra = several(
-            read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
-        )
-    return Solubility(
-        kind=table.kind,
-        coefficients=Given(read.name, values, labels, unit, np.arange(len(values))),
-        zero=0.0 if table.scale == "K" else ZERO_CELSIUS,
-        antisolvent=extra,
-    )
-
-
-def _kinetics(read: Reader) -> Kinetics:
-    rates = {"growth": "m/s", "dissolution": "m/s", "primary": "1/m3/s", "secondary": "1/m3/s"}
-    orders = ("growth_order", "dissolution_order", "primary_order", "secondary_order",
-              "crystal_order")  # fmt: skip
-    found = {key: read.number(key, unit, NOT_NEGATIVE) for key, unit in rates.items()}
-    found |= {key: read.number(key, "1", NOT_NEGATIVE) for key in orders}
-    return Kinetics(**found, rounding=read.plain("rounding", "1", POSITIVE))
-
-
-def _seed(read: Reader) -> Seed:
-    table = read.table
-    if (table.moments is None) == (table.loading is None):
-        what = "a seed has a loading and a size, or else its six moments"
-        raise read.section.error("moments", table.moments, what)
-    if table.moments is None:
-        if table.size is None:
-            raise read.section.error("size", None, "a loading needs this key")
-        loading = read.number("loading", "kg/m3", POSITIVE)
-        return Seed(loading, read.number("size", "m", POSITIVE), None)
-    if table.size is not None:
-        raise read.section.error("size", table.size, "a seed with moments has no such key")
-    if len(table.moments) != 6:
-        raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
-    values = [
-        quantity(read.section, f"moments[{k}]", raw, f"m^{k}/m3" if k else "1/m3", POSITIVE)
-        for k, raw in enumerate(table.moments)
-    ]
-    labels = tuple(f"mu{k}" for k in range(6))
-    name = f"{read.name}.moments"
-    return Seed(None, None, Given(name, np.array(values), labels, "m^k/m3", np.arange(6)))
 
 
 def _filter(read: Reader, species) -> Filter:
@@ -234,7 +110,26 @@ def _filter(read: Reader, species) -> Filter:
     )
 
 
-def _dryer(read: Reader, species) -> Dryer:
+FALLING_RATE = ("rate", "activation", "reference_temperature", "reference_size")
+TRAY = ("pressure", "area", "heat_transfer", "mass_transfer", "critical", "heat_capacity", "liquid")
+
+
+def _dryer(read: Reader, species) -> Dryer | TrayDryer:
+    read.only(("falling-rate",), FALLING_RATE, needed=True)
+    read.only(("tray",), TRAY, needed=True)
+    if read.table.kind == "tray":
+        return TrayDryer(
+            name=read.name,
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
+            area=read.number("area", "m2", POSITIVE),
+            heat_transfer=read.number("heat_transfer", "W/m2/K", POSITIVE),
+            mass_transfer=read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
+            critical=read.number("critical", "1", POSITIVE),
+            heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
+            liquid=_liquid(read.inner("liquid", tables.LiquidTable)),
+        )
     return Dryer(
         name=read.name,
         duration=read.number("duration", "s", POSITIVE),
@@ -243,6 +138,26 @@ def _dryer(read: Reader, species) -> Dryer:
         activation=read.number("activation", "J/mol"),
         reference_temperature=read.plain("reference_temperature", "K", POSITIVE),
         reference_size=read.number("reference_size", "m", POSITIVE),
+    )
+
+
+def _liquid(read: Reader) -> Liquid:
+    """Antoine's numbers for Pa and K, whatever the case gives them for."""
+    table = read.table
+    try:
+        scale = conversion(table.unit, "Pa").scale
+    except UnitError as error:
+        raise read.section.error("unit", table.unit, str(error)) from None
+    a, b, c = table.antoine
+    if b <= 0:
+        what = "allowed is B above 0: vapour pressure rises with temperature"
+        raise read.section.error("antoine", table.antoine, what)
+    values = np.array([a + np.log10(scale), b, c - (ZERO_CELSIUS if table.scale == "degC" else 0)])
+    name = f"{read.name}.antoine"
+    return Liquid(
+        antoine=Given(name, values, ("A", "B", "C"), "1, K, K", np.arange(3)),
+        latent_heat=read.number("latent_heat", "J/kg", POSITIVE),
+        heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
     )
 
 
@@ -284,7 +199,7 @@ def _splitter(read: Reader, species) -> Splitter:
 
 READERS: dict[str, tuple[type[Table], Callable[[Reader, Any], Unit]]] = {
     "reactor": (tables.ReactorTable, _reactor),
-    "crystalliser": (tables.CrystalliserTable, _crystalliser),
+    "crystalliser": (tables.CrystalliserTable, read_crystalliser),
     "filter": (tables.FilterTable, _filter),
     "dryer": (tables.DryerTable, _dryer),
     "dissolution": (tables.DissolutionTable, _dissolution),

@@ -15,6 +15,7 @@ from typing import Literal
 import numpy as np
 
 from ...case import Evaluation, Given, Training
+from .records_optimise import Optimise
 from .records_units import Feed, Unit
 
 
@@ -257,6 +258,8 @@ class Numerics:
     - `steps`: fixed steps per unit and break interval; `refine`: whether the run repeats value and
       gradient with twice as many and reports the difference.
     - `max_steps`: of the adaptive solver, after which the unit's status says where it stopped.
+    - `along`: whether derivatives on the mesh are taken along with every step, as suits many
+      batches side by side, and not of all steps at once, as is fast for one.
     """
 
     method: Literal["mesh", "adaptive"]
@@ -264,6 +267,7 @@ class Numerics:
     tolerance: float
     max_steps: int
     refine: bool
+    along: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -273,7 +277,7 @@ class PharmaCase:
     - `purpose`: a sentence for the report. `assumptions`: the owner's, beside those of the units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
     - `held`: names of `Given`s that are no inputs.
-    - `control`, `design_space`, `estimation`: None where the case does not ask for them.
+    - `control`, `design_space`, `estimation`, `optimise`: None where it does not ask for them.
     """
 
     file: Path
@@ -297,5 +301,6 @@ class PharmaCase:
     evaluation: Evaluation
     assumptions: tuple[str, ...]
     notes: tuple[str, ...]
+    optimise: Optimise | None = None
 
     kind = "pharma"

@@ -63,8 +63,9 @@ class Reactor:
     """Reactor of the case's network. Ports: feed (and dose, semi-batch) in; product out.
 
     - `kind`: "batch"; "semi-batch" (the stream at `dose` enters at `dosing` m3/s; what of the
-      stream is not dosed by the end is an error in the case); "stirred" (continuous, `volume` m3,
-      started full of its feed); "plug-flow" (`cells` in series, upwind; residence time V / flow).
+      stream is not dosed by the end is an error in the case); "stirred" (continuous, `volume` m3);
+      "plug-flow" (`cells` in series, upwind; residence time V / flow).
+    - `filled`: what a continuous reactor holds at the start, its feed or the feed's solvent alone.
     - `duration`: s, []. Continuous kinds deliver what left the outlet, mixed, over the duration.
     - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
     """
@@ -77,6 +78,7 @@ class Reactor:
     dosing: Profile | None
     jacket: Jacket | None
     cells: int
+    filled: Literal["feed", "solvent"] = "feed"
 
 
 @dataclass(frozen=True, eq=False)
@@ -119,25 +121,29 @@ class Kinetics:
 
 @dataclass(frozen=True, eq=False)
 class Seed:
-    """Crystals at the start: `loading` kg/m3, [], all of `size` m, []; or `moments`, index [6].
+    """Crystals at the start: `loading` kg/m3, [], of `size` m, []; or `moments`, index [6].
 
     Of the two, one is given and the other None; moments are m^k/m3, k = 0..5.
+    `size` is the mean by number and `spread`, [], the standard deviation as a share of it, of a
+    lognormal distribution; None where all are of one size.
     """
 
     loading: Given | None
     size: Given | None
     moments: Given | None
+    spread: Given | None = None
 
 
 @dataclass(frozen=True, eq=False)
 class Crystalliser:
-    """Batch crystalliser by moments 0 to 5. Ports: feed in (and antisolvent, dosed at `dosing`
-    m3/s), slurry out.
+    """Batch crystalliser. Ports: feed in (and antisolvent, dosed at `dosing` m3/s), slurry out.
 
     - `solute`: species; `initial_concentration`: kg/m3, [], where it replaces the feed's (a
       crystalliser alone); None otherwise.
     - `shape`: kv, []; `density`: of crystals, kg/m3, []; `nuclei_size`: m, [].
     - `separate`: whether seed and nuclei keep moments of their own.
+    - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
+      volumes; the feed then brings none. None: by the moments 0 to 5.
     """
 
     name: str
@@ -153,6 +159,7 @@ class Crystalliser:
     seed: Seed
     separate: bool
     dosing: Profile | None
+    edges: np.ndarray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,7 +190,7 @@ class Filter:
 
 @dataclass(frozen=True, eq=False)
 class Dryer:
-    """Dryer. Ports: cake in; product, vapour out.
+    """Dryer by a rate constant. Ports: cake in; product, vapour out.
 
     Falling rate: X' = -k X, k = rate exp(-activation / R (1/T - 1/reference_temperature))
     (reference_size / d32); X is solvent per crystals, kg/kg. `rate`: 1/s, `reference_size`: m.
@@ -196,6 +203,42 @@ class Dryer:
     activation: Given
     reference_temperature: float
     reference_size: Given
+
+
+@dataclass(frozen=True, eq=False)
+class Liquid:
+    """The liquid in a cake. ln p = ln(10) (A - B / (C + T)) in Pa with T in K (Antoine).
+
+    `antoine`: (A, B, C), index [3]; `latent_heat`: J/kg; `heat_capacity`: J/kg/K; each index [].
+    """
+
+    antoine: Given
+    latent_heat: Given
+    heat_capacity: Given
+
+
+@dataclass(frozen=True, eq=False)
+class TrayDryer:
+    """Dryer on a heated shelf under vacuum, its cake ideally mixed. Ports: cake in; product, vapour
+    out. Equations: `tray`.
+
+    - `temperature`: of the shelf, K; `pressure`: above the cake, Pa; profiles.
+    - `area`: of the shelf, m2; `heat_transfer`: from shelf to cake, W/m2/K; `mass_transfer`: from
+      the crystals' surface, kg/m2/s/Pa; each index [].
+    - `critical`: moisture in kg/kg of crystals below which the rate falls; `heat_capacity`: of
+      crystals, J/kg/K; each index [].
+    """
+
+    name: str
+    duration: Given
+    temperature: Profile
+    pressure: Profile
+    area: Given
+    heat_transfer: Given
+    mass_transfer: Given
+    critical: Given
+    heat_capacity: Given
+    liquid: Liquid
 
 
 @dataclass(frozen=True, eq=False)
@@ -234,4 +277,5 @@ class Splitter:
     share: Given
 
 
-Unit = Reactor | Crystalliser | Filter | Dryer | Dissolution | Tank | Splitter
+Timed = Reactor | Crystalliser | TrayDryer  # integrated over time
+Unit = Timed | Filter | Dryer | Dissolution | Tank | Splitter

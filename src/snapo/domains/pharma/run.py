@@ -17,6 +17,7 @@ from .inputs import pharma_inputs
 from .process import Process
 from .records import PharmaCase
 from .report import write_report
+from .sampling import sampler
 from .statement import statement
 
 DETAILS, PROFILE, SPACE = "details.json", "profile.csv", "design_space.csv"
@@ -37,6 +38,8 @@ def check(case: PharmaCase) -> list[str]:
         f"{len(case.parameters)} process parameters, {len(case.attributes)} quality attributes",
         f"time by the {case.numerics.method} method",
     ]
+    if case.optimise is not None:
+        lines.append(f"{len(case.optimise.decisions)} numbers are chosen for the best recipe")
     if case.control is not None:
         lines.append(f"a policy decides {', '.join(m.input for m in case.control.manipulated)}")
     return lines
@@ -126,12 +129,21 @@ def _open_loop(process: Process, work: Parts, found: dict, seed: int) -> Capabil
     found["profiles"] = work("profile sensitivities", lambda: details.profile_gradients(case))
     if case.pairs:
         found["second"] = work("second derivatives", lambda: details.second_rows(process))
-    capable = work("capability", lambda: capability(process, details.batch_count(case), seed + 1))
+    coarse = work("mesh of the statistics", lambda: sampler(process))
+    sampled, found["sampling"] = coarse or (process, None)
+    if sampled is not process:
+        found["notes"].append(
+            f"Statistics of many batches use {sampled.case.numerics.steps} steps per piece, which "
+            f"moves no attribute by more than {coarse[1]['gap']:.1g} of its margin."
+        )
+    capable = work("capability", lambda: capability(sampled, details.batch_count(case), seed + 1))
     found["capability"] = details.capability_rows(case, capable)
     found["spread"] = work("spread", lambda: details.spread_rows(case, found["matrix"]))
+    if case.optimise is not None:
+        found["optimise"] = work("best recipe", lambda: details.best_recipe(process, sampled, seed))
     if case.design_space is not None:
-        found["design_space"] = work("design space", lambda: details.map_tables(process, seed))
-        found["ranges"] = work("proven ranges", lambda: details.range_rows(process, seed))
+        found["design_space"] = work("design space", lambda: details.map_tables(sampled, seed))
+        found["ranges"] = work("proven ranges", lambda: details.range_rows(sampled, seed))
     if case.estimation is not None:
         found["estimation"] = work("estimation", lambda: details.estimation_rows(process))
     return capable
@@ -143,6 +155,8 @@ def _status(found: dict, work: Parts, loop: dict | None) -> str:
         return str(run.get("status") or "no batch was computed")
     if work.failures:
         return f"{', '.join(work.failures)} failed"
+    if found.get("optimise") and not found["optimise"]["converged"]:
+        return "the best recipe did not converge"
     return str(loop["status"]) if loop else "ok"
 
 
@@ -162,6 +176,8 @@ def _result(
     if loop is not None:
         references = {"recipe_as_given": recipe, "best_fixed_recipe": loop["baseline"]}
         value, error = loop["value"], loop["standard_error"]
+        if case.goal.kind != "probability":
+            references |= {"goal": loop["objective"], "goal_of_recipe": loop["baseline_objective"]}
     batches = 0 if capable is None else capable.batches
     return {
         "kind": case.kind,
@@ -185,7 +201,7 @@ def _write(out: Path, result, found, process: Process, work: Parts, progress: Te
         write_text(out / DETAILS, json.dumps(plain_json(found)))
         if (found.get("run") or {}).get("status") == "ok":
             header = ("attribute", "input", "label", "value", "unit")
-            rows = work("all sensitivities", lambda: details.every_sensitivity(process))
+            rows = work("all sensitivities", lambda: list(details.every_sensitivity(process)))
             write_csv(out / SLOPES, header, rows or [])
             header = ("unit", "time_s", "state", "value", "state_unit")
             write_csv(out / PROFILE, header, details.profile_rows(process.case, found["run"]))

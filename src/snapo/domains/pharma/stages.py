@@ -1,10 +1,13 @@
-"""One batch of the process as stages of decisions: each timed unit, and the rest at the end.
+"""One batch of the process as stages of decisions: each unit on which something is decided or
+measured over time, and at the end, where there is something to decide there, the others.
 
-A stage's state holds what the batch is: its drawn numbers, the streams made so far, the last
-value of every control and the last reading of every sensor.
+All other units run between the stages, in one go. A stage's state holds what the batch is: its
+drawn numbers, the streams made so far, the last value of every control and the last reading of
+every sensor.
 """
 
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,31 +16,35 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...simulator import Box, Schedule, Simulator
-from .dynamics import Dynamics
-from .flow import sources, yields
-from .inputs import every_given
-from .integrate import runge_kutta
+from .dynamics import Dynamics, Finish
+from .flow import asked, sources, yields
 from .mixing import feed
 from .ports import outlets
 from .profile import values_at
 from .records import Distribution, Manipulated, PharmaCase
-from .records_units import Crystalliser, Reactor
+from .records_units import Crystalliser, Timed, Unit
+from .runge_kutta import runge_kutta
 from .stream import Stream, clear, flat, unflat
 from .units import dynamics, operate
 
-PLAIN_STEPS = 16  # of a crystalliser on which nothing is decided
+PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
 
 State = dict[str, Any]
 
 
-def timed_units(case: PharmaCase) -> tuple[Reactor | Crystalliser, ...]:
-    """The units that are integrated over time, in order."""
-    return tuple(each for each in case.units if isinstance(each, Reactor | Crystalliser))
+def staged(case: PharmaCase) -> tuple[Timed, ...]:
+    """The units over whose time something is decided or measured, in order."""
+    control = case.control
+    assert control is not None
+    named = {name for name, _ in control.steps}
+    named |= {each.state.partition(".")[0] for each in control.measurements}
+    named |= {each.input.partition(".")[0] for each in control.manipulated}
+    return tuple(each for each in case.units if isinstance(each, Timed) and each.name in named)
 
 
-def decided(case: PharmaCase, unit: Reactor | Crystalliser | None) -> tuple[int, ...]:
-    """Numbers of the `Manipulated` that belong to a timed unit, or (None) to all the others."""
-    names = {each.name for each in timed_units(case)}
+def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
+    """Numbers of the `Manipulated` that belong to a stage's unit, or (None) to all the others."""
+    names = {each.name for each in staged(case)}
 
     def owner(item: Manipulated) -> str | None:
         name = item.input.partition(".")[0]
@@ -46,6 +53,33 @@ def decided(case: PharmaCase, unit: Reactor | Crystalliser | None) -> tuple[int,
     assert case.control is not None
     wanted = None if unit is None else unit.name
     return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == wanted)
+
+
+class Varied(NamedTuple):
+    """[V] what differs from batch to batch: the uncertain numbers, and after them the process
+    parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
+
+    inputs: tuple[str, ...]
+    entries: tuple[int, ...]
+    distributions: tuple[Distribution, ...]
+    when: tuple[str, ...]
+    correlated: np.ndarray
+
+
+def varied(case: PharmaCase) -> Varied:
+    """The same numbers as those of `draws.all_entries`."""
+    known, moving = case.uncertainty, [each for each in case.parameters if each.distribution]
+    size = len(known.inputs)
+    factor = np.eye(size + len(moving))
+    if size:
+        factor[:size, :size] = np.linalg.cholesky(known.correlation)
+    return Varied(
+        known.inputs + tuple(each.input for each in moving),
+        known.entries + tuple(each.entry for each in moving),
+        known.distributions + tuple(each.distribution for each in moving if each.distribution),
+        known.when + ("batch",) * len(moving),
+        factor,
+    )
 
 
 def drawn(distribution: Distribution, centre, z) -> Array:
@@ -58,21 +92,26 @@ def drawn(distribution: Distribution, centre, z) -> Array:
 
 
 class Stage(Simulator):
-    """What all stages share. `unit` is None in the last one, which runs all that has no time."""
+    """One stage. `unit` is None in one that decides once, before all that is left runs."""
 
     case: PharmaCase = eqx.field(static=True)
-    unit: Reactor | Crystalliser | None = eqx.field(static=True)
+    unit: Timed | None = eqx.field(static=True)
     horizon: int = eqx.field(static=True)
     before: int = eqx.field(static=True)
     total: int = eqx.field(static=True)
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(max(1, len(decided(self.case, self.unit))), 0.0, 1.0)
+        return Box(max(1, len(self.decided)), 0.0, 1.0)
+
+    @property
+    def decided(self) -> tuple[int, ...]:
+        """Numbers of the `Manipulated` that this stage decides."""
+        return decided(self.case, self.unit)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return len(self.case.uncertainty.inputs) + len(self.control.measurements)
+        return len(self.varied.inputs) + len(self.control.measurements)
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -83,18 +122,20 @@ class Stage(Simulator):
         assert self.case.control is not None
         return self.case.control
 
+    @property
+    def varied(self) -> Varied:
+        return varied(self.case)
+
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
-        uncertain = self.case.uncertainty
-        size = len(uncertain.inputs)
-        correlated = np.linalg.cholesky(uncertain.correlation) if size else np.zeros((0, 0))
+        correlated = jnp.asarray(self.varied.correlated)
         number = np.arange(self.horizon)
         steps = {"clock": (self.before + number) / self.total, "share": number / self.horizon}
         constants = {name: jnp.asarray(each) for name, each in inputs.items()}
-        return Schedule({"inputs": constants, "correlated": jnp.asarray(correlated)}, steps)
+        return Schedule({"inputs": constants, "correlated": correlated}, steps)
 
-    def draw(self, constants, noise) -> Float[Array, " U"]:
-        """Values of the uncertain numbers."""
-        uncertain, inputs = self.case.uncertainty, constants["inputs"]
+    def draw(self, constants, noise) -> Float[Array, " V"]:
+        """Values of the varied numbers."""
+        uncertain, inputs = self.varied, constants["inputs"]
         z = constants["correlated"] @ noise[: len(uncertain.inputs)]
         found = [
             drawn(each, inputs[name][entry], z[i])
@@ -106,18 +147,15 @@ class Stage(Simulator):
 
     def inputs_of(self, constants, draws) -> dict[str, Array]:
         """The inputs of this batch."""
-        found, uncertain = dict(constants["inputs"]), self.case.uncertainty
+        found, uncertain = dict(constants["inputs"]), self.varied
         for i, (name, entry) in enumerate(zip(uncertain.inputs, uncertain.entries)):
             found[name] = found[name].at[entry].set(draws[i])
         return found
 
     def initial(self, constants, noise) -> State:
-        case, size = self.case, len(self.case.uncertainty.inputs)
+        size = len(self.varied.inputs)
         draws = self.draw(constants, noise)
-        firsts = [
-            constants["inputs"].get(each.input, _values(case, each.input))[0]
-            for each in self.control.manipulated
-        ]
+        firsts = [constants["inputs"][each.input][0] for each in self.control.manipulated]
         state = {
             "y": jnp.zeros(0),
             "streams": {},
@@ -134,7 +172,9 @@ class Stage(Simulator):
         """The state with which this stage begins."""
         if self.unit is None:
             return state | {"y": jnp.zeros(0)}
-        problem = self.problem(self.inputs_of(constants, state["draws"]), state["streams"])
+        inputs = self.inputs_of(constants, state["draws"])
+        state = self.settle(inputs, state)
+        problem = self.problem(inputs, state["streams"])
         y = problem.start
         controls = [
             state["control"][i] if (i := self._manipulated(profile.value.name)) >= 0 else value[0]
@@ -151,18 +191,37 @@ class Stage(Simulator):
         for profile, value in problem.controls:
             i = self._manipulated(profile.value.name)
             ends.append(state["control"][i] if i >= 0 else value[-1])
-        finish, name = problem.finish(state["y"], *ends), self.unit.name
+        return self.delivered(self.unit, problem.finish(state["y"], *ends), state)
+
+    def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
+        """The state with what a timed unit delivered."""
+        wanted = asked(self.case)
         streams = {
-            f"{name}.{port}": flat(stream)
-            for port, stream in zip(outlets(self.unit), finish.outlets)
+            f"{unit.name}.{port}": flat(stream)
+            for port, stream in zip(outlets(unit), finish.outlets)
         }
-        wanted = {each.measure for each in self.case.attributes}
-        measures = {f"{name}.{each}": value for each, value in finish.measures.items()}
+        measures = {f"{unit.name}.{each}": value for each, value in finish.measures.items()}
         kept = {each: value for each, value in measures.items() if each in wanted}
         return state | {
             "streams": state["streams"] | streams,
             "measures": state["measures"] | kept,
         }
+
+    def settle(self, inputs, state: State) -> State:
+        """The state with every timed unit run that has no stage and whose inlets flow by now."""
+        case, fed, own = self.case, sources(self.case), staged(self.case)
+        numerics = replace(case.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
+        for unit in case.units:
+            done = any(f"{unit.name}.{port}" in state["streams"] for port in outlets(unit))
+            if not isinstance(unit, Timed) or unit in own or done:
+                continue
+            found, _ = self.streams(inputs, state["streams"])
+            if not all(name in found for name in fed[unit.name]):
+                continue
+            given = tuple(found[name] for name in fed[unit.name])
+            finish = operate(unit, case.network, numerics, given, inputs).finish
+            state = self.delivered(unit, finish, state)
+        return state
 
     def streams(self, inputs, made: dict[str, Array]) -> tuple[dict[str, Stream], dict]:
         """All streams and measures that follow from the feeds and the vectors `made` so far."""
@@ -174,7 +233,7 @@ class Stage(Simulator):
         measures = {}
         for unit in case.units:
             ready = all(name in found for name in fed[unit.name])
-            if isinstance(unit, Reactor | Crystalliser) or not ready:
+            if isinstance(unit, Timed) or not ready:
                 continue
             given = tuple(found[name] for name in fed[unit.name])
             finish = operate(unit, case.network, case.numerics, given, inputs).finish
@@ -212,9 +271,9 @@ class Stage(Simulator):
 
     def renewed(self, constants, state: State, noise) -> State:
         """The state with this step's disturbances and sensor errors."""
-        size = len(self.case.uncertainty.inputs)
-        state = state | {"error": noise[size:]}
-        again = np.array([each == "step" for each in self.case.uncertainty.when], bool)
+        uncertain = self.varied
+        state = state | {"error": noise[len(uncertain.inputs) :]}
+        again = np.array([each == "step" for each in uncertain.when], bool)
         if not again.any():
             return state
         draws = jnp.where(again, self.draw(constants, noise), state["draws"])
@@ -223,7 +282,7 @@ class Stage(Simulator):
     def wanted(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
         """The controls after this decision, in their units and within their ramps."""
         control = state["control"]
-        for place, i in enumerate(decided(self.case, self.unit)):
+        for place, i in enumerate(self.decided):
             item = self.control.manipulated[i]
             value = item.low + action[place] * (item.high - item.low)
             if item.ramp is not None and self.unit is not None:
@@ -236,22 +295,26 @@ class Stage(Simulator):
         state = self.renewed(constants, state, noise)
         inputs = self.inputs_of(constants, state["draws"])
         if self.unit is None:
-            return self._finish(inputs, state, action, smooth)
+            return state | {"control": self.wanted(state, action, smooth, None)}, {}
         problem = self.problem(inputs, state["streams"])
         seconds = problem.duration / self.horizon
         control = self.wanted(state, action, smooth, seconds)
         count = self.control.substeps
         start = np.arange(count) / count
         part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
+        # Of a control that is decided only its disturbance is the batch's own.
+        nominal, share = constants["inputs"], now["share"] + part / self.horizon
         courses, ends = [], []
         for profile, value in problem.controls:
             i = self._manipulated(profile.value.name)
             if i >= 0:
-                first = state["control"][i]
+                # A profile of pieces jumps, unless it may not; any other moves evenly.
+                jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
+                first = control[i] if jumps else state["control"][i]
                 course = first + (control[i] - first) * part
-                course = course + self._disturbance(constants, state, i)
+                course = course + values_at(profile, value - nominal[profile.value.name], share)
             else:
-                course = values_at(profile, value, now["share"] + part / self.horizon)
+                course = values_at(profile, value, share)
             courses.append(course)
             ends.append(course[-1, 2])
         y, worst = self._advance(problem, state, courses, seconds / count, smooth)
@@ -276,23 +339,21 @@ class Stage(Simulator):
         first = state["y"], state["worst"]
         return jax.lax.scan(advance, first, (drive, ends))[0]
 
-    def _disturbance(self, constants, state: State, i: int):
-        """How far a decided control is off in this step, in its unit."""
-        name, off = self.control.manipulated[i].input, 0.0
-        for u, (each, entry) in enumerate(
-            zip(self.case.uncertainty.inputs, self.case.uncertainty.entries)
-        ):
-            if each == name:
-                off = off + state["draws"][u] - constants["inputs"][name][entry]
-        return off
+    def terminal(self, constants, state: State, smooth):
+        """The other units, every attribute, whether all limits hold and by how much they do not.
 
-    def _finish(self, inputs, state: State, action, smooth):
-        """The last step: what is decided there, the other units, and every attribute."""
-        control = self.wanted(state, action, smooth, None)
+        Only the last stage's counts: that of an earlier one is empty.
+        """
+        if self.before + self.horizon < self.total:
+            return {}
+        inputs = self.inputs_of(constants, state["draws"])
+        if self.unit is not None:
+            state = self.leave(constants, state)
         for i in decided(self.case, None):
             name = self.control.manipulated[i].input
-            shape = inputs.get(name, _values(self.case, name)).shape
-            inputs[name] = jnp.broadcast_to(control[i], shape)
+            off = inputs[name] - constants["inputs"][name]
+            inputs[name] = state["control"][i] + off
+        state = self.settle(inputs, state)
         streams, measures = self.streams(inputs, state["streams"])
         measures |= state["measures"] | yields(self.case, streams)
         outputs, success, violation = {}, jnp.ones(()), jnp.zeros(())
@@ -310,15 +371,9 @@ class Stage(Simulator):
         for gap, width in gaps:
             success = success * smooth.indicator(gap, scale=width)
             violation = violation + smooth.positive_part(-gap, scale=width) / width
-        outputs |= {"success": success, "violation": violation}
-        return state | {"control": control}, outputs
+        return outputs | {"success": success, "violation": violation}
 
     def _manipulated(self, name: str) -> int:
         """The number of the `Manipulated` with this input, -1 if nobody decides it."""
         names = [each.input for each in self.control.manipulated]
         return names.index(name) if name in names else -1
-
-
-def _values(case: PharmaCase, name: str) -> np.ndarray:
-    """The numbers of a `Given` that is held fixed."""
-    return next(g.values for g in every_given(case.units) if g.name == name)

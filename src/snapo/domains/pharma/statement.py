@@ -14,6 +14,7 @@ from .records_units import (
     Reactor,
     Splitter,
     Tank,
+    TrayDryer,
     Unit,
 )
 from .sensitivities import entry_name
@@ -23,7 +24,7 @@ ASSUMPTIONS = (
     "leave as it is.",
     "Crystals are pure; impurities come with the liquor that the cake keeps.",
     "A stream holds one population of crystals, of one density and shape.",
-    "Units are ideally mixed and hold their temperature profile, unless they have a jacket.",
+    "Units are ideally mixed and hold their temperature profile, unless a heat balance is theirs.",
     "Wash liquid is clean solvent and replaces liquor one to one.",
 )
 SCOPE = (
@@ -40,7 +41,7 @@ def statement(case: PharmaCase) -> dict[str, Any]:
         "assumptions": [*ASSUMPTIONS, *case.assumptions],
         "reactions": [_reaction(case.network, i) for i in range(len(case.network.reactions))],
         "units": [
-            {"name": unit.name, "type": type(unit).__name__.lower(), "equations": equations(unit)}
+            {"name": unit.name, "type": _kind(unit), "equations": equations(unit)}
             for unit in case.units
         ],
         "connections": [
@@ -156,7 +157,7 @@ def equations(unit: Unit) -> list[str]:
             return [
                 "S = (c − c*)/c*, S₊ its rounded positive part",
                 "growth G = g S₊^a − d S₋^b; nucleation B = B₁ S₊^p + B₂ S₊^q (kᵥ μ₃)^r",
-                "μ₀' = B, μₖ' = k G μₖ₋₁ + B L₀^k, k = 1 … 5; solute by difference of μ₃",
+                _sizes(unit),
                 f"solubility c*: {unit.solubility.kind} in temperature",
             ]
         case Filter():
@@ -168,12 +169,32 @@ def equations(unit: Unit) -> list[str]:
             ]
         case Dryer():
             return ["X' = −k X, k = k₀ exp(−E/R (1/T − 1/T₀)) (d₀/d₃₂)"]
+        case TrayDryer():
+            return [
+                "X' = −w, w = k a max(f p_v(T) − p, 0), a = 6/(ρₛ d₃₂)",
+                "f = r (1 + r⁸)^(−1/8), r = X/X_c: 1 where wet, X/X_c below critical moisture",
+                "(cₛ + X c_l) m T' = U A (T_shelf − T) − m w λ; log₁₀ p_v = A − B/(C + T)",
+            ]
         case Dissolution():
             return ["dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, r = d₃₂/2, 1 once dissolved"]
         case Tank():
             return ["amounts and moments add up; temperature by volume"]
         case Splitter():
             return ["every amount divides in the same shares"]
+
+
+def _kind(unit: Unit) -> str:
+    return "tray dryer" if isinstance(unit, TrayDryer) else type(unit).__name__.lower()
+
+
+def _sizes(unit: Crystalliser) -> str:
+    if unit.edges is None:
+        return "μ₀' = B, μₖ' = k G μₖ₋₁ + B L₀^k, k = 1 … 5; solute by difference of μ₃"
+    low, high = 1e6 * unit.edges[[0, -1]]
+    return (
+        f"n_t + (G n)_L = 0, B at the smallest size; {len(unit.edges) - 1} cells from {low:.4g} to "
+        f"{high:.4g} µm, limited slopes (van Albada); solute by difference of the cells' μ₃"
+    )
 
 
 def _reactor(unit: Reactor) -> list[str]:

@@ -269,6 +269,7 @@ class PharmaTable(Table):
     goal: dict = Field({}, description="the table [goal]")
     design_space: dict | None = Field(None, description="the table [design_space]")
     estimation: dict | None = Field(None, description="the table [estimation]")
+    optimise: dict | None = Field(None, description="the table [optimise]")
     numerics: dict = Field({}, description="the table [numerics]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

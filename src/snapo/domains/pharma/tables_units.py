@@ -31,6 +31,7 @@ class ReactorTable(Table):
     dosing: Any = profile(None)
     jacket: dict | None = Field(None, description="the table jacket")
     cells: Annotated[int, Field(ge=1, le=1000)] = Field(50, description="a whole number, 1 or more")
+    filled: Literal["feed", "solvent"] = word("feed", "solvent", default="feed")
 
 
 class SolubilityTable(Table):
@@ -69,13 +70,27 @@ class SeedTable(Table):
 
     loading: Any = quantity('"0.02 kg/m^3"', None)
     size: Any = quantity('"20 um"', None)
+    spread: Any = Field(None, description="a number above 0, such as 0.3")
     moments: list[Any] | None = Field(None, description="six quantities, m^k/m^3 for k = 0 to 5")
+
+
+class SizesTable(Table):
+    """`[units.NAME.sizes]`"""
+
+    smallest: Any = quantity('"0 um"')
+    largest: Any = quantity('"400 um"')
+    cells: Annotated[int, Field(ge=4, le=1000)] = Field(description="a whole number, 4 or more")
+    spacing: Literal["equal", "geometric"] = word("equal", "geometric", default="equal")
 
 
 class CrystalliserTable(Table):
     """`type = "crystalliser"`"""
 
     type: Literal["crystalliser"]
+    method: Literal["moments", "finite-volumes"] = word(
+        "moments", "finite-volumes", default="moments"
+    )
+    sizes: dict | None = Field(None, description="the table sizes")
     solute: Text = Field(description="the name of a species")
     duration: Any = quantity('"7200 s"')
     temperature: Any = profile()
@@ -109,16 +124,36 @@ class FilterTable(Table):
     peclet: Any = Field(None, description="a number above 0")
 
 
+class LiquidTable(Table):
+    """`[units.NAME.liquid]`"""
+
+    antoine: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+        description="three numbers, such as [9.23027, 1256.68, -40.529]"
+    )
+    unit: Text = Field("Pa", description='a unit such as "Pa"')
+    scale: Literal["K", "degC"] = word("K", "degC", default="K")
+    latent_heat: Any = quantity('"448 kJ/kg"')
+    heat_capacity: Any = quantity('"1720 J/kg/K"')
+
+
 class DryerTable(Table):
     """`type = "dryer"`"""
 
     type: Literal["dryer"]
+    kind: Literal["falling-rate", "tray"] = word("falling-rate", "tray", default="falling-rate")
     duration: Any = quantity('"3 h"')
     temperature: Any = profile()
-    rate: Any = quantity('"1e-3 1/s"')
-    activation: Any = quantity('"40 kJ/mol"')
-    reference_temperature: Any = quantity('"323.15 K"')
-    reference_size: Any = quantity('"40 um"')
+    rate: Any = quantity('"1e-3 1/s"', None)
+    activation: Any = quantity('"40 kJ/mol"', None)
+    reference_temperature: Any = quantity('"323.15 K"', None)
+    reference_size: Any = quantity('"40 um"', None)
+    pressure: Any = profile(None)
+    area: Any = quantity('"0.5 m^2"', None)
+    heat_transfer: Any = quantity('"20 W/m^2/K"', None)
+    mass_transfer: Any = quantity('"7e-10 kg/m^2/s/Pa"', None)
+    critical: Any = quantity('"0.03 kg/kg"', None)
+    heat_capacity: Any = quantity('"1200 J/kg/K"', None)
+    liquid: dict | None = Field(None, description="the table liquid")
 
 
 class DissolutionTable(Table):

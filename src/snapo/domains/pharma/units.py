@@ -23,9 +23,12 @@ from .records_units import (
     Reactor,
     Splitter,
     Tank,
+    Timed,
+    TrayDryer,
     Unit,
 )
 from .stream import Stream
+from .tray import tray
 
 
 class Outcome(NamedTuple):
@@ -41,15 +44,20 @@ class Outcome(NamedTuple):
 
 def timed(unit: Unit) -> bool:
     """Whether the unit is integrated over time."""
-    return isinstance(unit, Reactor | Crystalliser)
+    return isinstance(unit, Timed)
 
 
 def dynamics(
-    unit: Unit, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
+    unit: Timed, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
 ) -> Dynamics:
     """The initial value problem of a unit that is integrated over time."""
-    make = reactor if isinstance(unit, Reactor) else crystalliser
-    return make(unit, network, inlets, inputs)  # pyright: ignore[reportArgumentType]
+    match unit:
+        case Reactor():
+            return reactor(unit, network, inlets, inputs)
+        case Crystalliser():
+            return crystalliser(unit, network, inlets, inputs)
+        case TrayDryer():
+            return tray(unit, inlets[0], inputs)
 
 
 def operate(
@@ -63,7 +71,7 @@ def operate(
     """Runs a unit; with `record`, its track is kept."""
     still, zero = len(network.species), jnp.zeros(())
     match unit:
-        case Reactor() | Crystalliser():
+        case Reactor() | Crystalliser() | TrayDryer():
             problem = dynamics(unit, network, inlets, inputs)
             solved = integrate(problem, numerics, record)
             finish = problem.finish(solved.final, *solved.controls)

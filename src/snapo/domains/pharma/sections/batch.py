@@ -72,12 +72,42 @@ def _over_time(unit: str, path: dict[str, np.ndarray]) -> Chart:
 
     def paint(upper, lower):
         pictures.curves(upper, minutes, [("S", path["supersaturation"])], "Supersaturation", True)
-        sizes = [("d43", 1e6 * path["d43"]), ("d32", 1e6 * path["d32"])]
-        pictures.curves(lower, minutes, sizes, "Mean size, µm")
-        lower.set_xlabel("Time, min")
+        names = [name for name in ("d43", "d32", "d10", "d50", "d90") if name in path]
+        sizes = [(name, 1e6 * path[name]) for name in names]
+        pictures.curves(lower, minutes, sizes, "Size, µm")
+        pictures.minutes_below(upper, lower)
 
-    svg = draw(f"time-{unit}", "Supersaturation and mean size over time.", paint, 300, (1.0, 1.0))
-    return Chart(svg, f"{unit}: supersaturation (c − c*)/c* and mean sizes of all crystals.")
+    svg = draw(f"time-{unit}", "Supersaturation and size over time.", paint, 340, (1.0, 1.0))
+    text = f"{unit}: supersaturation (c − c*)/c* and sizes of all crystals"
+    return Chart(svg, text + ("; d10, d50 and d90 by volume." if "d50" in path else "."))
+
+
+def drying(run: Run) -> Section:
+    """Moisture of the cake over time, and its temperature where that has a balance of its own."""
+    title, short = "Drying over time", "Drying"
+    blocks: list[Block] = []
+    for unit, table in (run.get("run.trajectories") or {}).items():
+        if "solvent" in table:
+            path = {name: np.asarray(values, float) for name, values in table.items()}
+            blocks.append(_drying(unit, path))
+    if not blocks:
+        blocks.append(Missing("No dryer's trajectory is in this run."))
+    return Section("drying", title, short, blocks)
+
+
+def _drying(unit: str, path: dict[str, np.ndarray]) -> Chart:
+    minutes, tray = path["time"] / 60, "shelf" in path
+
+    def paint(upper, lower):
+        moisture = [("Solvent", 100 * path["solvent"])]
+        pictures.curves(upper, minutes, moisture, "Solvent, % of the crystals", True)
+        lines = [("Cake", path["temperature"])] + ([("Shelf", path["shelf"])] if tray else [])
+        pictures.curves(lower, minutes, lines, "Temperature, K")
+        pictures.minutes_below(upper, lower)
+
+    svg = draw(f"drying-{unit}", "Moisture and temperature of the cake over time.", paint, 340,
+               (1.0, 1.0))  # fmt: skip
+    return Chart(svg, f"{unit}: solvent per crystals, by mass, and the temperature of the cake.")
 
 
 def reactor(run: Run) -> Section:

@@ -1,8 +1,16 @@
 """Purpose, model and numbers, as a reader who must judge them needs them."""
 
 from ....report.page import Block, Missing, Section, Table, Text
-from ....report.quantity import number, quantity
 from .run import Run
+
+SYMBOLS = (
+    "Symbols: c concentration, c* solubility, S supersaturation, L size and n its density by "
+    "number, μₖ moments of the size, kᵥ shape, ρₛ density of crystals, d₃₂ mean size by "
+    "surface; ε porosity, s saturation, W wash ratio, α specific resistance, cₛ crystals per "
+    "volume of filtrate V_f, R_m resistance of the medium, μ viscosity, Δp pressure, A area; X "
+    "solvent per crystals; D diffusivity, Cₛ solubility and h film of the dissolution test."
+)
+POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def model(run: Run) -> Section:
@@ -18,9 +26,23 @@ def model(run: Run) -> Section:
     flow = [f"{c['from']} → {c['to']}" for c in run.get("connections", [])]
     if flow:
         blocks.append(Text("Flowsheet: " + "; ".join(flow) + "."))
-    blocks += [_reactions(run), _equations(units), _parameters(run), _uncertainty(run)]
+    blocks += [_reactions(run), _equations(units), Text(SYMBOLS), _parameters(run)]
+    blocks.append(_uncertainty(run))
     blocks.append(_numbers(run))
     return Section("model", "Purpose, model and equations", "Model", blocks)
+
+
+def given(value: float, unit: str = "") -> str:
+    """A number that the case gives, with all its digits: 313.15 K, 4.46 × 10¹⁰ 1/m3/s."""
+    if value == 0 or 1e-3 <= abs(value) < 1e7:
+        text = f"{value:,.10f}".rstrip("0").rstrip(".").replace("-", "−")
+        if value != float(f"{value:.10f}"):
+            text = f"{value:.10g}".replace("-", "−")
+    else:
+        mantissa, _, power = f"{value:.9e}".partition("e")
+        shown = str(int(power)).translate(POWERS)
+        text = f"{mantissa.rstrip('0').rstrip('.')} × 10{shown}".replace("-", "−")
+    return f"{text}\u00a0{unit}" if unit and unit != "1" else text
 
 
 def _reactions(run: Run) -> Table | Text:
@@ -29,15 +51,19 @@ def _reactions(run: Run) -> Table | Text:
             each["name"],
             each["equation"],
             each["rate"],
-            quantity(each["prefactor"], each["prefactor_unit"]),
-            quantity(each["activation"] / 1000, "kJ/mol"),
+            given(each["prefactor"], each["prefactor_unit"]),
+            given(each["activation"] / 1000, "kJ/mol"),
+            given(each["heat"] / 1000, "kJ/mol"),
         )
         for each in run.get("reactions", [])
     ]
     if not rows:
         return Text("Nothing reacts.")
-    head = [("Reaction", ""), ("Equation", ""), ("Rate", ""), ("Prefactor", ""), ("Activation", "")]
-    return Table(head, rows, "Mass-action reactions; k = prefactor exp(−E/(R T))", 3)
+    head = [("Reaction", ""), ("Equation", ""), ("Rate", ""), ("Prefactor", ""), ("Activation", ""),
+            ("Heat of reaction", "")]  # fmt: skip
+    reference = run.get("reactions")[0]["reference"]
+    power = "E/(R T)" if reference is None else f"E/R (1/T − 1/{given(reference, 'K')})"
+    return Table(head, rows, f"Mass-action reactions; k = prefactor exp(−{power})", 3)
 
 
 def _equations(units) -> Table | Missing:
@@ -53,9 +79,9 @@ def _parameters(run: Run) -> Table | Missing:
             each["name"],
             each["of"],
             each["source"],
-            quantity(each["nominal"], "" if each["unit"] == "1" else each["unit"]),
-            " – ".join(number(x) for x in each["normal"]),
-            " – ".join(number(x) for x in each["range"]),
+            given(each["nominal"], each["unit"]),
+            " – ".join(given(x) for x in each["normal"]),
+            " – ".join(given(x) for x in each["range"]),
             each["distribution"],
         )
         for each in run.parameters
@@ -69,7 +95,7 @@ def _parameters(run: Run) -> Table | Missing:
 
 def _uncertainty(run: Run) -> Table | Text:
     rows = [
-        (each["of"], each["distribution"], each["when"], quantity(each["nominal"], each["unit"]))
+        (each["of"], each["distribution"], each["when"], given(each["nominal"], each["unit"]))
         for each in run.get("uncertainty", [])
     ]
     if not rows:
@@ -80,7 +106,7 @@ def _uncertainty(run: Run) -> Table | Text:
 
 def _numbers(run: Run) -> Table | Missing:
     rows = [
-        (each["input"], each["label"], each["parameter"], quantity(each["value"], each["unit"]))
+        (each["input"], each["label"], each["parameter"], given(each["value"], each["unit"]))
         for each in run.get("numbers", [])
     ]
     if not rows:

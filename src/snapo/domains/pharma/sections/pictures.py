@@ -81,6 +81,13 @@ def curves(
         legend_above(axes)
 
 
+def minutes_below(*panels: Axes) -> None:
+    """The time under every panel: those that share an axis show it under the last alone."""
+    for axes in panels:
+        axes.tick_params(axis="x", labelbottom=True)
+        axes.set_xlabel("Time, min")
+
+
 def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.ndarray]) -> None:
     """The way of a batch through the c-T plane, above its solubility; time runs to the left."""
     axes.plot(*curve, color=LIGHT["limit"], linestyle=(0, (5, 2)), label="Solubility")

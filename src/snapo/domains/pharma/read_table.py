@@ -1,0 +1,48 @@
+"""One table of a unit while it is read: its numbers, profiles and inner tables."""
+
+from typing import Any, NamedTuple
+
+from ...case import Given, Section, Table, parse
+from .read_numbers import ANY, POSITIVE, Bounds, profile, quantity, single
+from .records_units import Profile
+
+
+class Reader(NamedTuple):
+    """One table while it is read; its numbers are called "name.key"."""
+
+    section: Section
+    name: str
+    table: Any
+
+    def number(self, key: str, unit: str, bounds: Bounds = ANY) -> Given:
+        raw = getattr(self.table, key)
+        return single(self.section, f"{self.name}.{key}", key, raw, unit, bounds)
+
+    def perhaps(self, key: str, unit: str, bounds: Bounds = ANY) -> Given | None:
+        return None if getattr(self.table, key) is None else self.number(key, unit, bounds)
+
+    def plain(self, key: str, unit: str, bounds: Bounds = ANY) -> float:
+        return quantity(self.section, key, getattr(self.table, key), unit, bounds)
+
+    def profile(self, key: str, unit: str, bounds: Bounds = POSITIVE) -> Profile:
+        raw = getattr(self.table, key)
+        return profile(self.section, f"{self.name}.{key}", key, raw, unit, bounds)
+
+    def inner(self, key: str, table: type[Table]) -> "Reader":
+        """The table under `key`."""
+        where = f"{self.section.name}.{key}"
+        found = parse(table, getattr(self.table, key), str(self.section.file), where)
+        section = Section(self.section.file, where, self.section.notes)
+        return Reader(section, f"{self.name}.{key}", found)
+
+    def only(self, kinds: tuple[str, ...], keys: tuple[str, ...], needed: bool = False) -> None:
+        """Refuses `keys` where `kind` is not one of `kinds`; where it is they may be `needed`."""
+        kind = self.table.kind
+        for key in keys:
+            given = getattr(self.table, key)
+            if kind not in kinds and given is not None:
+                words = " or ".join(f'"{each}"' for each in kinds)
+                what = f'kind "{kind}" has no such key; it belongs to {words}'
+                raise self.section.error(key, given, what)
+            if kind in kinds and needed and given is None:
+                raise self.section.error(key, None, f'kind "{kind}" needs this key')

@@ -1,0 +1,60 @@
+"""An optimisation of the open-loop recipe as resolved data; conventions as in `records`."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Decision:
+    """What is chosen: one entry of one `Given`.
+
+    - `name`: "crystalliser.temperature[1]"; `input`, `entry`: the `Given` and the position.
+    - `unit`: the owner's; domain value = `scale` * owner's + `offset`.
+    - `low`, `high`, `start`: in the domain's unit; the start is the case's own number.
+    """
+
+    name: str
+    input: str
+    entry: int
+    unit: str
+    scale: float
+    offset: float
+    low: float
+    high: float
+    start: float
+
+    def owners(self, value: float) -> float:
+        """A number of the domain in the owner's unit."""
+        return (value - self.offset) / self.scale
+
+
+@dataclass(frozen=True)
+class Term:
+    """`weight` times a measure, or times a number of the case, in the owner's `unit`.
+
+    - `of`: "unit.measure" or "unit.field"; `entry`: the position in the `Given`'s values, None
+      for a measure. `scale`: owner's unit = `scale` times the domain's (0 is 0 in both).
+    """
+
+    of: str
+    entry: int | None
+    unit: str
+    scale: float
+    weight: float
+
+
+@dataclass(frozen=True)
+class Optimise:
+    """Goal = sum of `terms`, divided by the sum of `per` where there is one; at the nominal model.
+
+    - `sense`: 1 to make it large, -1 to make it small.
+    - `reserve`: the attributes stay this many margins within their limits.
+    - `starts`: the case's own recipe, and random ones within the bounds beside it.
+    """
+
+    sense: Literal[-1, 1]
+    terms: tuple[Term, ...]
+    per: tuple[Term, ...]
+    decisions: tuple[Decision, ...]
+    reserve: float
+    starts: int
