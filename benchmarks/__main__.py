@@ -1,29 +1,16 @@
-"""`python -m benchmarks`: what gradients cost here, and the native engine against XLA."""
+"""`python -m benchmarks`: what gradients cost here, domain by domain, and the native engine."""
 
-import os
-import platform
+from . import gas_storage, native, pension, pharma
+from .machine import machine
 
-import jax
-
-from . import gas_storage, native
-
-
-def machine() -> str:
-    """Processor, cores and versions, for whoever reads the figures."""
-    name = platform.processor() or platform.machine()
-    try:
-        with open("/proc/cpuinfo", encoding="utf-8") as lines:
-            name = next(line.partition(":")[2].strip() for line in lines if "model name" in line)
-    except (OSError, StopIteration):
-        pass
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    load = f", load {os.getloadavg()[0]:.1f}" if hasattr(os, "getloadavg") else ""
-    return f"{name}, {cores} cores{load}; Python {platform.python_version()}, JAX {jax.__version__}"
+SMALLER = ("small", "medium")
 
 
 if __name__ == "__main__":
     print(machine())
-    for benchmark in (gas_storage, native):
+    # Of the large fund bumps alone take minutes: `python -m benchmarks.pension` has it.
+    tables = (gas_storage.table(), native.table(), pension.table(SMALLER), pharma.table())
+    for table in tables:
         print()
-        for line in benchmark.table():
+        for line in table:
             print(line, flush=True)

@@ -1,17 +1,26 @@
 """All sensitivities of a fund by one adjoint pass, against bumping every input one after another.
 
-    python -m benchmarks.pension [small medium large]
+    python -m benchmarks.pension [small medium large] [--picture FILE.svg]
+    python -m benchmarks.pension engines
+    python -m benchmarks.pension memory
 
 Same engine, same paths, both compiled. A bump is one-sided, prepare and a forward sweep, so that
 n inputs take n + 1 of them; where there are more than `SAMPLE`, that many random ones are timed
 and stand for all. The native engine has no batches of schedules: bumps run one by one.
+`engines`: native against XLA on the medium case. `memory`: the most that a process of its own
+holds for a value and all derivatives of the large case.
 """
 
+import argparse
+import resource
+import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from statistics import median
+from typing import NamedTuple
 
 import numpy as np
 
@@ -19,23 +28,48 @@ import snapo.domains.pension as domain
 from snapo.adjoint import float64, prepare, pull_back
 from snapo.domains.pension.case import read_case
 from snapo.domains.pension.run import Problem, make_problem
-from snapo.engine import Engine
+from snapo.engine import Engine, Xla
 from snapo.engine.native import Native
 from snapo.scenarios import Pseudo
 from snapo.smooth import Exact
 
-from .gas_storage import timed
+from .gas_storage import alternate, timed
+from .machine import machine
 
 SIZES = ("small", "medium", "large")
 PATHS, RUNS, SAMPLE, BUMP = 1024, 3, 100, 1e-6
+MANY = 4096  # paths of the memory test
 OUTPUT = "funding_ratio"
+NEEDED = {32: 8, 290: 80, 1900: 500}  # speed-ups by number of inputs
+GIGABYTE = 1e9
 
 
-def passes(problem: Problem, engine: Engine) -> tuple[Callable, Callable]:
+class Row(NamedTuple):
+    """One fund: its numbers of inputs and steps; seconds of a value, of all derivatives by one
+    adjoint pass, and of a bump."""
+
+    size: str
+    inputs: int
+    steps: int
+    value: float
+    adjoint: float
+    bump: float
+
+    @property
+    def speed_up(self) -> float:
+        return (self.inputs + 1) * self.bump / self.adjoint
+
+
+def problem_of(size: str) -> Problem:
+    """The example of a size with an untrained policy."""
+    return make_problem(read_case(Path(domain.__path__[0]) / f"template_{size}"), 0, "native")
+
+
+def passes(problem: Problem, engine: Engine, paths: int = PATHS) -> tuple[Callable, Callable]:
     """The value at given inputs, and all its derivatives."""
     simulator, policy = problem.simulator, problem.policy
-    draws = Pseudo(1).draws(np.arange(PATHS), simulator)
-    weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
+    draws = Pseudo(1).draws(np.arange(paths), simulator)
+    weights = {OUTPUT: np.full(paths, 1 / paths)}
 
     def value(inputs) -> float:
         schedule = prepare(simulator, inputs)
@@ -63,37 +97,132 @@ def bumped(problem: Problem, count: int) -> list[dict]:
     return moved
 
 
-def row(size: str, engine: Engine) -> str:
-    """One line: value, bumps, adjoint, and what the adjoint saves."""
-    case = read_case(Path(domain.__path__[0]) / f"template_{size}")
-    problem = make_problem(case, 0, "native")
+def measure(size: str, engine: Engine) -> Row:
+    """Medians; adjoints, values and bumps take turns, so that a busy machine slows them alike."""
+    problem = problem_of(size)
     count = sum(entry.value.size for entry in problem.inputs.values())
     value, gradient = passes(problem, engine)
-    value(problem.inputs), gradient()
+    value(problem.inputs)
+    gradient()
     moved = bumped(problem, min(count, SAMPLE))
     values, gradients, bumps = [], [], []
     for some in np.array_split(np.arange(len(moved)), RUNS):
         gradients.append(timed(gradient))
         values.append(timed(lambda: value(problem.inputs)))
         bumps += [timed(lambda inputs=moved[i]: value(inputs)) for i in some]
-    one, adjoint, bump = median(values), median(gradients), median(bumps)
-    return (
-        f"{size:<8}{count:>7}{case.steps:>7}{one:>10.3f}s{adjoint:>10.3f}s{adjoint / one:>8.2f}"
-        f"{(count + 1) * bump:>11.1f}s{(count + 1) * bump / adjoint:>9.0f}"
-    )
+    return Row(size, count, problem.case.steps, median(values), median(gradients), median(bumps))
 
 
-def table(sizes=SIZES) -> Iterator[str]:
-    """The lines of the table, each as soon as it is known."""
+def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterator[str]:
+    """The lines of the table, each as soon as it is known; `rows` collects the figures."""
     yield f"{PATHS} paths in float64, native engine; needed are 8, 80 and 500 times the speed"
     yield (
         f"{'fund':<8}{'inputs':>7}{'steps':>7}{'value':>11}{'adjoint':>11}{'ratio':>8}"
         f"{'all bumps':>12}{'speed-up':>9}"
     )
     for size in sizes:
-        yield row(size, Native("float64"))
+        row = measure(size, Native("float64"))
+        if rows is not None:
+            rows.append(row)
+        yield (
+            f"{row.size:<8}{row.inputs:>7}{row.steps:>7}{row.value:>10.3f}s{row.adjoint:>10.3f}s"
+            f"{row.adjoint / row.value:>8.2f}{(row.inputs + 1) * row.bump:>11.1f}s"
+            f"{row.speed_up:>9.0f}"
+        )
+
+
+def engines() -> Iterator[str]:
+    """Native against XLA on the medium case; at least 5 times the speed is needed."""
+    problem = problem_of("medium")
+    yield f"medium fund, {PATHS} paths, medians of alternating runs; XLA over native"
+    yield f"{'precision':<11}{'':<10}{'native':>10}{'XLA':>10}{'ratio':>8}"
+    for precision in ("float32", "float64"):
+        ours, theirs = (passes(problem, each(precision)) for each in (Native, Xla))
+        found = {
+            "value": alternate(
+                partial(ours[0], problem.inputs), partial(theirs[0], problem.inputs)
+            ),
+            "gradient": alternate(ours[1], theirs[1]),
+        }
+        for name, (native, xla, ratio) in found.items():
+            yield f"{precision:<11}{name:<10}{native:>9.3f}s{xla:>9.3f}s{ratio:>8.2f}"
+
+
+def memory() -> Iterator[str]:
+    """Peak resident memory, each precision in a process of its own."""
+    yield f"large fund, {MANY} paths, native engine: value and all derivatives; needed is < 4 GB"
+    for precision in ("float64", "float32"):
+        command = [sys.executable, "-m", "benchmarks.pension", "peak", precision]
+        yield subprocess.run(command, capture_output=True, text=True, check=True).stdout.strip()
+
+
+def peak(precision: str) -> str:
+    """The peak of this process: after start-up, after a value, after all derivatives."""
+    found = []
+    problem = problem_of("large")
+    found.append(_resident())
+    value, gradient = passes(problem, Native(precision), MANY)
+    value(problem.inputs)
+    found.append(_resident())
+    gradient()
+    found.append(_resident())
+    ready, valued, all_of_it = found
+    return f"{precision}: {ready:.2f} GB ready, {valued:.2f} after a value, {all_of_it:.2f} in all"
+
+
+def _resident() -> float:
+    """The most that this process has held in memory so far, in gigabytes."""
+    most = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return most * (1 if sys.platform == "darwin" else 1024) / GIGABYTE
+
+
+def picture(rows: Sequence[Row]) -> str:
+    """Speed-up over the number of inputs as SVG, with what is needed and the machine."""
+    from snapo.report.drawing import draw_alone
+    from snapo.report.theme import LIGHT
+
+    inputs, found = [row.inputs for row in rows], [row.speed_up for row in rows]
+
+    def paint(axes) -> None:
+        axes.loglog(inputs, found, "o-", color=LIGHT["main"], label="One adjoint pass, measured")
+        for x, y in zip(inputs, found):
+            axes.annotate(f"{y:,.0f}", (x, y), (0, 8), textcoords="offset points", ha="center")
+        axes.loglog(*zip(*NEEDED.items()), "_", color=LIGHT["limit"], markersize=16, label="Needed")
+        axes.set_xticks(inputs, [f"{x:,}" for x in inputs], minor=False)
+        axes.minorticks_off()
+        axes.margins(0.12)
+        axes.set_xlabel("Inputs of the fund, each with a sensitivity")
+        axes.set_title("Times faster than bumping every input", loc="left", pad=18)
+        place = {"transform": axes.transAxes, "color": LIGHT["muted"], "fontsize": 7.5}
+        axes.text(0, 1.02, f"{PATHS} paths, float64, native engine; {machine()}", **place)
+        axes.legend(loc="upper left")
+
+    title = "Speed-up of one adjoint pass over bumping every input: " + ", ".join(
+        f"{y:,.0f} times with {x:,} inputs" for x, y in zip(inputs, found)
+    )
+    return draw_alone(title, paint, (560, 330), (1.0,))
+
+
+def main(arguments: Sequence[str]) -> None:
+    if arguments[:1] == ["peak"]:
+        print(peak(arguments[1]))
+        return
+    parser = argparse.ArgumentParser(prog="python -m benchmarks.pension")
+    known = (*SIZES, "engines", "memory")
+    parser.add_argument("what", nargs="*", help=f"of {', '.join(known)}; by default all sizes")
+    parser.add_argument("--picture", type=Path, help="writes speed-up over inputs as SVG")
+    asked = parser.parse_args(arguments)
+    if unknown := set(asked.what) - set(known):
+        parser.error(f"there is no {', '.join(sorted(unknown))}; known are {', '.join(known)}")
+    sizes, rows = [each for each in asked.what if each in SIZES], []
+    parts = [table(sizes or SIZES, rows)] if sizes or not asked.what else []
+    parts += [part() for part in (engines, memory) if part.__name__ in asked.what]
+    for part in parts:
+        for line in part:
+            print(line, flush=True)
+    if asked.picture is not None and rows:
+        asked.picture.write_text(picture(rows), encoding="utf-8")
 
 
 if __name__ == "__main__":
-    for line in table(sys.argv[1:] or SIZES):
-        print(line, flush=True)
+    main(sys.argv[1:])

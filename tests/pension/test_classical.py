@@ -6,20 +6,20 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from market_cases import CASH, EQUITY, assets, case, full
+from market_cases import CASH, EQUITY, assets, case, full, given
 
 from snapo.adjoint import prepare
 from snapo.domains.pension.classical import (
     ConstantMix,
     StockBond,
+    followers,
     merton,
-    rivals,
     vasicek_stock_bond,
 )
 from snapo.domains.pension.inputs import pension_inputs
 from snapo.domains.pension.observation import CURVE_DEPENDENT, NAMES, sizes, slots
-from snapo.domains.pension.policy import new_policy
-from snapo.domains.pension.records import AssetClass
+from snapo.domains.pension.policy import Limits, new_policy
+from snapo.domains.pension.records import AssetClass, Overlay
 from snapo.domains.pension.simulator import PensionSimulator
 from snapo.domains.pension.trading import excess
 from snapo.engine.native import unsupported
@@ -33,7 +33,8 @@ def problem():
     simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
     schedule = prepare(simulator, pension_inputs(one))
     policies = {"network": new_policy(one, simulator, schedule, jax.random.key(0))}
-    policies |= {key: policy for key, (_, policy) in rivals(one, simulator, schedule).items()}
+    policies["constant_mix"] = mix = ConstantMix(one)
+    policies |= {key: policy for key, (_, policy) in followers(one, mix, (0.9, 1.3)).items()}
     return one, simulator, schedule, policies
 
 
@@ -62,9 +63,37 @@ def test_policies_start_at_what_the_fund_holds(problem):
     one, _, _, policies = problem
     size = sum(sizes(one)[name] for name in one.observation)
     weight = one.assets.weight.used()
-    for key in ("network", "constant_mix"):
-        action = np.asarray(policies[key](jnp.zeros(size), Exact()))
+    for policy in policies.values():
+        action = np.asarray(policy(jnp.zeros(size), Exact()))
         assert action[: len(weight)] == pytest.approx(weight, abs=0.03)
+
+
+def test_weights_within_the_limits_are_their_own_nearest(problem):
+    """Sums of groups too; weights that leave the limits are moved inside."""
+    one, limits = problem[0], Limits(problem[0])
+    for within in (one.assets.weight.used(), np.array([0.3, 0.1, 0.05, 0.15, 0.1, 0.2, 0.1])):
+        found = np.asarray(limits.nearest(jnp.asarray(within, jnp.float32), Exact()))
+        assert found == pytest.approx(within, abs=1e-5)
+    outside = jnp.asarray([0.0, 0.9, 0.0, 0.0, 0.1, 0.0, 0.0], jnp.float32)
+    assert float(excess(one.assets, limits.nearest(outside, Exact()))) < 1e-6
+
+
+def test_swaps_are_held_as_far_as_weights_back_them():
+    """100 % of a 20-year swap takes 70 % of the assets at 350 bp; three quarters of them count."""
+    steps = 6
+    held = assets(steps, [CASH, EQUITY], mean=[0.04], volatility=[0.18], weight=[0.75, 0.25])
+    swap = Overlay(
+        maturity=np.array([240]), notional=given("overlay_notional", [0.0]), low=np.zeros(1),
+        high=np.array([2.0]), unit="assets", leverage=given("overlay_leverage", 2.0),
+        cost=given("overlay_cost", [0.0]),
+        collateral_stress=given("overlay_collateral_stress", 0.035),
+    )  # fmt: skip
+    limits = Limits(case(steps, held_assets=held, overlay=swap))
+    weights = jnp.asarray([0.75, 0.25])
+    for place, expected in ((0.9, 0.75 / 1.4), (0.5, 0.5)):
+        logit = jnp.log(jnp.asarray([place / (1 - place)]))
+        action = np.asarray(limits.action(weights, logit, Exact()))
+        assert action == pytest.approx([0.75, 0.25, expected], rel=1e-6)
 
 
 def test_the_observation_has_what_the_case_names(problem):

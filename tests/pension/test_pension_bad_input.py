@@ -91,6 +91,9 @@ MISTAKES = {
         "case.toml", "liability = 308297419.0", "liability = 1000.0",
         ["reconcile.liability", "1000", "tolerance"],
     ),
+    "too few points of the frontier": (
+        "case.toml", "points = 5", "points = 1", ["frontier.points", "1", "from 2 to 20"]
+    ),
     "unknown stress": ("stress.csv", "price,equity", "price,equities", ["stress.csv", "equities"]),
     # Curves.
     "tenors out of order": (

@@ -8,12 +8,14 @@ import numpy as np
 import pytest
 
 import snapo.domains.pension
-from snapo.case import load
+from snapo.case import CaseError, load
 from snapo.cli.main import main
-from snapo.domains.pension import stress
+from snapo.domains.pension import stress, units
 from snapo.domains.pension.case import read_case, resolve
 from snapo.domains.pension.inputs import every_given, pension_inputs
+from snapo.domains.pension.reconcile import check, figures
 from snapo.domains.pension.records_people import ACTIVE, FEMALE, MALE, SPOUSE
+from snapo.inputs import plain
 
 HOME = Path(snapo.domains.pension.__file__).parent
 COUNTS = {"small": 32, "medium": 290, "large": 1900}
@@ -59,6 +61,12 @@ def test_every_number_that_is_no_input_was_held_by_name(sized):
     names = [given.name for given in every_given(case)]
     assert len(names) == len(set(names))
     assert set(names) == set(pension_inputs(case)) | set(case.held)
+
+
+def test_every_number_says_what_is_moved(sized):
+    _, case = sized
+    for given in every_given(case):
+        assert units.meaning(given.name) != units.MEANINGS[""], given.name
 
 
 def test_the_examples_are_funds_that_could_be(sized):
@@ -165,6 +173,42 @@ def test_an_actuary_s_cash_flows_in_place_of_members(folder):
     # Paid in arrears: what is due after a year belongs to the twelfth step.
     assert case.cash_flows.step[:2].tolist() == [11, 23]
     assert case.cash_flows.normal_cost.used() == pytest.approx(100.0)
+
+
+def test_a_frontier_needs_contributions_that_depend_on_decisions(folder):
+    data = load(folder)[1]
+    asked = resolve(folder / "case.toml", data).frontier
+    assert asked is not None
+    assert (asked.points, asked.steps, asked.level) == (5, 40, 0.95)
+    data["plan"]["contribution"] = {"kind": "normal-cost"}
+    del data["sensitivity"]
+    with pytest.raises(CaseError, match=r'frontier.points.*"normal-cost" do not depend'):
+        resolve(folder / "case.toml", data)
+
+
+@pytest.mark.parametrize("timing", ["arrears", "advance"])
+def test_the_last_payment_may_be_due_after_exactly_100_years(timing, folder):
+    """At the end of the last step; a payment in advance would begin one more step."""
+    (folder / "flows.csv").write_text("year,amount\n1,5\n100,7\n")
+    data = load(folder)[1]
+    for key in ("mortality", "sensitivity", "stress", "reconcile"):
+        del data[key]
+    data["members"] = {"cash_flows": "flows.csv"}
+    data["plan"]["timing"] = timing
+    if timing == "advance":
+        with pytest.raises(CaseError, match=r"flows.csv, line 3.*'100'.*end before 100 years"):
+            resolve(folder / "case.toml", data)
+        return
+    case = resolve(folder / "case.toml", data)
+    found = figures(case, plain(pension_inputs(case)))
+    # Beyond the last node the last forward rate goes on; the basis adds a spread.
+    tenor, quotes, rate = case.curve.tenor, case.curve.rate.values, 0.002
+    forward = (quotes[-1] * tenor[-1] - quotes[-2] * tenor[-2]) / (tenor[-1] - tenor[-2])
+    far = quotes[-1] * tenor[-1] + forward * (100 - tenor[-1])
+    want = 5 * np.exp(-quotes[tenor == 1][0] - rate) + 7 * np.exp(-far - 100 * rate)
+    assert found.liability == pytest.approx(want, rel=1e-12)
+    lines = {line.name: line for line in check(case, plain(pension_inputs(case)))}
+    assert lines["liability on payment nodes"].ok
 
 
 def test_supplied_scenarios_stand_in_the_order_of_the_records(folder):

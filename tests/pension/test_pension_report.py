@@ -4,6 +4,7 @@ import json
 import re
 from copy import deepcopy
 from html.parser import HTMLParser
+from typing import Any
 
 import numpy as np
 import pytest
@@ -52,6 +53,8 @@ def sample() -> dict:
             ("glide_path", "Glide path", -0.185, 1.08, 0.001),
         )
     ]
+    point = {"share": 0.0, "contributions": 4e7, "contributions_error": 1e5, "cvar": -0.2}
+    point |= {"cvar_error": 0.004, "median": 1.1, "underfunded": 0.2, "efficient": True}
     lines = [
         {"name": "liability", "own": 2.5e8, "given": 2.5e8, "error": 1e-9, "ok": True},
         {"name": "duration", "own": 18.2, "given": None, "error": None, "ok": None},
@@ -77,6 +80,7 @@ def sample() -> dict:
             "duration": 18.2,
             "convexity": 480.0,
             "inflation01": 3e5,
+            "key_rate_durations": {"label": ladder["label"], "years": np.full(6, 18.2 / 6)},
             "cash_flow": flow,
             "martingale": [martingale | {"standard_error": 1e-3, "ok": True}],
         },
@@ -102,7 +106,10 @@ def sample() -> dict:
             "weights": np.repeat(target[:, None], YEARS, 1),
             "overlay": np.full((2, YEARS), 0.4),
         },
-        "limits": {"share": np.zeros(120), "ever": 0.0},
+        "limits": {
+            "weights": {"share": np.zeros(120), "ever": 0.0},
+            "collateral": {"share": np.linspace(0, 0.01, 120), "ever": 0.02},
+        },
         "trades": {
             "classes": trades,
             "swaps": [{"tenor": "30y", "now": 0.0, "target": 4e7, "trade": 4e7}],
@@ -123,9 +130,29 @@ def sample() -> dict:
             "equivalent_error": 0.002,
             "aversion": 5.0,
         },
-        "sensitivities": {"unit": "ratio", "families": [family, equity], "rows": rows},
+        "sensitivities": {
+            "unit": "ratio",
+            "families": [family, equity],
+            "combined": [family | {"input": "year_of_life", "move": "1 year", "effect": -0.03}],
+            "rows": rows,
+        },
         "policies": policies,
-        "attribution": [
+        "attribution": {
+            "start": 1.048,
+            "rows": [
+                {"part": "rates", "name": "Rates", "assets": 0.05, "liability": -0.03}
+                | {"mean": 0.02, "deviation": 0.1},
+                {"part": "costs", "name": "Costs", "assets": -0.01, "liability": 0.0}
+                | {"mean": -0.01, "deviation": 0.001},
+            ],
+            "change": {"mean": 0.01, "deviation": 0.12},
+        },
+        "frontier": {
+            "level": 0.95,
+            "points": [point, point | {"share": 1.0, "contributions": 3e7, "cvar": -0.3}],
+            "learned": {key: point[key] for key in point if key not in ("share", "efficient")},
+        },
+        "spread": [
             {"source": "All sources", "mean": 1.15, "deviation": 0.25},
             {"source": "Without asset prices", "mean": 1.14, "deviation": 0.1, "explained": 0.84},
         ],
@@ -265,8 +292,29 @@ def test_text_of_the_case_is_escaped(folder):
     assert "<script>alert" not in written(folder, details)
 
 
+def test_the_parts_of_the_change_stand_above_their_sum(folder):
+    html = write_report(folder).read_text(encoding="utf-8")
+    part = html[html.index('id="attribution"') : html.index('id="spread"')]
+    for text in ("All parts", "Change of F", "+1.00", "+5.00"):
+        assert text in part
+
+
+def test_a_node_stands_in_the_bucket_of_its_name(folder):
+    html = write_report(folder).read_text(encoding="utf-8")
+    part = html[html.index('id="ladder"') : html.index('id="collateral"')]
+    rows = re.findall(r"<t[hd][^>]*>(to 3y|\d+y|50y up)</t[hd]>", part)
+    assert rows == ["to 3y", "5y", "10y", "20y", "30y", "50y up"]
+
+
+def test_a_year_of_life_is_told_and_defined(folder):
+    html = write_report(folder).read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
+    assert html.count("Year of life") >= 3  # picture, table and definition
+    assert "until the expectation of life at 65 is a year longer" in html
+
+
 def test_a_fund_without_swaps(folder):
-    details = sample() | {"collateral": {"now": None, "after": None}, "limits": None}
+    details: dict[str, Any] = sample() | {"collateral": {"now": None, "after": None}}
+    del details["limits"]["collateral"]
     details["trades"]["swaps"] = []
     assert "needs no collateral" in written(folder, details)
 

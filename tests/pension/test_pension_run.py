@@ -14,6 +14,8 @@ from snapo.cli.main import main
 from snapo.domains.pension import balance, run, stress
 from snapo.domains.pension.case import read_case
 from snapo.domains.pension.reconcile import figures
+from snapo.domains.pension.records_people import FEMALE, MALE
+from snapo.domains.pension.references_people import year_of_life
 from snapo.inputs import plain
 
 HOME = Path(snapo.domains.pension.__file__).parent
@@ -32,9 +34,11 @@ KEYS = {
     "status": str,
     "run": str,
 }
+SEXES = {"male": MALE, "female": FEMALE}
 SHORT = (
     ("years = 10 ", "years = 2 "),
     ("steps = 300\npaths = 512", "steps = 4\npaths = 32\nvalidation_paths = 64"),
+    ("points = 5\nsteps = 40 ", "points = 2\nsteps = 2 "),
     ("paths = 16384\nsensitivity_paths = 4096", "paths = 512\nsensitivity_paths = 256"),
 )
 
@@ -97,6 +101,54 @@ def test_a_parallel_shift_is_the_sum_of_its_key_rates(details):
     ladder = details["ladder"]["liability"]
     duration = details["reconciliation"]["duration"]
     assert -1e4 * sum(ladder) / details["liability"] == pytest.approx(duration, rel=1e-6)
+
+
+def test_what_moves_the_ratio_adds_up_to_its_change(details):
+    found = details["attribution"]
+    total = math.fsum(row["mean"] for row in found["rows"])
+    assert total == pytest.approx(found["change"]["mean"], abs=1e-12)
+    assert found["start"] == pytest.approx(details["funding"], rel=1e-12)
+    for row in found["rows"]:
+        assert row["assets"] + row["liability"] == pytest.approx(row["mean"], abs=1e-14)
+
+
+def test_a_year_of_life_is_the_sum_over_multipliers(case, details):
+    (combined,) = details["sensitivities"]["combined"]
+    given = plain(run.pension_inputs(case))
+    scale = {name: year_of_life(case, given, sex) - 1 for name, sex in SEXES.items()}
+    rows = [r for r in details["sensitivities"]["rows"] if r["input"] == "mortality_multiplier"]
+    # Rows are per 1 % of themselves.
+    want = math.fsum(100 * r["effect"] * scale[r["label"].split()[0]] for r in rows)
+    assert combined["effect"] == pytest.approx(want, rel=1e-9)
+    assert combined["effect"] < 0  # longer lives cost money
+    assert combined["standard_error"] > 0
+
+
+def test_the_frontier_has_its_points_with_errors(details):
+    found = details["frontier"]
+    assert [each["share"] for each in found["points"]] == [0, 1]
+    for each in (*found["points"], found["learned"]):
+        assert each["contributions_error"] > 0
+        assert each["cvar"] <= 0 < each["cvar_error"]
+    assert any(each["efficient"] for each in found["points"])
+    learned = details["policies"][0]
+    assert found["learned"]["contributions"] == pytest.approx(learned["pv_contribution"])
+
+
+def test_the_curve_is_refitted_by_bonds_bought_at_the_horizon(details):
+    tests = details["reconciliation"]["martingale"]
+    names = [each["name"] for each in tests if each["name"].startswith("Refit")]
+    assert names == [f"Refit of the curve: bond of {u}y bought after 2y" for u in (1, 10, 30)]
+    durations = details["reconciliation"]["key_rate_durations"]["years"]
+    assert math.fsum(durations) == pytest.approx(details["reconciliation"]["duration"], rel=1e-9)
+
+
+def test_limits_are_told_by_month(details):
+    assert set(details["limits"]) == {"weights", "collateral"}
+    for each in details["limits"].values():
+        assert len(each["share"]) == 24
+        assert max(each["share"]) <= each["ever"] <= 1
+    assert details["limits"]["weights"]["ever"] == 0
 
 
 def test_checks_hold(details):

@@ -231,7 +231,7 @@ def test_values_are_consistent_with_the_market(fair, kind):
     one = simulator.case
     policy = {
         "constant": lambda: ConstantMix(one),
-        "driven": lambda: shaken(LiabilityDriven(one), 0.3),
+        "driven": lambda: shaken(LiabilityDriven(one, ConstantMix(one)), 0.3),
         "network": lambda: shaken(new_policy(one, simulator, schedule, jax.random.key(0)), 0.5),
     }[kind]()
     source, paths = Pseudo(7), 2**14

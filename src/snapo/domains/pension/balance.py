@@ -8,11 +8,14 @@ from typing import Any
 import jax
 import numpy as np
 
+from ...adjoint import prepare
 from ...inputs import Input, plain
+from .books import balance, opening
 from .curve import log_bond
-from .inputs import use
+from .inputs import pension_inputs, use
 from .reconcile import Figures, figures
 from .records import Curve, PensionCase
+from .simulator import PensionSimulator
 from .stress import Stressed
 
 BASIS_POINT = 1e-4
@@ -36,6 +39,20 @@ def notionals(case: PensionCase, places: np.ndarray, values: np.ndarray) -> np.n
     assets = float(case.assets.amount.used())
     total, most = np.abs(wanted).sum() / assets, float(overlay.leverage.used())
     return wanted * min(1.0, most / total) if total > 0 else wanted
+
+
+def limit_unit(case: PensionCase) -> np.ndarray:
+    """[b] money that the limits of the swaps are shares of today: all assets, or the liability
+    payments nearest to each bucket."""
+    if case.overlay is None or case.overlay.unit == "assets":
+        return np.full(case.buckets, float(case.assets.amount.used()))
+    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    schedule = prepare(simulator, pension_inputs(case))
+    terms, steps = schedule.constants, schedule.steps
+    people = jax.tree.map(lambda rows: rows[0], steps.people)
+    with jax.enable_x64(True):
+        books = balance(case, terms, people, steps.shape[0], opening(terms))
+        return np.asarray(terms.swaps.nearest @ books.by_node)
 
 
 def years_of(case: PensionCase) -> np.ndarray:
@@ -107,16 +124,23 @@ def trades(case: PensionCase, weights: np.ndarray, places: np.ndarray, values: n
 
 
 def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> dict[str, Any] | None:
-    """How far rates may rise until eligible assets are used up as collateral, in basis points."""
+    """How far rates may move until eligible assets are used up as collateral, in basis points.
+
+    `direction` is "rise", or "fall" where swaps in sum pay the fixed rate; `headroom` is None
+    where they do not move with rates at all.
+    """
     if case.overlay is None:
         return None
     amount = float(case.assets.amount.used())
     eligible = amount * sum(w * each.eligible for w, each in zip(weights, case.assets.classes))
     exposure = float(np.sum(notional * case.overlay.maturity * case.step))
     stress = float(case.overlay.collateral_stress.used())
-    known = eligible / exposure / BASIS_POINT if exposure > 0 else None
-    return {"eligible": eligible, "pv01": BASIS_POINT * exposure, "headroom": known} | {
-        "required": stress / BASIS_POINT
+    return {
+        "eligible": eligible,
+        "pv01": BASIS_POINT * exposure,
+        "headroom": eligible / abs(exposure) / BASIS_POINT if exposure else None,
+        "direction": "fall" if exposure < 0 else "rise",
+        "required": stress / BASIS_POINT,
     }
 
 

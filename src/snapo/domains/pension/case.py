@@ -134,6 +134,9 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         objective=_objective(str(file), top.objective),
         training=read_training(top.training, str(file)),
         evaluation=read_evaluation(top.evaluation, str(file)),
+        frontier=case_plan.read_frontier(
+            reader.section("frontier"), reader.maybe(tables.FrontierTable, "frontier"), plan
+        ),
     )
     seen = settings.observation
     case = replace(

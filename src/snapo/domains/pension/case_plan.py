@@ -7,9 +7,11 @@ from collections.abc import Iterable
 
 from ...case import Given, Section, Table
 from .cells import empty, single
+from .records import Frontier
 from .records_people import Contribution, Indexation, Liability, Plan, Reconcile
 from .tables import (
     ContributionTable,
+    FrontierTable,
     IndexationTable,
     LiabilityTable,
     PlanTable,
@@ -146,6 +148,20 @@ def read_liability(section: Section, table: LiabilityTable) -> Liability:
     name = "liability_rate"
     rate = single(name, table.rate, "1/year") if table.rate is not None else _nothing(name)
     return Liability(table.basis, rate, table.future_indexation)
+
+
+def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> Frontier | None:
+    """The sweep of contributions against the shortfall, where one is asked for."""
+    if table is None:
+        return None
+    kind = plan.contribution.kind
+    if kind not in ("spread", "target"):
+        what = (
+            f'contributions of kind "{kind}" do not depend on decisions; '
+            'allowed are "spread" and "target" in plan.contribution'
+        )
+        raise section.error("points", table.points, what)
+    return Frontier(table.points, table.steps, table.level)
 
 
 def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:

@@ -10,12 +10,14 @@ import numpy as np
 from jaxtyping import Array
 
 from ...policy import Policy
-from ...simulator import Schedule, Simulator
+from ...smooth import Exact
 from .observation import RATIO, slots
-from .policy import Limits, present, with_swaps
+from .policy import Limits, present
 from .records import PensionCase
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
+LEAST = 1e-3  # a class of less weight is tuned from this one, where it can still learn
+UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as large as logits
 
 
 class ConstantMix(Policy):
@@ -39,7 +41,8 @@ class ConstantMix(Policy):
 class GlidePath(Policy):
     """From one mix to another, linear in the funding ratio between two bounds; swaps alike.
 
-    `logits` [2, n + b] of the mixes at and below `bounds[0]`, at and above `bounds[1]`.
+    `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
+    `bounds` [2] in `UNIT`. It starts at the same `mix` everywhere.
     """
 
     limits: Limits
@@ -47,13 +50,13 @@ class GlidePath(Policy):
     bounds: Array
     place: int = eqx.field(static=True)
 
-    def __init__(self, case: PensionCase):
-        self.limits, self.place = Limits(case), _ratio_slot(case)
-        self.logits = jnp.asarray(np.stack([present(case)] * 2), jnp.float32)
-        self.bounds = jnp.asarray([0.9, 1.3], jnp.float32)
+    def __init__(self, case: PensionCase, mix: ConstantMix, ratios: tuple[float, float]):
+        self.limits, self.place = mix.limits, _ratio_slot(case)
+        self.logits = jnp.stack([mix.logits] * 2)
+        self.bounds = jnp.asarray(ratios, jnp.float32) / UNIT
 
     def __call__(self, observation, smooth):
-        low, high = self.bounds.astype(observation.dtype)
+        low, high = UNIT * self.bounds.astype(observation.dtype)
         width = jnp.maximum(high - low, 0.01)
         ratio = jnp.exp(RATIO * observation[self.place])
         share = smooth.clip((ratio - low) / width, 0.0, 1.0, WIDTH / width)
@@ -65,8 +68,9 @@ class GlidePath(Policy):
 class LiabilityDriven(Policy):
     """A growth portfolio (classes with a shock of their own) and a hedge (bonds, credit, cash).
 
-    The growth share is `growth[0]` + `growth[1]` (F - 1), within 0 and 1; `mix` [n] are the logits
-    of the classes within the two portfolios and `hedge` [b] of the swaps' places.
+    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
+    are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
+    It starts at a constant `mix`.
     """
 
     limits: Limits
@@ -76,19 +80,19 @@ class LiabilityDriven(Policy):
     own: tuple[bool, ...] = eqx.field(static=True)
     place: int = eqx.field(static=True)
 
-    def __init__(self, case: PensionCase):
+    def __init__(self, case: PensionCase, mix: ConstantMix):
         count = len(case.assets.classes)
-        self.limits, self.place = Limits(case), _ratio_slot(case)
+        self.limits, self.place = mix.limits, _ratio_slot(case)
         self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
-        now = np.maximum(case.assets.weight.used(), 0.01)
-        self.growth = jnp.asarray([now[np.array(self.own)].sum(), 0.0], jnp.float32)
-        self.mix = jnp.asarray(np.log(now), jnp.float32)
-        self.hedge = jnp.asarray(present(case)[count:], jnp.float32) if case.buckets else None
+        held = np.asarray(self.limits.weights(mix.logits[:count], Exact()))
+        self.growth = jnp.asarray([held[np.array(self.own)].sum() / UNIT, 0.0], jnp.float32)
+        self.mix = jnp.asarray(np.log(np.maximum(held, LEAST)), jnp.float32)
+        self.hedge = mix.logits[count:] if case.buckets else None
 
     def __call__(self, observation, smooth):
         kind = observation.dtype
         own = np.array(self.own)
-        growth = self.growth.astype(kind)
+        growth = UNIT * self.growth.astype(kind)
         ratio = jnp.exp(RATIO * observation[self.place])
         share = smooth.clip(growth[0] + growth[1] * (ratio - 1), 0.0, 1.0, WIDTH)
         size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
@@ -96,7 +100,7 @@ class LiabilityDriven(Policy):
         safe = jnp.where(own, 0.0, size)
         weights = share * grown / jnp.maximum(jnp.sum(grown), 1e-9)
         weights = weights + (1 - share) * safe / jnp.sum(safe)
-        return with_swaps(self.limits.nearest(weights, smooth), self.hedge)
+        return self.limits.action(self.limits.nearest(weights, smooth), self.hedge, smooth)
 
 
 class StockBond(Policy):
@@ -131,18 +135,20 @@ class StockBond(Policy):
         return self.limits.nearest(wanted, smooth)
 
 
-def rivals(
-    case: PensionCase, simulator: Simulator, schedule: Schedule
+def followers(
+    case: PensionCase, mix: ConstantMix, ratios: tuple[float, float]
 ) -> dict[str, tuple[str, Policy]]:
-    """{key: (name, policy)} of the classical policies that fit the case, ready to be tuned.
+    """{key: (name, policy)} of the rules that follow the funding ratio, ready to be tuned.
 
-    Those that follow the funding ratio need it among the observations.
+    They start at a `mix` that was tuned before, the glide path with bounds at `ratios`. There are
+    none where the funding ratio is not among the observations.
     """
-    found: dict[str, tuple[str, Policy]] = {"constant_mix": ("Constant mix", ConstantMix(case))}
-    if {"funding_ratio", "relative_funding"} & set(case.observation):
-        found["glide_path"] = ("Glide path", GlidePath(case))
-        found["liability_driven"] = ("Liability-driven split", LiabilityDriven(case))
-    return found
+    if not {"funding_ratio", "relative_funding"} & set(case.observation):
+        return {}
+    return {
+        "glide_path": ("Glide path", GlidePath(case, mix, ratios)),
+        "liability_driven": ("Liability-driven split", LiabilityDriven(case, mix)),
+    }
 
 
 def merton(excess: float, volatility: float, risk_aversion: float) -> float:

@@ -3,23 +3,24 @@
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from ...evaluate import path_totals
-from ...objective import CRRA, ExpectedUtility, Objective
+from ...objective import CRRA, ExpectedUtility, Objective, Totals
 from ...policy import Policy
 from ...scenarios import Scenarios
 from ...smooth import Exact
 from ...solution import Solution
 from ...train import begin, train
-from .classical import rivals
+from .classical import ConstantMix, followers
 
 if TYPE_CHECKING:
     from .run import Problem
 
-TUNING = 150  # steps that tune a classical policy of a few numbers
+AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
+RATE = 0.05  # learning rate of rules of a few numbers each, which have far to go
 
 
 class Equivalent(NamedTuple):
@@ -44,36 +45,50 @@ def compare(
     problem: "Problem",
     solution: Solution,
     source: Scenarios,
-    thorough: bool,
     progress: Callable[[str], None],
 ) -> list[dict[str, Any]]:
     """Value, certainty equivalent and paired difference of every policy, the learned one first.
 
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
-    standard error comes from the differences path by path.
+    standard error comes from the differences path by path. The classical policies take as many
+    steps of training as the network did, those that follow the funding ratio on top of the
+    constant mix from which they start; of each the best along the way is kept.
     """
     own = {name: np.asarray(total) for name, total in solution.totals.items()}
     found = [_row(problem, "learned", "Learned policy", own, own, source)]
-    names = rivals(problem.case, problem.simulator, problem.schedule)
-    for key, (name, policy) in names.items():
-        progress(f"tuning {name.lower()}")
-        tuned = _tuned(problem, policy, thorough)
-        given = (problem.engines.evaluate, problem.simulator, tuned, problem.schedule, source)
+
+    def measure(key: str, name: str, policy: Policy) -> Totals:
+        given = (problem.engines.evaluate, problem.simulator, policy, problem.schedule, source)
         totals = path_totals(*given, problem.evaluation.paths, Exact())
         found.append(_row(problem, key, name, totals, own, source))
+        return totals
+
+    progress("tuning constant mix")
+    mix = tuned(problem, ConstantMix(problem.case))
+    totals = measure("constant_mix", "Constant mix", mix)
+    for key, (name, start) in followers(problem.case, mix, reached(problem, totals)).items():
+        progress(f"tuning {name.lower()}")
+        measure(key, name, tuned(problem, start))
     return found
 
 
-def _tuned(problem: "Problem", policy: Policy, thorough: bool) -> Policy:
+def reached(problem: "Problem", totals: Totals) -> tuple[float, float]:
+    """The range of funding ratios between today's and the middle 80 % of the paths' last ones."""
+    now = float(problem.schedule.constants.assets / problem.schedule.constants.liability)
+    low, high = np.quantile(totals["funding_ratio"], [0.1, 0.9])
+    return min(now, float(low)), max(now, float(high))
+
+
+def tuned(problem: "Problem", policy: AnyPolicy) -> AnyPolicy:
     """The best of the policies along a run of training, as for the network."""
     from .run import supplied
 
-    steps = problem.training.steps
-    training = replace(problem.training, steps=steps if thorough else min(steps, TUNING))
+    rate = max(RATE, problem.training.learning_rate)
+    training = replace(problem.training, learning_rate=rate)
     given = (problem.simulator, problem.schedule, begin(policy, training), problem.objective)
     return train(
         *given, training, problem.engines.train, supplied=supplied(problem.case, "training")
-    ).best
+    ).best  # pyright: ignore[reportReturnType]
 
 
 def _row(problem: "Problem", key: str, name: str, totals, own, source: Scenarios) -> dict[str, Any]:

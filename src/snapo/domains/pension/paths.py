@@ -138,12 +138,19 @@ def mix(record: Record) -> dict[str, Any]:
     }
 
 
-def limits_by_month(record: Record) -> dict[str, Any] | None:
-    """Paths whose collateral falls short, by step; None without swaps."""
-    if not record.case.buckets:
-        return None
-    short = record.outputs["collateral_shortfall"] > 0
-    return {"share": short.mean(1), "ever": float(short.any(0).mean())}
+def limits_by_step(record: Record, round_off: float) -> dict[str, Any]:
+    """Shares of the paths that break a limit: in each step [T], and ever.
+
+    "weights": a weight or a group leaves its bounds by more than `round_off`; with swaps,
+    "collateral": eligible assets do not cover what the stress requires.
+    """
+    broken = {"weights": record.outputs["bound_excess"] > round_off}
+    if record.case.buckets:
+        broken["collateral"] = record.outputs["collateral_shortfall"] > 0
+    return {
+        name: {"share": each.mean(1), "ever": float(each.any(0).mean())}
+        for name, each in broken.items()
+    }
 
 
 def first_decision(record: Record) -> Mapping[str, np.ndarray]:

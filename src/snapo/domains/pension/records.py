@@ -253,6 +253,16 @@ class ObjectiveTerm:
 
 
 @dataclass(frozen=True, eq=False)
+class Frontier:
+    """A sweep of contributions against the shortfall: `points` policies, each trained for `steps`
+    more, CVaR at `level`."""
+
+    points: int
+    steps: int
+    level: float
+
+
+@dataclass(frozen=True, eq=False)
 class PensionCase:
     """Everything that a pension case says.
 
@@ -292,6 +302,7 @@ class PensionCase:
     objective: tuple[ObjectiveTerm, ...]
     training: Training
     evaluation: Evaluation
+    frontier: Frontier | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

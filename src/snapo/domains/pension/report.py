@@ -4,7 +4,7 @@ from pathlib import Path
 
 from ...report.page import Page, render
 from ...report.quantity import long_date, number
-from .sections import decisions, evidence, outcome, reconciliation, risk
+from .sections import decisions, evidence, frontier, outcome, reconciliation, risk
 from .sections.run import Run
 
 FILE = "report.html"
@@ -14,9 +14,11 @@ SECTIONS = (
     decisions.trades,
     outcome.funding,
     outcome.attribution,
+    outcome.spread,
     outcome.money,
     outcome.indexation,
     decisions.rivals,
+    frontier.frontier,
     decisions.policy,
     risk.sensitivities,
     risk.ladder,

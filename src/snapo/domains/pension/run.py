@@ -90,7 +90,8 @@ def solve(
 ) -> dict[str, Any]:
     """Solves a case into the folder `out` and returns what `result.json` says.
 
-    `reference`: the classical policies are tuned for as long as the network is trained.
+    `reference` asks for nothing more: the classical policies are always tuned for as long as the
+    network is trained.
     """
     out = Path(out)
     check_folder(out)
@@ -111,7 +112,7 @@ def solve(
         supplied(case, "training"),
     )
     solution, troubles = solve_into(out, task, resume, progress)
-    return _write(problem, solution, out, reference, lines, troubles, progress)
+    return _write(problem, solution, out, lines, troubles, progress)
 
 
 def report(folder: Path) -> Path:
@@ -162,14 +163,13 @@ def _write(
     problem: Problem,
     solution: Solution,
     out: Path,
-    reference: bool,
     lines: list[Line],
     troubles: list[str],
     progress: Callable[[str], None],
 ) -> dict[str, Any]:
     """Compares with the classical policies, and writes the run folder."""
     source = evaluation_source(problem)
-    rivals = compare(problem, solution, source, reference, progress)
+    rivals = compare(problem, solution, source, progress)
     references = {each["key"]: each["value"] for each in rivals if each["key"] != "learned"}
     pages = Pages(
         lambda: details(problem, solution, source, rivals, lines, progress),

@@ -98,8 +98,9 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
     far = np.abs(payment_nodes - overlay.maturity[:, None])
     return Swaps(
         notional=use(inputs, overlay.notional),
-        low=jnp.asarray(overlay.low),
-        high=jnp.asarray(overlay.high),
+        # Copies: JAX remembers an array of the case in the type it met first, and policies hold it.
+        low=jnp.asarray(overlay.low.copy()),
+        high=jnp.asarray(overlay.high.copy()),
         cost=use(inputs, overlay.cost),
         leverage=use(inputs, overlay.leverage),
         stress=use(inputs, overlay.collateral_stress),

@@ -14,12 +14,13 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...simulator import Box, Schedule, Simulator
-from .market import Market, log_factor, move, noise_size
+from .books import LEAST, Balance, State, balance, opening
+from .market import Move, move, noise_size
 from .observation import observe
 from .plan import contribution, indexation
 from .records import PensionCase
 from .schedule import Period, Terms, make_schedule
-from .trading import trade
+from .trading import Holdings, trade
 
 # Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
 AT_END = (
@@ -57,38 +58,32 @@ EACH_STEP = (
     "bound_excess",
 )
 OUTPUTS = AT_END + EACH_STEP
-LEAST = 1e-6  # of the assets now: the liability counts as at least this much in ratios
 
 
-class State(NamedTuple):
-    """The fund at the start of a step.
+class Flows(NamedTuple):
+    """Money of a step: contributions received, benefits and expenses paid."""
 
-    `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
-    cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
-    `deaths` y, the log of what mortality has taken beyond the baseline; `log_price_last` at the
-    last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation beyond
-    what was valued already.
-    """
+    contribution: Array
+    benefit: Array
+    expenses: Array
 
-    market: Market
-    assets: Array
-    weights: Array
-    overlay: Array | None
-    theta: Array
-    fresh: Array
-    deaths: Array
-    log_price_last: Array
-    ratio_sum: Array
-    jump: Array
+    @property
+    def net(self) -> Array:
+        return self.contribution - self.benefit - self.expenses
 
 
-class Balance(NamedTuple):
-    """Value of the liability, its payment nodes [J], of the step's accrual; the funding ratio F."""
+class Happened(NamedTuple):
+    """A step: the books before it, the money, what was `invested` and `held`, the market's move,
+    the state after it, and the indexation `granted` and `cut` at its end."""
 
-    liability: Array
-    by_node: Array
-    accrual: Array
-    ratio: Array
+    books: Balance
+    flows: Flows
+    invested: Array
+    held: Holdings
+    moved: Move
+    after: State
+    granted: Array
+    cut: Array
 
 
 class PensionSimulator(Simulator):
@@ -112,106 +107,89 @@ class PensionSimulator(Simulator):
         return make_schedule(self.case, inputs)
 
     def initial(self, constants: Terms, noise) -> State:
-        zero, one = jnp.zeros_like(constants.assets), jnp.ones_like(constants.assets)
-        swaps = constants.swaps
-        return State(
-            market=constants.market.start,
-            assets=constants.assets,
-            weights=constants.weight,
-            overlay=None if swaps is None else swaps.notional / constants.assets,
-            theta=one,
-            fresh=one,
-            deaths=zero,
-            log_price_last=zero,
-            ratio_sum=zero,
-            jump=zero,
-        )
+        return opening(constants)
 
     def observe(self, constants: Terms, now: Period, state: State) -> Float[Array, " features"]:
-        ratio = self.balance(constants, now.people, now.shape, state).ratio
-        return observe(self.case, constants, now, state, ratio)
-
-    def balance(self, constants: Terms, people, shape: Array, state: State) -> Balance:
-        """Values on the case's basis, at the market of `state`."""
-        market = state.market
-        factor = log_factor(constants.market, shape, market)
-        if self.case.lee_carter is not None:
-            factor = factor - people.outlook * market.mortality
-        scale = jnp.log(state.theta) - state.deaths
-        if self.case.liability.future_indexation == "full":
-            # Increases are due that prices have called for and no indexation has granted yet.
-            scale = scale + market.log_price - state.log_price_last
-        factor, scale = jnp.exp(factor), jnp.exp(scale)
-        by_node = scale * (people.accrued + state.fresh * people.fresh) * factor
-        liability = jnp.sum(by_node)
-        wage = jnp.exp(market.log_wage) / state.theta
-        accrual = scale * wage * jnp.sum(people.accrual * factor)
-        return Balance(liability, by_node, accrual, self.ratio(constants, state, liability))
-
-    def ratio(self, constants: Terms, state: State, liability: Array) -> Array:
-        """Assets over liability; a fund without liabilities has a large one."""
-        least = LEAST * constants.assets
-        return state.assets / jnp.where(liability > least, liability, least)
+        books = balance(self.case, constants, now.people, now.shape, state)
+        return observe(self.case, constants, now, state, books.ratio)
 
     def step(self, constants: Terms, now: Period, state: State, action, noise, smooth):
-        case, people, market = self.case, now.people, state.market
-        in_advance = case.plan.timing == "advance"
-        books = self.balance(constants, people, now.shape, state)
-        wage, price = jnp.exp(market.log_wage), jnp.exp(market.log_price)
+        done = self.happen(constants, now, state, action, noise, smooth)
+        return done.after, self._outputs(constants, state, done, smooth)
+
+    def happen(self, constants: Terms, now: Period, state: State, action, noise, smooth):
+        """One step in all its parts: a `Happened`."""
+        case = self.case
+        books = balance(case, constants, now.people, now.shape, state)
+        flows = self._flows(constants, now, state, books, smooth)
+        invested = state.assets + flows.net if self._in_advance else state.assets
+        buckets = None if constants.swaps is None else constants.swaps.nearest @ books.by_node
+        held = trade(case, constants, state, action, invested, buckets, smooth)
+        moved = move(case, constants.market, now.market, state.market, noise)
+        indexed = self._indexed(constants, now, state, books, moved.market, smooth)
+        after = self._settled(constants, indexed[0], flows, invested, held, moved)
+        return Happened(books, flows, invested, held, moved, after, *indexed[1:])
+
+    @property
+    def _in_advance(self) -> bool:
+        return self.case.plan.timing == "advance"
+
+    def _flows(self, constants: Terms, now: Period, state: State, books, smooth) -> Flows:
+        """What comes in and goes out; the rules look at the books before the step."""
+        people, market = now.people, state.market
         received = contribution(
-            case.plan,
+            self.case.plan,
             constants.plan,
             assets=state.assets,
             liability=books.liability,
             normal_cost=books.accrual,
             payroll=people.payroll,
-            wage=wage,
-            step=case.step,
+            wage=jnp.exp(market.log_wage),
+            step=self.case.step,
             smooth=smooth,
         )
         alive = state.theta * jnp.exp(-state.deaths)
         benefit = alive * (people.benefit + state.fresh * people.fresh_benefit)
-        expenses = people.expenses * price
-        flow = received - benefit - expenses
-        invested = state.assets + flow if in_advance else state.assets
-        buckets = None if constants.swaps is None else constants.swaps.nearest @ books.by_node
-        held = trade(case, constants, state, action, invested, buckets, smooth)
-        moved = move(case, constants.market, now.market, market, noise)
+        return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))
+
+    def _settled(self, constants: Terms, after: State, flows, invested, held, moved) -> State:
+        """The state `after` with what was held and paid: assets, drifted weights, notionals."""
         growth = jnp.sum(held.weights * moved.gross)
         assets = (invested - held.cost) * growth
+        overlay = None
         if held.notional is not None:
             returned = jnp.exp(moved.cash) * jnp.expm1(moved.swaps)
             assets = assets + jnp.sum(held.notional * returned)
-        assets = assets if in_advance else assets + flow
-        overlay = None
+        assets = assets if self._in_advance else assets + flows.net
         if held.notional is not None:
+            least = LEAST * constants.assets
             rolled = held.notional * jnp.exp(moved.cash + moved.swaps)
-            overlay = rolled / jnp.where(
-                assets > LEAST * constants.assets, assets, constants.assets
-            )
-        after, granted, cut = self._indexed(constants, now, state, books, moved.market, smooth)
-        after = after._replace(
-            assets=assets, weights=held.weights * moved.gross / growth, overlay=overlay
-        )
-        before = jnp.exp(market.log_discount)
-        paid = before if in_advance else jnp.exp(moved.market.log_discount)
+            overlay = rolled / jnp.where(assets > least, assets, constants.assets)
+        weights = held.weights * moved.gross / growth
+        return after._replace(assets=assets, weights=weights, overlay=overlay)
+
+    def _outputs(self, constants: Terms, state: State, done: Happened, smooth):
+        """The named scalars of a step, see `EACH_STEP`."""
+        books, flows, held = done.books, done.flows, done.held
+        before = jnp.exp(state.market.log_discount)
+        paid = before if self._in_advance else jnp.exp(done.moved.market.log_discount)
         below = smooth.positive_part(1 - books.ratio, 0.1)
-        return after, {
-            "contribution": received,
-            "benefit": benefit,
-            "expenses": expenses,
+        return {
+            "contribution": flows.contribution,
+            "benefit": flows.benefit,
+            "expenses": flows.expenses,
             "cost": held.cost,
             "normal_cost": books.accrual,
-            "granted": granted,
-            "cut": cut,
-            "pv_contribution": paid * received,
-            "pv_benefit": paid * benefit,
-            "pv_expenses": paid * expenses,
+            "granted": done.granted,
+            "cut": done.cut,
+            "pv_contribution": paid * flows.contribution,
+            "pv_benefit": paid * flows.benefit,
+            "pv_expenses": paid * flows.expenses,
             "pv_cost": before * held.cost,
             "pv_accrual": before * books.accrual,
             "pv_indexation": self._indexation_value(before, books, state),
-            "shortfall_square": case.step * below**2,
-            "collateral_shortfall": case.step * held.collateral_shortfall / constants.assets,
+            "shortfall_square": self.case.step * below**2,
+            "collateral_shortfall": self.case.step * held.collateral_shortfall / constants.assets,
             "funding": books.ratio,
             "bound_excess": held.bound_excess,
         }
@@ -242,11 +220,8 @@ class PensionSimulator(Simulator):
         deaths = state.deaths
         if case.lee_carter is not None:
             deaths = deaths + people.decline * state.market.mortality
-        after = State(
+        after = state._replace(
             market=market,
-            assets=state.assets,
-            weights=state.weights,
-            overlay=state.overlay,
             theta=theta,
             fresh=fresh,
             deaths=deaths,
@@ -262,7 +237,7 @@ class PensionSimulator(Simulator):
         return discount * books.liability * -jnp.expm1(-state.jump)
 
     def terminal(self, constants: Terms, state: State, smooth):
-        books = self.balance(constants, constants.last, constants.last_shape, state)
+        books = balance(self.case, constants, constants.last, constants.last_shape, state)
         discount = jnp.exp(state.market.log_discount)
         surplus = state.assets - books.liability
         ratio = jnp.where(books.ratio > 1e-3, books.ratio, 1e-3)

@@ -289,6 +289,16 @@ class SensitivityTable(Table):
     held: list[str] = Field([], description="a list of names of inputs")
 
 
+class FrontierTable(Table):
+    """`[frontier]`: contributions against the shortfall, from a sweep."""
+
+    points: Annotated[int, Field(ge=2, le=20)] = Field(5, description="a whole number from 2 to 20")
+    steps: Annotated[int, Field(ge=1)] = Field(60, description="a whole number, 1 or more")
+    level: Annotated[float, Field(ge=0.5, le=0.99)] = Field(
+        0.95, description="a number from 0.5 to 0.99"
+    )
+
+
 class StressTable(Table):
     """`[stress]`: shocks for the table of the report."""
 
@@ -322,5 +332,6 @@ class PensionTable(Table):
     )
     sensitivity: dict = Field({}, description="the table [sensitivity]")
     stress: dict | None = Field(None, description="the table [stress]")
+    frontier: dict | None = Field(None, description="the table [frontier]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

@@ -61,18 +61,60 @@ BY_SHARE_OF_ITSELF = (
     "gompertz",
     "lee_carter",
 )
-DEFINITIONS = {
-    "zero_rate": "KR01: the zero rate at one node rises by 1 bp, between nodes linearly; the sum of"
-    " all nodes is a parallel shift. Market values of assets today are held",
-    "forward_rate": "KR01: the forward rate of one interval rises by 1 bp; the sum of all is a"
-    " parallel shift. Market values of assets today are held",
-    "break_even": "IE01: the break-even at one node rises by 1 bp while nominal rates are held",
-    "rate_price_of_risk": "held while the curve moves; moved here by 0.01",
-    "asset_mean": "under excess returns the mean is over cash, under total returns all of it",
+# What moves, by the beginning of an input's name; the longest that fits counts.
+MEANINGS = {
+    "": "the number rises; all others are held",
+    "zero_rate": "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
+    " a parallel shift. Market values of assets today, prices of risk and excess returns are held",
+    "forward_rate": "KR01: the forward rate of one interval; the sum of all is a parallel shift."
+    " Market values of assets today, prices of risk and excess returns are held",
+    "ultimate": "the forward rate far beyond the last node",
+    "break_even": "IE01: the break-even at one node, while nominal rates are held",
+    "rate_volatility": "of a factor of the short rate; the curve is fitted again",
+    "rate_mean_reversion": "of a factor of the short rate; the curve is fitted again",
+    "rate_price_of_risk": "held while the curve moves; higher is a lower premium of long bonds",
+    "inflation": "of expected inflation; break-evens are fitted again",
+    "index": "of realised prices",
+    "indexation": "a number of the rule of indexation",
+    "real_wage_growth": "wages over prices",
+    "wage_volatility": "of wages over prices",
+    "asset_mean": "under excess returns the mean over cash, under total returns all of it",
+    "asset_volatility": "of a class in its own currency, its mean as the case gives it",
+    "asset_smoothing": "the share of a step's return that an appraisal shows at once",
+    "asset_cost": "the share of what is traded that trading costs",
+    "asset_fee": "per year, of what is held",
+    "asset_weight": "a weight held today, before the first trade",
+    "assets": "the market value of all assets today",
     "correlation": "an entry moves together with its mirror",
-    "mortality_multiplier": "mortality at these ages rises by 1 % of itself",
+    "credit_spread": "the spread today, at unchanged prices of what is held",
+    "credit_mean_spread": "where the spread reverts to",
+    "credit": "of the logarithm of a spread",
+    "credit_default_loss": "the share of a holding lost per year at the mean spread",
+    "currency": "of a currency; what is hedged does not feel it",
+    "overlay_notional": "the notional held today, before the first trade",
+    "overlay": "a cost or limit of the swaps",
+    "mortality_multiplier": "death rates at these ages rise by 1 % of themselves",
     "death_probability": "the probability rises by 1 % of itself",
+    "improvement": "the yearly fall of death rates",
+    "gompertz": "a number of the formula of mortality rises by 1 % of itself",
+    "lee_carter": "a number of the mortality factor rises by 1 % of itself",
+    "year_of_life": "all death rates fall in proportion, by sex, until the expectation of life at"
+    " 65 is a year longer; to first order",
+    "members": "the number of members of a cohort",
+    "accrued_pension": "the yearly pension that each member has earned",
+    "salary": "of each member, and with it contributions and accrual",
+    "cash_flow": "an expected payment",
+    "normal_cost": "the value of what a step accrues today",
+    "payroll": "all salaries",
+    "plan": "a number of the scheme's rules",
+    "contribution": "a number of the rule of contributions",
+    "liability_rate": "the rate that is added to the curve, or takes its place, in valuation",
 }
+
+
+def meaning(name: str) -> str:
+    """What is moved when an input moves, and what is held meanwhile."""
+    return MEANINGS[max((each for each in MEANINGS if name.startswith(each)), key=len)]
 
 
 def move(name: str, given: Input) -> Move:
@@ -84,11 +126,18 @@ def move(name: str, given: Input) -> Move:
         return Move(ones, "1 year")
     if name.startswith(BY_BASIS_POINT):
         return Move(BASIS_POINT * ones, "1 bp")
-    if name.startswith(BY_SHARE_OF_ITSELF) and name not in ("asset_smoothing",):
-        return Move(POINT * given.value.ravel(), "1 % of itself")
+    if name.startswith(BY_SHARE_OF_ITSELF):
+        return _share_of_itself(given.value.ravel())
     if "correlation" in name or "price_of_risk" in name or "mean_reversion" in name:
         return Move(POINT * ones, "0.01")
     return Move(POINT * ones, "1 percentage point")
+
+
+def _share_of_itself(values: np.ndarray) -> Move:
+    """One per cent; where all numbers are zero, one unit: there is no per cent of nothing."""
+    if not values.any():
+        return Move(np.ones(values.size), "1 unit")
+    return Move(POINT * values, "1 % of itself")
 
 
 def name_of(name: str, label: str = "") -> str:

@@ -10,6 +10,7 @@ from ....report.page import Block, Chart, Facts, Missing, Section, Table, Text
 from ....report.quantity import finite, number, plus_minus
 from .run import Run, points, share
 
+BREACHES = (("collateral", "Collateral falls short"), ("weights", "Weights leave their bounds"))
 LAYERS = ("main", "inject", "withdraw", "limit", "good", "other")
 
 
@@ -160,7 +161,13 @@ def rivals(run: Run) -> Section:
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
         " same bounds. The lead is paired path by path; the error is one standard error of it."
     )
-    points_ = [
+    table = Table(head, body, "", 1, strong=frozenset([0]))
+    return Section("policies", title, short, [table, Text(caption, True), _cloud(run, rows, unit)])
+
+
+def _cloud(run: Run, rows: list[dict], unit: str) -> Chart:
+    """What each policy asks for and what it leaves in bad times."""
+    marks = [
         (
             str(each["name"]),
             (finite(each.get("pv_contribution")) or 0.0) / run.size(each["pv_contribution"])[0],
@@ -169,29 +176,11 @@ def rivals(run: Run) -> Section:
         )
         for each in rows
     ]
+    units = (f"Mean present value of contributions, {unit}", "5 % quantile of F, %")
     alt = "Policies by present value of contributions and 5 % quantile of the funding ratio."
-    svg = draw(
-        "frontier",
-        alt,
-        lambda axes: scatter(
-            axes, points_, (f"Mean present value of contributions, {unit}", "5 % quantile of F, %")
-        ),
-        230,
-    )
-    table = Table(head, body, "", 1, strong=frozenset([0]))
-    return Section(
-        "policies",
-        title,
-        short,
-        [
-            table,
-            Text(caption, True),
-            Chart(
-                svg,
-                "What each policy asks for and what it leaves in bad times; up and left is better.",
-            ),
-        ],
-    )
+    svg = draw("frontier", alt, lambda axes: scatter(axes, marks, units), 230)
+    text = "What each policy asks for and what it leaves in bad times; up and left is better."
+    return Chart(svg, text)
 
 
 def _rival(run: Run, each: dict, sure: bool) -> tuple:
@@ -217,28 +206,41 @@ def _rival(run: Run, each: dict, sure: bool) -> tuple:
 
 
 def limits(run: Run) -> Section:
-    """Collateral: headroom today, and paths on which it falls short."""
-    title, short = "Collateral and limits", "Collateral"
+    """Collateral: headroom today; and by month, paths that break a limit."""
+    title, short = f"Collateral and limits ({run.measure})", "Limits"
     now, after = run.get("collateral.now"), run.get("collateral.after")
-    if not now:
-        text = "The case has no swaps, and needs no collateral."
-        return Section("collateral", title, short, [Missing(text)])
-    facts = [_headroom(run, "Headroom now", now), _headroom(run, "After today's trades", after)]
-    required = f"{number(now.get('required'), 0)} bp"
-    facts.append(("Required", required, "rise in rates to be withstood"))
-    ever = finite(run.get("limits.ever"))
-    if ever is not None:
-        note = f"probability of a breach in any month, {run.measure}"
-        facts.append(("Collateral falls short", share(ever, 2), note))
+    broken = run.get("limits", {})
+    if not now and not broken:
+        return Section("collateral", title, short, [Missing("Limits are not in this run.")])
+    facts = []
+    if now:
+        facts = [_headroom(run, "Headroom now", now), _headroom(run, "After today's trades", after)]
+        required = f"{number(now.get('required'), 0)} bp"
+        facts.append(("Required", required, "rise in rates to be withstood"))
+    for name, words in BREACHES:
+        if name in broken:
+            note = f"probability in any month, {run.measure}"
+            facts.append((words, share(broken[name]["ever"], 2), note))
     blocks: list[Block] = [Facts(facts)]
-    months = run.numbers("limits.share")
-    if months is not None and np.any(months > 0):
-        worst = int(np.nanargmax(months))
-        text = f"Most breaches are in step {worst + 1}: {share(months[worst], 2)} of the paths."
-    else:
-        text = "No path breaches its collateral requirement in any month."
-    blocks.append(Text(text))
+    if not now:
+        blocks.append(Text("The case has no swaps, and needs no collateral."))
+    for name, words in BREACHES:
+        months = run.numbers(f"limits.{name}.share")
+        if months is not None:
+            blocks.append(_months(run, name, words, months))
     return Section("collateral", title, short, blocks)
+
+
+def _months(run: Run, name: str, words: str, months: np.ndarray) -> Chart | Text:
+    """Shares of the paths that break one limit, step by step."""
+    if not np.any(months > 0):
+        return Text(f"{words}: on no path in any month.")
+    worst = int(np.nanargmax(months))
+    years = np.arange(len(months)) * float(run.get("step") or 1.0)
+    layer = Layer(words, 100 * months, "limit", 0.8)
+    text = f"{words} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
+    svg = draw(f"breach-{name}", text, lambda axes: stack(axes, years, [layer], "% of paths"), 180)
+    return Chart(svg, f"{text} Shares of the paths by month.")
 
 
 def _headroom(run: Run, name: str, each: dict | None) -> tuple[str, str, str]:
@@ -246,4 +248,6 @@ def _headroom(run: Run, name: str, each: dict | None) -> tuple[str, str, str]:
     if each is None or known is None:
         return name, "no swaps", "nothing to be collateralised"
     note = f"{run.large(each.get('eligible'))} eligible, PV01 {run.large(each.get('pv01'), 2)}"
+    if each.get("direction") == "fall":
+        note = f"{note}; of a fall in rates"
     return name, f"{number(known, 0)} bp", note

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ....report.bands import quantile_fan
+from ....report.bands import Swing, quantile_fan, tornado
 from ....report.drawing import draw
 from ....report.page import Block, Chart, Missing, Section, Table, Text
 from ....report.quantity import number
@@ -62,12 +62,50 @@ def funding(run: Run) -> Section:
 
 
 def attribution(run: Run) -> Section:
+    """What moved the funding ratio from today to the horizon, adding up to its change."""
+    title, short = f"What moves the funding ratio ({run.measure})", "Attribution"
+    rows = run.get("attribution.rows", [])
+    if not rows:
+        text = "The change of the funding ratio was not attributed in this run."
+        return Section("attribution", title, short, [Missing(text)])
+    kept = [each for each in rows if any(each[key] for key in ("assets", "liability"))]
+    swings = [
+        Swing(each["name"], 100 * each["mean"], points(each["mean"], 2, True)) for each in kept
+    ]
+    alt = "Mean effects on the funding ratio. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
+    height = 40 + 22 * len(swings)
+    svg = draw("attribution", alt, lambda axes: tornado(axes, swings, "points of F"), height)
+    change, start = run.get("attribution.change", {}), run.get("attribution.start")
+    sums = {key: sum(each[key] for each in rows) for key in ("assets", "liability", "mean")}
+    lines = [*kept, sums | {"name": "All parts"}, change | {"name": "Change of F"}]
+    body = [_part(each) for each in lines]
+    head = [("", ""), ("Through assets", "points"), ("Through liability", "points")]
+    head += [("Mean effect", "points"), ("Standard deviation", "points")]
+    caption = (
+        f"From {share(start)} today to the mean {run.horizon}: means over paths under the learned"
+        " policy. In every month assets and liability are moved in both orders and the mean of the"
+        " two is taken; the liability's own parts come in the order benefits, accrual, interest,"
+        " rates, mortality, indexation. Mortality is what departs from the table; indexation what"
+        " was not valued already. The parts add up to the change of F on every path."
+    )
+    table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))
+    return Section("attribution", title, short, [Chart(svg, caption), table])
+
+
+def _part(each: dict) -> tuple[str, ...]:
+    moved = (each.get(key) for key in ("assets", "liability", "mean"))
+    signed = ("" if value is None else points(value, 2, True) for value in moved)
+    deviation = each.get("deviation")
+    return each["name"], *signed, "" if deviation is None else points(deviation, 2)
+
+
+def spread(run: Run) -> Section:
     """The spread of the final funding ratio without each source of risk."""
-    title, short = f"Where the spread comes from ({run.measure})", "Attribution"
-    rows = run.get("attribution", [])
+    title, short = f"Where the spread comes from ({run.measure})", "Spread"
+    rows = run.get("spread", [])
     if not rows:
         text = "The spread of the funding ratio was not attributed in this run."
-        return Section("attribution", title, short, [Missing(text)])
+        return Section("spread", title, short, [Missing(text)])
     body = [
         (
             str(each["source"]),
@@ -85,7 +123,7 @@ def attribution(run: Run) -> Section:
         " each other. A negative share hedged the rest."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
-    return Section("attribution", title, short, [table, Text(caption, caveat=True)])
+    return Section("spread", title, short, [table, Text(caption, caveat=True)])
 
 
 def money(run: Run) -> Section:
@@ -147,4 +185,4 @@ def _table(fan: dict[str, np.ndarray], scale: float, unit: str, caption: str) ->
         for i in _thin(len(fan["p50"]))
     ]
     head = [("Year", ""), *((name, unit) for name in HEAD), ("Mean", unit)]
-    return Table(head, rows, caption, 1, folded="All quantiles by year")
+    return Table(head, rows, caption, 1, folded=f"{caption}: all quantiles")

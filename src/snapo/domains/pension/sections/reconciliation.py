@@ -117,6 +117,8 @@ def reconciliation(run: Run) -> Section:
     )
     if tests := data.get("martingale"):
         blocks.append(_martingale(run, tests))
+    if durations := data.get("key_rate_durations"):
+        blocks.append(_durations(durations))
     flow = data.get("cash_flow")
     if flow:
         blocks.append(_cash_flow(run, np.asarray(flow, np.float64)))
@@ -155,6 +157,17 @@ def _martingale(run: Run, tests: list[dict]) -> Table:
     head = [("Test", ""), ("", ""), ("Simulated", ""), ("Expected", ""), ("Standard error", "")]
     caption = "Market consistency under Q on fresh paths with the trained policy, 3 standard errors"
     return Table(head, rows, caption, 2)
+
+
+def _durations(found: dict) -> Table:
+    """Key-rate durations by node, and their sum."""
+    years = [finite(each) or 0.0 for each in found["years"]]
+    rows = [(label, number(each, 3)) for label, each in zip(found["label"], years)]
+    rows.append(("Sum", number(sum(years), 3)))
+    caption = "Key-rate durations of the liability: −d ln L / d quote at each node of the curve"
+    strong = frozenset([len(rows) - 1])
+    folded = f"Key-rate durations at {len(years)} nodes"
+    return Table([("Node", ""), ("Years", "")], rows, caption, 1, strong=strong, folded=folded)
 
 
 def _cash_flow(run: Run, flow: np.ndarray) -> Chart | Text:

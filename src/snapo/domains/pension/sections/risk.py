@@ -6,12 +6,12 @@ from ....report.bands import Bars, Swing, grouped, tornado
 from ....report.drawing import draw
 from ....report.page import Block, Chart, Missing, Section, Table, Text
 from ....report.quantity import decimals, finite, number, plus_minus
-from ..units import DEFINITIONS, name_of
+from ..units import meaning, name_of
 from .run import Run
 
 CURVES = ("zero_rate", "forward_rate", "break_even")
-BUCKETS = (0.0, 2.5, 5.0, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0, 1e9)
-BUCKET_NAMES = ("to 2.5y", "5y", "7.5y", "10y", "15y", "20y", "30y", "40y", "50y up")
+EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
+BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 HELD = (
     "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
     " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
@@ -37,8 +37,9 @@ def sensitivities(run: Run) -> Section:
         text = "Sensitivities are not in this run."
         return Section("sensitivities", title, short, [Missing(text)])
     scale, unit = _scale(run)
-    blocks: list[Block] = [_tornado(families, scale, unit)]
-    blocks.append(_families(families, scale, unit))
+    moves = [*families, *run.get("sensitivities.combined", [])]
+    blocks: list[Block] = [_tornado(moves, scale, unit)]
+    blocks.append(_families(moves, scale, unit))
     rows = run.get("sensitivities.rows", [])
     for name in CURVES:
         own = [row for row in rows if row["input"] == name]
@@ -47,7 +48,7 @@ def sensitivities(run: Run) -> Section:
     others = [row for row in rows if row["input"] not in CURVES]
     if others:
         blocks.append(_others(others, scale, unit))
-    blocks += [Text(HELD, caveat=True), _definitions(families)]
+    blocks += [Text(HELD, caveat=True), _definitions(moves)]
     return Section("sensitivities", title, short, blocks, break_before=True)
 
 
@@ -113,8 +114,9 @@ def _others(rows: list[dict], scale: float, unit: str) -> Table:
 
 
 def _definitions(families: list[dict]) -> Table:
-    present = [each["input"] for each in families]
-    rows = [(name_of(name), text) for name, text in DEFINITIONS.items() if name in present]
+    rows = [
+        (name_of(each["input"]), f"+ {each['move']}: {meaning(each['input'])}") for each in families
+    ]
     return Table([("Input", ""), ("What is moved", "")], rows, "Definitions", 2)
 
 
@@ -126,7 +128,7 @@ def ladder(run: Run) -> Section:
     if not now or tenor is None:
         text = "The key-rate ladder is not in this run."
         return Section("ladder", title, short, [Missing(text)])
-    place = np.digitize(tenor, BUCKETS[1:-1])
+    place = np.digitize(tenor, EDGES)
 
     def bucketed(path: str) -> np.ndarray:
         values = run.numbers(path)
