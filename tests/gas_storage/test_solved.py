@@ -74,6 +74,7 @@ def plan_earns(made, source, paths: int) -> np.ndarray:
     return earned
 
 
+@pytest.mark.slow
 def test_most_of_the_extrinsic_value():
     """Paired with the intrinsic plan on the same paths.
 
@@ -94,6 +95,7 @@ def test_most_of_the_extrinsic_value():
 CALLS = {"2019-12-15": 646.4087, "2020-01-20": 374.7695, "2020-03-31": 248.2129}
 
 
+@pytest.mark.slow
 def test_three_calls_in_disguise():
     made, solution = solved("G4", Sobol(1), steps=100, paths=256, evaluate=65536, sensitivity=65536)
     print(f"G4: {solution.value:.4f} ± {solution.standard_error:.4f}")

@@ -127,11 +127,11 @@ def scattered(x, where, kind: str):
 @pytest.mark.parametrize(
     ("precision", "tolerance", "examples"),
     [
-        ("float64", 1e-10, 1),
-        pytest.param("float64", 1e-10, 12, marks=pytest.mark.slow),
-        pytest.param("float32", 2e-4, 12, marks=pytest.mark.slow),
+        ("float64", 1e-10, 12),
+        ("float32", 2e-4, 12),
     ],
 )
+@pytest.mark.slow
 def test_shapes(precision, tolerance, examples):
     """Most paths have usual numbers, apart from one another; eleven have a special one or two."""
 

@@ -1,8 +1,20 @@
 """What moves the funding ratio: parts that add up to its change, and what each of them is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
-from market_cases import CASH, EQUITY, assets, case, cash_flows, full, no_contribution, plan
+from market_cases import (
+    CASH,
+    EQUITY,
+    assets,
+    case,
+    cash_flows,
+    full,
+    given,
+    no_contribution,
+    plan,
+)
 
 from snapo.adjoint import prepare
 from snapo.domains.pension.attribution import ROWS, Explained
@@ -27,15 +39,21 @@ def explained(one, action, paths=4):
 
 def test_the_parts_add_up_on_every_path():
     """Bonds, credit, currencies, swaps, costs, contributions and conditional indexation at once."""
-    totals, start, final = explained(full(7), [0.0, 0.2, 0.1, 0.1, 0.2, 0.2, 0.1, 0.5, 0.6])
+    granted = given("indexation_lower_ratio", 0.5)
+    one = full(7)
+    one = replace(
+        one, plan=replace(one.plan, indexation=replace(one.plan.indexation, lower_ratio=granted))
+    )
+    totals, start, final = explained(one, [0.0, 0.2, 0.1, 0.1, 0.2, 0.2, 0.1, 0.5, 0.6])
     keys = {key for key, _ in ROWS}
     assert {name.split()[0] for name in totals} == keys
     assert sum(totals.values()) == pytest.approx(final - start, abs=1e-13)
     for name in ("rates", "credit", "assets", "accrual", "benefits", "costs", "interest"):
         assert np.all(totals[f"{name} assets"] != 0)
-    for name in ("rates", "accrual", "benefits", "interest", "indexation"):
+    for name in ("rates", "benefits", "interest", "indexation"):
         assert np.any(totals[f"{name} liability"] != 0)
-    assert np.all(totals["mortality liability"] == 0)
+    for name in ("accrual", "mortality"):  # cash flows are given: nobody accrues, nobody dies
+        assert np.all(totals[f"{name} liability"] == 0)
 
 
 def test_in_a_market_that_stands_still_every_part_is_known():

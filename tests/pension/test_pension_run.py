@@ -18,6 +18,8 @@ from snapo.domains.pension.records_people import FEMALE, MALE
 from snapo.domains.pension.references_people import year_of_life
 from snapo.inputs import plain
 
+pytestmark = pytest.mark.slow  # two minutes and more of compiling
+
 HOME = Path(snapo.domains.pension.__file__).parent
 KEYS = {
     "kind": str,

@@ -123,6 +123,7 @@ def path_slopes(engine, simulator, inputs, policy, schedule, paths, held=False):
     return pull_back(simulator, inputs, found)["zero_rate"]
 
 
+@pytest.mark.slow
 def test_a_stream_is_met_payment_by_payment_with_decisions_held():
     """P2 for a stream: tau_j CF_j P(T, tau_j) / L_T on each path, for any observation."""
     months, steps, paths = np.array([59, 119, 239]), 24, 3
@@ -152,6 +153,7 @@ def test_a_stream_is_met_payment_by_payment_with_decisions_held():
     assert np.abs(slopes - want).max() < 1e-7
 
 
+@pytest.mark.slow
 def test_both_engines_support_the_full_case():
     one = full()
     simulator, _, schedule = simulated(one)

@@ -65,6 +65,7 @@ def test_second_derivatives():
     assert found[:, 0] == pytest.approx([K**2 * a, (K * T - 1) * a, T**2 * a], rel=1e-8)
 
 
+@pytest.mark.slow
 def test_convergence():
     """Halving the mesh and an adaptive solution agree, in values and derivatives."""
     fine = convergence(Process(tank()))
@@ -132,6 +133,7 @@ def branched():
     return case((feed((1.0, 0.0)),), units, lines, found, given, network=decay()), times
 
 
+@pytest.mark.slow
 def test_a_branch_joins_again():
     """A = (s exp(-K t1) + (1 - s) exp(-K t2)) exp(-K t3), its derivatives, paths and balances."""
     given, times = branched()

@@ -33,6 +33,7 @@ CONTROL = Control(
 )
 
 
+@pytest.mark.slow
 def test_open_loop_is_the_process():
     """The stages' coarser steps lose less than 1e-3 of the distance to the nearest limit."""
     case = flagship(control=CONTROL)

@@ -84,6 +84,7 @@ def surface_rate(size=80e-6, transfer=2e-11):
     return transfer * 6 / (1200 * size)
 
 
+@pytest.mark.slow
 def test_constant_rate_is_the_wet_bulb_balance():
     """Wet cake settles where the shelf's heat is what evaporation takes; then X falls in line."""
     unit = dryer(
