@@ -173,8 +173,8 @@ def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
     conditions = recipe.conditions
     return {
         "sense": "maximise" if ask.sense > 0 else "minimise",
-        "terms": [each._asdict() for each in map(_shown, ask.terms)],
-        "per": [each._asdict() for each in map(_shown, ask.per)],
+        "terms": [_shown(each) for each in ask.terms],
+        "per": [_shown(each) for each in ask.per],
         "unit": _unit(ask),
         "reserve": ask.reserve,
         "before": found.before,
@@ -253,16 +253,9 @@ def _ramp_rows(found: Optimum) -> list[dict[str, Any]]:
     return rows
 
 
-class Shown(NamedTuple):
+def _shown(term: Term) -> dict[str, Any]:
     """A term as a reader sees it."""
-
-    of: str
-    unit: str
-    weight: float
-
-
-def _shown(term: Term) -> Shown:
-    return Shown(term.of, term.unit, term.weight)
+    return {"of": term.of, "unit": term.unit, "weight": term.weight}
 
 
 def _unit(ask: Optimise) -> str:
