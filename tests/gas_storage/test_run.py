@@ -38,6 +38,14 @@ KEYS = {
     "run": str,
 }
 STEPS, EVERY = 300, 10
+
+# Whoever starts the tests in the background passes on that interrupts are ignored.
+HEEDING = """
+import signal, sys
+signal.signal(signal.SIGINT, signal.default_int_handler)
+from snapo.cli.main import main
+sys.exit(main(sys.argv[1:]))
+"""
 TRAINING = {"steps": STEPS, "paths": 64, "validation_paths": 128, "validation_every": EVERY}
 EVALUATION = {"paths": 512}
 
@@ -174,7 +182,7 @@ def test_a_case_without_decisions_left(tmp_path):
 
 def stop(folder: Path, out: Path, how: int) -> int:
     """Starts `snapo solve`, stops it in the middle of training, and returns its exit code."""
-    command = [sys.executable, "-m", "snapo.cli.main", "solve", str(folder), "--out", str(out)]
+    command = [sys.executable, "-c", HEEDING, "solve", str(folder), "--out", str(out)]
     command += ["--seed", "3", "--engine", "native"]
     with open(out.parent / "log", "wb") as log:
         process = subprocess.Popen(command, stdout=log, stderr=log, env=os.environ)

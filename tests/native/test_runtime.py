@@ -100,7 +100,9 @@ def _captured(simulator) -> runtime.Inputs:
 
 
 INTERRUPTED = """
-import sys, time
+import signal, sys, time
+# Whoever starts the tests in the background passes on that interrupts are ignored.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 sys.path.insert(0, {here!r})
 import numpy as np
 from problems import Store, Tanh
@@ -124,15 +126,19 @@ except KeyboardInterrupt:
 
 def test_ctrl_c_returns_promptly():
     code = INTERRUPTED.format(here=os.path.dirname(__file__))
-    child = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE, text=True)
-    assert child.stdout is not None
-    assert child.stdout.readline() == "ready\n"
-    time.sleep(1.0)
-    begin = time.perf_counter()
-    child.send_signal(signal.SIGINT)
-    out, _ = child.communicate(timeout=60)
-    assert "stopped" in out
-    assert time.perf_counter() - begin < 10
+    command = [sys.executable, "-c", code]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
+        try:
+            assert child.stdout is not None
+            assert child.stdout.readline() == "ready\n"
+            time.sleep(1.0)
+            begin = time.perf_counter()
+            child.send_signal(signal.SIGINT)
+            out, _ = child.communicate(timeout=60)
+            assert "stopped" in out
+            assert time.perf_counter() - begin < 10
+        finally:
+            child.kill()
 
 
 def test_explain_shows_every_stage():
