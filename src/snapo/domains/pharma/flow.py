@@ -1,15 +1,18 @@
 """Material through the whole flowsheet, unit by unit in the case's order."""
 
+from collections.abc import Mapping
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 from jaxtyping import Array
 
+from .dynamics import Dynamics
 from .mixing import feed
 from .ports import inlets, outlets
 from .records import PharmaCase
+from .records_units import Timed, Unit
 from .stream import Stream
-from .units import Outcome, operate
+from .units import Outcome, dynamics, operate
 
 
 class Flow(NamedTuple):
@@ -36,19 +39,41 @@ def leaving(case: PharmaCase) -> tuple[str, ...]:
     return tuple(name for name in names if name not in used)
 
 
-def flow(case: PharmaCase, inputs: dict[str, Any], record: bool = False) -> Flow:
-    """Runs every unit; with `record` tracks are kept."""
+def flow(
+    case: PharmaCase,
+    inputs: dict[str, Any],
+    record: bool = False,
+    ends: Mapping[str, Array] | None = None,
+) -> Flow:
+    """Runs every unit; with `record` tracks are kept. `ends`: {unit: its final y} of units that
+    were integrated elsewhere."""
+    found = _through(case, case.units, inputs, record, ends or {})
+    return found._replace(measures=found.measures | yields(case, found.streams))
+
+
+def problem_of(
+    case: PharmaCase, unit: Timed, inputs: dict[str, Any], ends: Mapping[str, Array]
+) -> Dynamics:
+    """A unit's initial value problem, once the timed units before it have come to their ends."""
+    before = case.units[: [each.name for each in case.units].index(unit.name)]
+    streams = _through(case, before, inputs, False, ends).streams
+    given = tuple(streams[name] for name in sources(case)[unit.name])
+    return dynamics(unit, case.network, given, inputs)
+
+
+def _through(case: PharmaCase, units: tuple[Unit, ...], inputs, record: bool, ends) -> Flow:
     streams = {each.name: feed(each, inputs) for each in case.feeds}
     measures, outcomes, fed = {}, {}, sources(case)
-    for unit in case.units:
+    for unit in units:
         given = tuple(streams[name] for name in fed[unit.name])
-        outcome = operate(unit, case.network, case.numerics, given, inputs, record)
+        end = ends.get(unit.name)
+        outcome = operate(unit, case.network, case.numerics, given, inputs, record, end)
         outcomes[unit.name] = outcome
         for port, stream in zip(outlets(unit), outcome.finish.outlets):
             streams[f"{unit.name}.{port}"] = stream
         for name, value in outcome.finish.measures.items():
             measures[f"{unit.name}.{name}"] = value
-    return Flow(streams, measures | yields(case, streams), outcomes)
+    return Flow(streams, measures, outcomes)
 
 
 def yields(case: PharmaCase, streams: dict[str, Stream]) -> dict[str, Array]:

@@ -44,6 +44,11 @@ def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> So
     return Solved(final, ends, reached, Track(time, states, slope, controls))
 
 
+def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
+    """What `integrate` gives where the final y is known already."""
+    return Solved(final, [value[-1] for _, value in problem.controls], problem.duration, None)
+
+
 def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     """States [n + 1, m] or None, the last of them, and the share of the time that is finite."""
     drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
@@ -82,7 +87,7 @@ def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
 
     closed = eqx.filter_closure_convert(right_hand_side, jnp.zeros(()), problem.start)
     # Control values jump or bend at the edges, and the solution at the event: no step across.
-    breaks = jnp.asarray(mesh.edges[1:-1])
+    breaks = jnp.asarray(mesh.pieces.edges[1:-1])
     if problem.event is not None:
         breaks = jnp.sort(jnp.append(breaks, jax.lax.stop_gradient(problem.event)))
     control = diffrax.PIDController(rtol=numerics.tolerance, atol=numerics.tolerance)

@@ -19,28 +19,50 @@ from .records_units import Profile
 GRADING = 3  # power of the grading: the error of derivatives falls like that of values
 
 
+class Pieces(NamedTuple):
+    """A unit's time, broken into K pieces at the nodes of its profiles and at its event.
+
+    `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` in
+    which the piece lies. `grading`: [K, 3] 1 at the row of `local_points` that the piece follows.
+    `edges`: all nodes of the unit's profiles.
+    """
+
+    breaks: Float[Array, " K+1"]
+    source: Int[Array, " K"]
+    grading: Float[Array, "K 3"]
+    edges: np.ndarray
+
+    def of(self, profile: Profile) -> Int[Array, " K"]:
+        """The number of the profile's own piece in which each piece lies."""
+        middle = (self.edges[:-1] + self.edges[1:]) / 2
+        own = np.searchsorted(profile.share[1:-1], middle, side="right")
+        return jnp.asarray(own)[self.source]
+
+    def ends(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+        """The profile where each piece begins and where it ends; in between it is straight."""
+        own = self.of(profile)
+        first = values_in(profile, value, own, self.breaks[:-1])
+        return first, values_in(profile, value, own, self.breaks[1:])
+
+
 class Mesh(NamedTuple):
     """n steps over one unit's time, in shares of its duration.
 
-    `stages`: [n, 3] start, middle and end of each step. `piece`: [n] number of the interval of
-    `edges` in which the step lies. `edges`: all nodes of the unit's profiles.
+    `stages`: [n, 3] start, middle and end of each step. `pieces`: the pieces that they divide.
     """
 
     stages: Float[Array, "n 3"]
-    piece: Int[Array, " n"]
-    edges: np.ndarray
+    pieces: Pieces
 
     def times(self) -> Float[Array, " n+1"]:
         """Shares of the duration at which the steps begin and end."""
         return jnp.concatenate([self.stages[:1, 0], self.stages[:, 2]])
 
-    def piece_of(self, profile: Profile) -> Int[Array, " n"]:
-        """The number of the profile's own piece in which each step lies."""
-        return jnp.asarray(_pieces(profile, self.edges))[self.piece]
-
     def values(self, profile: Profile, value: Float[Array, " N"]) -> Float[Array, "n 3"]:
         """The profile at every stage."""
-        piece = jnp.broadcast_to(self.piece_of(profile)[:, None], self.stages.shape)
+        own, steps = self.pieces.of(profile), len(self.stages) // len(self.pieces.source)
+        own = jnp.repeat(own, steps, total_repeat_length=len(self.stages))
+        piece = jnp.broadcast_to(own[:, None], self.stages.shape)
         return values_in(profile, value, piece, self.stages)
 
     def point_values(self, profile: Profile, value) -> Float[Array, " n+1"]:
@@ -59,33 +81,35 @@ def steps_per_piece(steps: int, pieces: int) -> int:
     return steps if pieces <= 4 else max(8, ceil(3 * steps / pieces))
 
 
-def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:
-    """Steps between the edges, and on both sides of an event at a share of the duration.
-
-    The number of steps does not depend on where the event is: next to an edge, a piece of length
-    zero has steps of length zero, which do no harm.
-    """
-    pieces = len(edges) - 1 + (event is not None)
-    n = steps_per_piece(steps, pieces)
+def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
+    """From 0 to 1 in n steps: even ones, ones that shrink towards 1, and ones that grow from 0."""
     even = np.linspace(0.0, 1.0, n + 1)
-    number = np.arange(pieces)
+    return np.stack([even, 1 - (1 - even) ** GRADING, even**GRADING])
+
+
+def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> Pieces:
+    """The pieces between the edges, and on both sides of an event at a share of the duration.
+
+    Their number does not depend on where the event is: next to an edge, a piece has length zero.
+    """
+    number = np.arange(len(edges) - 1 + (event is not None))
     if event is None:
-        breaks, source = jnp.asarray(edges), jnp.asarray(number)
-        local = jnp.broadcast_to(jnp.asarray(even), (pieces, n + 1))
-    else:
-        position = jnp.sum(edges <= event)
-        breaks = jnp.sort(jnp.append(jnp.asarray(edges), event))
-        source = jnp.clip(jnp.where(number < position, number, number - 1), 0, len(edges) - 2)
-        before, after = (number == position - 1)[:, None], (number == position)[:, None]
-        after_event = jnp.where(after, even**GRADING, even)
-        local = jnp.where(before, 1 - (1 - even) ** GRADING, after_event)
-    points = breaks[:-1, None] + jnp.diff(breaks)[:, None] * local
+        evenly = np.broadcast_to([1.0, 0.0, 0.0], (len(number), 3))
+        return Pieces(jnp.asarray(edges), jnp.asarray(number), jnp.asarray(evenly), edges)
+    position = jnp.sum(edges <= event)
+    breaks = jnp.sort(jnp.append(jnp.asarray(edges), event))
+    source = jnp.clip(jnp.where(number < position, number, number - 1), 0, len(edges) - 2)
+    before, after = number == position - 1, number == position
+    grading = jnp.stack([~(before | after), before, after], -1).astype(breaks.dtype)
+    return Pieces(breaks, source, grading, edges)
+
+
+def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:
+    """The same number of steps in every piece; those of a piece of length zero do no harm."""
+    pieces = break_up(edges, event)
+    n = steps_per_piece(steps, len(pieces.source))
+    local = pieces.grading @ local_points(n)
+    points = pieces.breaks[:-1, None] + jnp.diff(pieces.breaks)[:, None] * local
     start, end = points[:, :-1], points[:, 1:]
     stages = jnp.stack([start, (start + end) / 2, end], -1).reshape(-1, 3)
-    return Mesh(stages, jnp.repeat(source, n, total_repeat_length=pieces * n), edges)
-
-
-def _pieces(profile: Profile, edges: np.ndarray) -> np.ndarray:
-    """[edges - 1] the profile's own piece that holds each interval between edges."""
-    middle = (edges[:-1] + edges[1:]) / 2
-    return np.searchsorted(profile.share[1:-1], middle, side="right")
+    return Mesh(stages, pieces)

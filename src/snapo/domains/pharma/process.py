@@ -4,7 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -12,12 +12,15 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ...adjoint import adjoint_jacobian
+from ...engine import Unsupported
 from .flow import Flow, flow
 from .inputs import pharma_inputs
+from .march import Marches
 from .records import PharmaCase
 from .stream import Stream
 
 Entry = tuple[str, int]
+_Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
 
 
 class Run(NamedTuple):
@@ -59,6 +62,7 @@ class Process:
         self.entries: tuple[Entry, ...] = tuple((p.input, p.entry) for p in case.parameters)
         self.traces = 0
         self._compiled: dict[Any, Callable] = {}
+        self._natives: dict[_Key, Callable] = {}
 
     def attributes(self, inputs: dict[str, Array], along: bool = False) -> Float[Array, " Q"]:
         """The quality attributes in their owner's units; plain JAX, to be traced. `along` as in
@@ -144,13 +148,49 @@ class Process:
         sensitivities: Sequence[Entry] = (),
         chunk: int = 512,
         inputs=None,
+        engine: Literal["auto", "native", "xla"] = "auto",
     ) -> Batch:
         """Attributes, and derivatives by `sensitivities`, at `draws` [N, E] of `entries`.
 
         The rest stands as in `inputs`. Chunks are of one shape: the last is filled up with its own
-        first row. They run on all cores.
+        first row. They run on all cores. "auto" takes the native engine where it can run the case.
         """
-        entries, by = tuple(entries), tuple(sensitivities)
+        key = tuple(entries), tuple(sensitivities)
+        nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
+        call = self._native(key) if engine != "xla" else self._xla(key)
+
+        def run(start: int) -> list[np.ndarray]:
+            rows = draws[start : start + chunk]
+            short = min(chunk, len(draws)) - len(rows)
+            filled = np.concatenate([rows, np.repeat(rows[:1], short, 0)])
+            return [each[: len(rows)] for each in call(filled, nominal)]
+
+        try:
+            parts = [run(0)]
+        except Unsupported:
+            if engine == "native":
+                raise
+            call = self._natives[key] = self._xla(key)
+            parts = [run(0)]
+        # One chunk keeps one core busy: the others run beside it, now that it is compiled.
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            parts += threads.map(run, range(chunk, len(draws), chunk))
+        values, jacobian = (np.concatenate(each) for each in zip(*parts))
+        ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
+        return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
+
+    def _native(self, key: _Key) -> Callable:
+        """Many batches by the native engine; by XLA where steps are chosen while running."""
+        if key not in self._natives:
+            mesh = self.case.numerics.method == "mesh"
+            self._natives[key] = Marches(self, *key) if mesh else self._xla(key)
+        return self._natives[key]
+
+    def _xla(self, key: _Key) -> Callable:
+        return self.compiled(("batch", *key), lambda: jax.vmap(self._one(*key), in_axes=(0, None)))
+
+    def _one(self, entries: tuple[Entry, ...], by: tuple[Entry, ...]) -> Callable:
+        """One batch's attributes and their derivatives; plain JAX."""
 
         def one(draw, inputs):
             drawn = self.shifted(draw, entries, inputs)
@@ -167,22 +207,7 @@ class Process:
             jacobian, found = derivative(moved, has_aux=True)(numbers)
             return found, jacobian
 
-        call = self.compiled(("batch", entries, by), lambda: jax.vmap(one, in_axes=(0, None)))
-        nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
-
-        def run(start: int) -> list[np.ndarray]:
-            rows = draws[start : start + chunk]
-            short = min(chunk, len(draws)) - len(rows)
-            filled = np.concatenate([rows, np.repeat(rows[:1], short, 0)])
-            return [each[: len(rows)] for each in call(filled, nominal)]
-
-        # One chunk keeps one core busy: the others run beside it, once the first is compiled.
-        parts = [run(0)]
-        with ThreadPoolExecutor(os.cpu_count()) as threads:
-            parts += threads.map(run, range(chunk, len(draws), chunk))
-        values, jacobian = (np.concatenate(each) for each in zip(*parts))
-        ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
-        return Batch(values, jacobian if by else None, np.asarray(ok))
+        return one
 
     def observe(self, inputs, unit: str, states: Sequence[str], times) -> Float[Array, " n"]:
         """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.

@@ -11,7 +11,7 @@ from .dissolution import dissolved
 from .dryer import dry, dryer_states
 from .dynamics import Dynamics, Finish, Track, ledger
 from .filter import filtration
-from .integrate import integrate
+from .integrate import ended, integrate
 from .mixing import mixed, split
 from .reactor import reactor
 from .records import Network, Numerics
@@ -67,13 +67,14 @@ def operate(
     inlets: tuple[Stream, ...],
     inputs: dict[str, Any],
     record: bool = False,
+    end: Float[Array, " m"] | None = None,
 ) -> Outcome:
-    """Runs a unit; with `record`, its track is kept."""
+    """Runs a unit; with `record`, its track is kept. `end`: its final y, where that is known."""
     still, zero = len(network.species), jnp.zeros(())
     match unit:
         case Reactor() | Crystalliser() | TrayDryer():
             problem = dynamics(unit, network, inlets, inputs)
-            solved = integrate(problem, numerics, record)
+            solved = integrate(problem, numerics, record) if end is None else ended(problem, end)
             finish = problem.finish(solved.final, *solved.controls)
             return Outcome(finish, problem.duration, solved.reached, solved.track, problem.states)
         case Filter():
