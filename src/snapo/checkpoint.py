@@ -92,5 +92,9 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in found]
     if shapes[0] != shapes[1]:
         raise CheckpointError(f"{file}: this file holds a policy of another shape.")
-    kept = [jnp.asarray(new, old.dtype) for new, old in zip(found, leaves)]
+    # Tables in NumPy keep their precision, which JAX might not have.
+    kept = [
+        np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)
+        for new, old in zip(found, leaves)
+    ]
     return eqx.combine(structure.unflatten(kept), fixed), header

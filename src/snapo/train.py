@@ -290,17 +290,20 @@ def _updater(training: Training):
     memory = max(1.0, training.average * training.steps)
 
     @eqx.filter_jit
-    def update(policy, average, state, gradient, step):
-        moving, fixed = trainable(policy)
-        gradient, _ = trainable(gradient)
+    def ascend(moving, old, state, gradient, step):
         descent = jax.tree.map(lambda g, p: -g.astype(p.dtype), gradient, moving)
         change, state = optimiser.update(descent, state, moving)  # pyright: ignore
         moving = optax.apply_updates(moving, change)  # pyright: ignore[reportArgumentType]
         # A running mean whose memory grows to `memory` steps: early on it forgets the start.
         share = jnp.maximum(1 / memory, 1 / (1 + step))
-        old, _ = trainable(average)
         average = jax.tree.map(lambda a, p: a + share.astype(p.dtype) * (p - a), old, moving)
-        policy = eqx.combine(moving, fixed)
-        return policy, eqx.combine(average, fixed), state, optax.tree.norm(gradient)
+        return moving, average, state, optax.tree.norm(gradient)
+
+    def update(policy, average, state, gradient, step):
+        # What is not trained goes round the compiled part, and keeps the precision it came in.
+        moving, fixed = trainable(policy)
+        old, gradient = trainable(average)[0], trainable(gradient)[0]
+        moving, average, state, norm = ascend(moving, old, state, gradient, step)
+        return eqx.combine(moving, fixed), eqx.combine(average, fixed), state, norm
 
     return update

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import equinox as eqx
 import jax
 import numpy as np
 import pytest
@@ -61,6 +62,20 @@ def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     file.write_bytes(b"not a checkpoint")
     with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
         checkpoint.load(file, parts()[2], {"seed": 0})
+
+
+def test_what_is_not_trained_keeps_its_precision(tmp_path):
+    simulator, schedule, _, objective = parts()
+    third = np.array([1 / 3])
+    base = snapo.Constant(jax.numpy.zeros(1))
+    base = eqx.tree_at(lambda policy: policy.value, base, third)
+    policy = snapo.Residual(base, simulator.action, 2, key=jax.random.key(0), hidden=(4,))
+    fresh = begin(policy, SHORT)
+    done = train(simulator, schedule, fresh, objective, SHORT, Xla("float32"))
+    checkpoint.save(done, tmp_path / "checkpoint.npz", {})
+    for each in (done, checkpoint.load(tmp_path / "checkpoint.npz", fresh, {})):
+        assert each.best.base.array.value == third
+        assert (parameters(each.best) != parameters(policy)).any()
 
 
 def test_patience_stops_early():

@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from .run import Problem
 
 RECORD_PATHS = 4096
-SLACK = 1e-7  # below a limit, of the assets: a trained policy keeps its limits in float32
+SLACK = 1e-9  # below a limit, of the assets: round-off
 
 
 def details(
