@@ -17,11 +17,11 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
 
+import jax
 import numpy as np
 
 import snapo.domains.pension as domain
@@ -131,19 +131,27 @@ def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterat
         )
 
 
+def sweeps(problem: Problem, engine: Engine) -> tuple[Callable, Callable]:
+    """What an engine does of a value and of its derivatives: everything but `prepare`."""
+    simulator, policy = problem.simulator, problem.policy
+    schedule = prepare(simulator, problem.inputs)
+    draws = Pseudo(1).draws(np.arange(PATHS), simulator)
+    weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
+    given = simulator, policy, schedule, draws, Exact()
+    return (
+        lambda: np.asarray(engine.values(*given).totals[OUTPUT]),
+        lambda: jax.block_until_ready(engine.adjoint(*given, weights).schedule),
+    )
+
+
 def engines() -> Iterator[str]:
     """Native against XLA on the medium case; at least 5 times the speed is needed."""
     problem = problem_of("medium")
     yield f"medium fund, {PATHS} paths, medians of alternating runs; XLA over native"
     yield f"{'precision':<11}{'':<10}{'native':>10}{'XLA':>10}{'ratio':>8}"
     for precision in ("float32", "float64"):
-        ours, theirs = (passes(problem, each(precision)) for each in (Native, Xla))
-        found = {
-            "value": alternate(
-                partial(ours[0], problem.inputs), partial(theirs[0], problem.inputs)
-            ),
-            "gradient": alternate(ours[1], theirs[1]),
-        }
+        ours, theirs = (sweeps(problem, each(precision)) for each in (Native, Xla))
+        found = {name: alternate(*pair) for name, *pair in zip(("value", "gradient"), ours, theirs)}
         for name, (native, xla, ratio) in found.items():
             yield f"{precision:<11}{name:<10}{native:>9.3f}s{xla:>9.3f}s{ratio:>8.2f}"
 
