@@ -198,6 +198,7 @@ def picture(rows: Sequence[Row]) -> str:
         axes.loglog(*zip(*NEEDED.items()), "_", color=LIGHT["limit"], markersize=16, label="Needed")
         axes.set_xticks(inputs, [f"{x:,}" for x in inputs], minor=False)
         axes.minorticks_off()
+        axes.yaxis.set_major_formatter("{x:,.0f}")
         axes.margins(0.12)
         axes.set_xlabel("Inputs of the fund, each with a sensitivity")
         axes.set_title("Times faster than bumping every input", loc="left", pad=18)
