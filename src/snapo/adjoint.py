@@ -131,6 +131,11 @@ def adjoint_jacobian(
     return jax.jacrev(function, argnums=argnums, has_aux=has_aux)
 
 
+def adjoint_gradient(function: Callable) -> Callable:
+    """The gradient of a traceable function of one tree that returns one number, shaped like it."""
+    return jax.grad(function)
+
+
 def flat_weights(objective: Objective, paths: int) -> Weights:
     """The weights of a linear objective, which any totals give."""
     return objective.weights({name: np.zeros(paths) for name in objective.outputs})

@@ -12,6 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, PyTree
 
+from .adjoint import adjoint_gradient
 from .engine import Xla
 from .findings import Notes, Stop
 from .policy import Policy
@@ -221,7 +222,7 @@ def locate(notes: Notes, simulator: Simulator, run: Run) -> None:
             results = jax.tree.leaves(function(*eqx.combine(moving, fixed)))
             return sum(jnp.sum(x) for x in results if jnp.issubdtype(x.dtype, jnp.floating))
 
-        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), jax.grad(total)(moving))
+        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), adjoint_gradient(total)(moving))
 
     def one(now, state, action, noise):
         def step(state, now, action, constants):

@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
-from .adjoint import flat_weights, float64, prepare, pull_back
+from .adjoint import adjoint_gradient, flat_weights, float64, prepare, pull_back
 from .engine import Engine, Xla
 from .engine.xla import weighted_sum
 from .objective import Objective, Weights
@@ -247,6 +247,6 @@ def _second(engine: Xla, simulator, inputs, policy, draws: Draws, smooth, weight
             replayed = engine.call(simulator, None, made(moved), draws, smooth, actions=actions)
             return weighted_sum(engine.traced(replayed).totals, weights)
 
-        return jax.grad(value)(values)
+        return adjoint_gradient(value)(values)
 
     return jax.jvp(held_gradient, (values,), (along,))[1]

@@ -236,7 +236,7 @@ def test_values_are_consistent_with_the_market(fair, kind):
         "driven": lambda: shaken(LiabilityDriven(one, ConstantMix(one)), 0.3),
         "network": lambda: shaken(new_policy(one, simulator, schedule, jax.random.key(0)), 0.5),
     }[kind]()
-    source, paths = Pseudo(7), 2**14
+    source, paths = Pseudo(7), 2**16
     total = path_totals(NATIVE, simulator, policy, schedule, source, paths, Exact())
     flows = total["pv_benefit"] - total["pv_contribution"]
     added = total["pv_accrual"] + total["pv_indexation"]

@@ -8,7 +8,7 @@ from typing import Any
 import jax
 import numpy as np
 
-from ...adjoint import prepare
+from ...adjoint import adjoint_jacobian, prepare
 from ...inputs import Input, plain
 from .books import balance, opening
 from .curve import log_bond
@@ -67,7 +67,7 @@ def curve_slopes(case: PensionCase, curve: Curve, inputs: dict, years: np.ndarra
         return log_bond(curve, inputs | {curve.rate.name: quotes}, years)
 
     with jax.enable_x64(True):
-        return np.asarray(jax.jacrev(bonds)(np.asarray(curve.rate.values)))
+        return np.asarray(adjoint_jacobian(bonds)(np.asarray(curve.rate.values)))
 
 
 def ladder(

@@ -39,7 +39,9 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     swaps = terms.swaps
     if swaps is not None:
         notional = _notional(case, swaps, action[count:], assets, buckets, smooth)
-        change = notional / terms.assets - state.overlay * state.assets / terms.assets
+        # What is held less what is wanted: where nothing is traded, the derivative by what is held
+        # is then that of one more.
+        change = state.overlay * state.assets / terms.assets - notional / terms.assets
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         required = jnp.sum(notional * swaps.duration) * swaps.stress
         eligible = np.array([each.eligible for each in case.assets.classes])
