@@ -148,6 +148,7 @@ def test_a_risk_measure_holds_its_weights(contract):
     all_pass(check(contract, CVaR("cash_flow", 0.9), every=False))
 
 
+@pytest.mark.slow
 def test_xla_agrees():
     contract = prepared(read("quick"), **ZEROS)
     given = {"smooth": Smooth(np.float64(0.02)), "paths": 64, "every": False}

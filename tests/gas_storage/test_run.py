@@ -198,7 +198,9 @@ def stop(folder: Path, out: Path, how: int) -> int:
             process.wait()
 
 
-@pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGKILL])
+@pytest.mark.parametrize(
+    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+)
 def test_a_stopped_run_goes_on_bit_for_bit(whole, case, folder, tmp_path, how):
     out = tmp_path / "run"
     code = stop(folder, out, how)

@@ -334,9 +334,9 @@ def test_forced_flows_without_volatility():
     ("name", "tables"),
     [
         ("G1", {}),
-        ("G3", {}),
-        ("G4", {}),
-        ("G6", {}),
+        pytest.param("G3", {}, marks=pytest.mark.slow),
+        pytest.param("G4", {}, marks=pytest.mark.slow),
+        pytest.param("G6", {}, marks=pytest.mark.slow),
         ("quick", {"contract": {"end_inventory": "free", "end_value": 0.8}}),
         (
             "quick",

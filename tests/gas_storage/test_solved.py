@@ -112,6 +112,7 @@ def test_three_calls_in_disguise():
     assert_allclose(others, 0, atol=1e-9)
 
 
+@pytest.mark.slow
 def test_slow_storage():
     made, solution = solved("G6", steps=150, paths=256, evaluate=16384)
     print(f"G6: {solution.value:.3f} ± {solution.standard_error:.3f}")

@@ -44,7 +44,7 @@ def test_values_and_gradients(store, precision, smooth):
     assert difference(results[0][1], results[1][1]) < TOLERANCE[precision]
 
 
-@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
 def test_windows_starts_actions_and_clipping(store, precision):
     simulator, policy, schedule = store
     noise, smooth = draws(simulator, antithetic=False), Smooth(0.3)

@@ -102,7 +102,7 @@ def test_the_final_ratio_depends_on_the_node_of_the_payment_alone(trained):
         goal = ExpectedUtility("funding_ratio", CRRA(5.0))
         start = begin(policy, training)
         policy = train(simulator, schedule, start, goal, training, Native("float32")).best
-    for engine in (NATIVE, Xla("float64")):
+    for engine in (NATIVE, Xla("float64")) if trained else (NATIVE,):
         slopes = path_slopes(engine, simulator, inputs, policy, schedule, paths=4)
         want = np.where(one.curve.tenor == 10, 10.0, 0.0)
         assert np.abs(slopes - want).max() < 1e-9
