@@ -157,21 +157,18 @@ class Marches:
     def _reached(self, start: Callable):
         """The outputs of `start`, and for each [P + 1] whether it depends on each of `by`, and
         whether on the draw."""
-        count = len(self.by)
+        count, inputs = len(self.by), self.process.given()
         numbers, draw = [np.float64(0)] * count, np.zeros(len(self.entries))
         ends = {name: np.zeros(leg.size) for name, leg in self.legs.items()}
-        arguments = numbers, draw, ends, self.process.given()
-        drawn = np.arange(count + 1) == count
-        through = {
-            name: np.isin(np.arange(count + 1), [*leg.columns, count])
-            for name, leg in self.legs.items()
-        }
-        marks = [
-            *np.eye(count, count + 1, dtype=bool), drawn,
-            *(through[name] for name in sorted(through)), *[~drawn & False] * len(arguments[3]),
-        ]  # fmt: skip
-        closed, shapes = jax.make_jaxpr(start, return_shape=True)(*arguments)
-        return shapes, spread(closed.jaxpr, marks)
+        closed, shapes = jax.make_jaxpr(start, return_shape=True)(numbers, draw, ends, inputs)
+        each = np.eye(count + 1, dtype=bool)
+        marks = (
+            list(each[:count]),
+            each[count],
+            {name: each[[*leg.columns, count]].any(0) for name, leg in self.legs.items()},
+            {name: np.zeros_like(each[count]) for name in inputs},
+        )
+        return shapes, spread(closed.jaxpr, jax.tree.leaves(marks))
 
     def _enter(self, start: Callable, kinds: tuple[Kind, ...], columns: np.ndarray) -> Callable:
         def of(kind: Kind, held: list) -> list:
