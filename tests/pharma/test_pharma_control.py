@@ -40,6 +40,9 @@ high = "50 degC"
 of = "reactor.duration"
 low = "15 min"
 high = "90 min"
+[goal]
+kind = "mean"
+attribute = "product"
 [training]
 steps = 6
 paths = 16
@@ -126,6 +129,8 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     assert all(303.15 <= each <= 323.15 for each in row["values"])
     page = (out / "report.html").read_text(encoding="utf-8")
     assert "Best fixed recipe" in page
+    assert loop["goal"].startswith("mean of product") and loop["goal"] in page
+    assert result["references"]["goal"] == loop["objective"]
     for name in ("policy.npz", "history.csv", "sensitivities.csv"):
         assert (out / name).exists(), sorted(each.name for each in out.iterdir())
 

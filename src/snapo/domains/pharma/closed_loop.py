@@ -42,6 +42,16 @@ def objective(case: PharmaCase) -> Objective:
     return kept - goal.penalty * margin * Mean("violation")
 
 
+def in_words(goal: Goal) -> str:
+    """What `objective` is, in the unit of the goal's attribute where it has one."""
+    if goal.kind == "probability":
+        return "probability of all limits"
+    which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
+    sign = "minus the " if goal.kind == "mean" and goal.sense < 0 else ""
+    lost = f"less {goal.penalty:g} of its margins for every margin beyond a limit"
+    return f"{sign}{which} of {goal.attribute}, {lost}"
+
+
 def train(
     case: PharmaCase,
     process: Process,
@@ -76,6 +86,7 @@ def train(
         "baseline_error": _error(theirs),
         "gain": float((ours - theirs).mean()),
         "gain_error": _error(ours - theirs),
+        "goal": in_words(case.goal),
         "objective": solution.value,
         "objective_error": solution.standard_error,
         "baseline_objective": float(goal.value(fixed)),

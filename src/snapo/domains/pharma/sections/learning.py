@@ -1,5 +1,7 @@
 """Estimation from data, and the policy in closed loop against the best fixed recipe."""
 
+from typing import Any
+
 import numpy as np
 
 from ....report.drawing import draw
@@ -56,6 +58,16 @@ def _agreement(found) -> Chart:
     return Chart(svg, caption)
 
 
+def _goal(found: dict[str, Any]) -> Table:
+    """What was made large, where that is not the probability itself."""
+    rows = [
+        ("Trained policy", number(found["objective"]), number(found["objective_error"])),
+        ("Best fixed recipe", number(found["baseline_objective"]), ""),
+    ]
+    head = [("", ""), ("Goal", ""), ("Standard error", "")]
+    return Table(head, rows, f"The goal: {found['goal']}")
+
+
 def closed_loop(run: Run) -> Section:
     """The policy against the best fixed recipe, on the same fresh batches."""
     title, short = "Closed loop", "Closed loop"
@@ -77,6 +89,8 @@ def closed_loop(run: Run) -> Section:
         Table([], [("Gain above three standard errors", Mark(sure, "yes" if sure else "no"))],
               "", 2),
     ]  # fmt: skip
+    if run.result["references"].get("goal") is not None:
+        blocks.append(_goal(found))
     steps = run.column("history", "step")
     best = run.column("history", "best")
     if steps is not None and best is not None and len(steps) > 1:
