@@ -104,6 +104,13 @@ def test_what_the_native_engine_cannot_run_xla_runs(monkeypatch):
     np.testing.assert_array_equal(process.batch(entries, draws).values, expected.values)
 
 
+def test_steps_chosen_freely_are_for_xla():
+    case = template()
+    process = Process(replace(case, numerics=replace(case.numerics, method="adaptive")))
+    with pytest.raises(Unsupported, match="on a mesh"):
+        process.batch((), np.zeros((1, 0)), engine="native")
+
+
 def test_marks_spread_to_what_depends_on_them():
     def function(a, b, c):
         d = jax.jit(lambda x: x * 2.0)(a)

@@ -157,7 +157,7 @@ class Process:
         """
         key = tuple(entries), tuple(sensitivities)
         nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
-        call = self._native(key) if engine != "xla" else self._xla(key)
+        call = self._xla(key)
 
         def run(start: int) -> list[np.ndarray]:
             rows = draws[start : start + chunk]
@@ -166,6 +166,8 @@ class Process:
             return [each[: len(rows)] for each in call(filled, nominal)]
 
         try:
+            if engine != "xla":
+                call = self._native(key)
             parts = [run(0)]
         except Unsupported:
             if engine == "native":
@@ -180,10 +182,11 @@ class Process:
         return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
 
     def _native(self, key: _Key) -> Callable:
-        """Many batches by the native engine; by XLA where steps are chosen while running."""
+        """Many batches by the native engine, or by what took its place."""
         if key not in self._natives:
-            mesh = self.case.numerics.method == "mesh"
-            self._natives[key] = Marches(self, *key) if mesh else self._xla(key)
+            if self.case.numerics.method != "mesh":
+                raise Unsupported("The native engine steps on a mesh; these steps are free.")
+            self._natives[key] = Marches(self, *key)
         return self._natives[key]
 
     def _xla(self, key: _Key) -> Callable:
