@@ -36,6 +36,7 @@ from snapo.smooth import Exact
 PATHS, STEPS = 19, 2
 SIZES = (1, 2, 5, 6, 13, 20)  # in registers up to 12, in memory beyond
 TOLERANCE = {"float32": 1e-5, "float64": 1e-11}
+LEAST = 1e-4
 ROUNDINGS = 20  # effects of one rounding of the inputs that all roundings together may have
 
 
@@ -126,11 +127,16 @@ def run(engine, given: Problem, whole: bool = False):
 
 
 def gaps(expected, found) -> list[np.ndarray]:
-    """Differences relative to the largest of each leaf; infinite where only one is not finite."""
+    """Differences relative to the largest of each leaf; infinite where only one is not finite.
+
+    A leaf that cancels to nothing, as the derivative of atan2(x, x) does, is all rounding: it counts
+    as at least `LEAST` of the largest leaf.
+    """
     result = []
+    largest = max((np.abs(a[np.isfinite(a)]).max(initial=0) for a in expected), default=0.0)
     for a, b in zip(expected, found):
         usual = np.isfinite(a) & np.isfinite(b)
-        size = max(np.abs(a[usual]).max(initial=0), 1e-9)
+        size = max(np.abs(a[usual]).max(initial=0), LEAST * largest, 1e-9)
         with np.errstate(invalid="ignore"):
             same = (a == b) | (np.isnan(a) & np.isnan(b))
             result.append(np.where(usual, np.abs(a - b) / size, np.where(same, 0, np.inf)))
