@@ -147,7 +147,7 @@ def alternate(*calls: Callable, rounds: int = ROUNDS) -> list[float]:
 def rate() -> float:
     """Multiply-adds per second and thread, measured on independent chains in registers."""
     _, _, register = compiler.host()
-    lanes, chains, rounds = register // 4, 20, 2_000_000
+    lanes, chains, rounds = register // 4, 12, 4_000_000
     kind = f"<{lanes} x float>"
     lines = ["define void @run(ptr %out, i64 %a, i64 %b) #0 {\nentry:\n  br label %loop\nloop:"]
     lines += ["  %i = phi i64 [ 0, %entry ], [ %j, %loop ]"]

@@ -5,7 +5,6 @@ from typing import Any
 import numpy as np
 
 from .code import Code
-from .passes import BIG
 from .program import Op, Value
 from .storage import Place
 
@@ -27,7 +26,7 @@ def dot(body, op: Op) -> None:
     ]
     work = int(np.prod(sizes, dtype=np.int64))
     out = op.outputs[0]
-    if work <= WRITTEN_OUT or (out.size <= BIG and work <= WRITTEN_OUT * 2):
+    if work <= WRITTEN_OUT:
         _written_out(body, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes)
         return
     left = _axes(body.place(a), batch_a, free_a, contract_a)
@@ -76,26 +75,23 @@ def tiled(code: Code, left, right, target: Place, sizes) -> None:
     )
     registers = max(1, code.lanes * target.dtype.itemsize // code.module.register)
     sums = FEW if code.module.few else ACCUMULATORS
-    tile = tile_rows(rows, max(2, sums // registers))
-    whole, rest = divmod(rows, tile)
-
-    def block(first, height: int) -> None:
-        _tile(code, left, right, out, (batch, columns, depth), first, height)
-
-    if whole == 1:
-        block(0, tile)
-    elif whole:
-        with code.loop(whole) as loop:
-            block(code.index(f"mul nsw i64 {loop.i}, {tile}"), tile)
-    if rest:
-        block(whole * tile, rest)
+    for first, count, height in even_tiles(rows, max(2, sums // registers)):
+        with counted(code, count) as tile:
+            start = tile if tile == 0 else code.index(f"mul nsw i64 {tile}, {height}")
+            _tile(
+                code, left, right, out, (batch, columns, depth), _plus(code, start, first), height
+            )
 
 
-def tile_rows(rows: int, largest: int) -> int:
-    """The height of tiles that covers the rows with the fewest, most even tiles."""
-    if rows <= largest:
-        return rows
-    return min(range(largest, largest // 2, -1), key=lambda t: (-(-rows // t), rows % t != 0))
+def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
+    """(first row, how many, height) of tiles of two heights: a low rest would idle the processor.
+
+    A multiply-add takes four cycles, and two begin in each.
+    """
+    tiles = -(-rows // largest)
+    height, taller = divmod(rows, tiles)
+    low = (taller * (height + 1), tiles - taller, height)
+    return [(0, taller, height + 1), low] if taller else [low]
 
 
 def _tile(code: Code, left, right, out: Place, sizes, first, height: int) -> None:

@@ -19,6 +19,7 @@ from .trace import Leaf
 
 LONGEST = 32  # steps that wait before they are gathered
 WAITING = 1024 * 1024  # bytes that they may take, so that they stay in cache
+PANEL = 96  # columns of a product that are gone through for all rows before the next ones
 
 
 @dataclass(eq=False)
@@ -202,13 +203,17 @@ def product_function(module, rows: int, columns: int, dtype: str) -> str:
     code = Code(module.lanes, module)
     tile = (4, 3) if module.few else (4, 4)
 
-    def tall(i: str, height: int) -> None:
-        def block(j: str, breadth: int) -> None:
-            _product_tile(code, columns, (i, j), (height, breadth), width, dtype)
+    def panel(start: str, wide: int) -> None:
+        def tall(i: str, height: int) -> None:
+            def block(j: str, breadth: int) -> None:
+                at = code.index(f"add nsw i64 {start}, {j}")
+                _product_tile(code, columns, (i, at), (height, breadth), width, dtype)
 
-        _ranges(code, columns, tile[1], block)
+            _ranges(code, wide, tile[1], block)
 
-    _ranges(code, rows, tile[0], tall)
+        _ranges(code, rows, tile[0], tall)
+
+    _ranges(code, columns, PANEL, panel)
     code.do("ret void")
     header = (
         f"define internal void @{name}(ptr noalias %a, i64 %sa, ptr noalias %b, i64 %sb, "

@@ -7,9 +7,12 @@ Threefry-2x32 with 20 rounds (Salmon, Moraes, Dror and Shaw, "Parallel random nu
 import numpy as np
 
 from ...scenarios import _PPND7, _PPND16
-from .code import Code, Ref
+from .code import Code, Module, Ref
 from .math import Curve
 
+ENOUGH = 32  # normals per path that are drawn at once where the steps allow it
+SIDE_BY_SIDE = 4  # vector registers of counters worked on at once
+SPARE = 2 * SIDE_BY_SIDE + 2  # rows that may be written beyond the last
 ROTATIONS = ((13, 15, 26, 6), (17, 29, 16, 24))
 
 
@@ -68,58 +71,85 @@ def _flip(code: Code, z: Ref, sign: Ref, dtype: str) -> Ref:
     return code.convert("bitcast", code.op("xor", bits, sign), dtype)
 
 
-def draw(
-    code: Code,
-    key: tuple[Ref, Ref],
-    paths: Ref,
-    step: Ref,
-    size: int,
-    dtype: str,
-    antithetic: bool,
-    put,
-):
-    """`size` normals of one step for the lanes' paths; `put(position, normal)` stores each.
+def ahead(size: int) -> int:
+    """How many steps' normals to draw at once: many chains of arithmetic then run side by side."""
+    steps = 1
+    while steps * size < ENOUGH:
+        steps *= 2
+    return steps
 
-    More than two pairs are drawn in a loop, two at a time.
+
+def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> str:
+    """The function that draws `size` normals for each of `count` steps from `first` on.
+
+    Into `out`, [count, size, lanes] and `SPARE` rows beyond; `words` is as long, of 32 bits.
     """
+    name = f"draw_{dtype}_{size}"
+    if name in module.instances:
+        return name
+    module.instances[name] = None
+    code = Code(module.lanes, module)
+    lanes = code.lanes
+    registers = max(1, 4 * lanes // module.register)
+    _draw_words(code, size, max(1, SIDE_BY_SIDE // registers), antithetic)
+    count = code.index(f"mul nsw i64 %count, {size}")
+    rounds = code.index(f"lshr i64 {code.index(f'add nsw i64 {count}, 1')}, 1")
+    with code.loop(rounds) as loop:
+        words = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
+        out = code.pointer("%out", code.index(f"mul nsw i64 {loop.i}, {_bytes(dtype, 2 * lanes)}"))
+        code.store(normal(code, code.load(words, "uint32", 2 * lanes), dtype), out, 2 * lanes)
+    code.do("ret void")
+    header = (
+        f"define internal void @{name}(ptr %key, ptr %paths, i64 %first, i64 %count, "
+        "ptr noalias %out, ptr noalias %words) noinline nounwind"
+    )
+    module.define(header, code)
+    return name
+
+
+def _draw_words(code: Code, size: int, together: int, antithetic: bool) -> None:
+    """The words of all steps, some counters at a time.
+
+    A counter gives two words. Where a step takes an odd number, the next step's first word is
+    written over the last one; its place is therefore counted by steps.
+    """
+    lanes, pairs = code.lanes, (size + 1) // 2
+    key = [code.load(code.pointer("%key", 4 * i), "uint32", 1) for i in range(2)]
+    paths = code.load("%paths", "uint32", lanes)
     one = code.constant(1, "uint32")
     number = code.op("lshr", paths, one) if antithetic else paths
-    odd = code.op("shl", paths, code.constant(31, "uint32")) if antithetic else None
-    pairs = (size + 1) // 2
-    first = code.mul(step, code.constant(pairs, "uint32"))
+    # The top bit of a word is the sign of its normal: the second of a pair has it turned.
+    turn = code.op("shl", paths, code.constant(31, "uint32")) if antithetic else None
+    start = code.index(f"mul i64 %first, {pairs}")
+    total = code.index(f"mul nsw i64 %count, {pairs}")
+    rounds = code.index(
+        f"udiv i64 {code.index(f'add nsw i64 {total}, {together - 1}')}, {together}"
+    )
+    with code.loop(rounds) as loop:
+        base = code.index(f"mul nsw i64 {loop.i}, {together}")
+        places = [code.index(f"add nsw i64 {base}, {k}") for k in range(together)]
+        counters = []
+        for place in places:
+            counter = code.index(f"add i64 {place}, {start}")
+            low = vector(code, code.raw(f"trunc i64 {counter} to i32"))
+            counters.append(code.splat(low, lanes))
+        x, y = threefry(
+            code, (key[0], key[1]), (code.join([number] * together), code.join(counters))
+        )
+        for k, place in enumerate(places):
+            row = code.index(f"shl i64 {place}, 1")
+            if size % 2:
+                row = code.index(f"sub i64 {row}, {code.index(f'udiv i64 {place}, {pairs}')}")
+            to = code.pointer("%words", code.index(f"mul nsw i64 {row}, {4 * lanes}"))
+            for word, distance in ((x, 0), (y, 4 * lanes)):
+                part = code.part(word, k, lanes)
+                if turn is not None:
+                    part = code.op("xor", part, turn)
+                code.store(part, code.pointer(to, distance), lanes)
 
-    def normals(counters: list[Ref]) -> list[Ref]:
-        """The pairs of several counters, worked on side by side."""
-        lanes, count = paths.lanes, len(counters)
-        words = min(2 * count, size)
-        wide = code.join([code.splat(c, lanes) for c in counters])
-        x, y = threefry(code, key, (code.join([number] * count), wide))
-        parts = [code.part(w, j, lanes) for j in range(count) for w in (x, y)][:words]
-        z = normal(code, code.join(parts), dtype)
-        if odd is not None:
-            z = _flip(code, z, code.join([odd] * words), dtype)
-        return [code.part(z, i, lanes) for i in range(words)]
 
-    def ahead(j: int, base: Ref) -> Ref:
-        return code.add(base, code.constant(j, "uint32")) if j else base
-
-    if pairs <= 2:
-        drawn = normals([ahead(j, first) for j in range(pairs)])
-        for i in range(size):
-            put(i, drawn[i])
-        return
-    whole = size // 4
-    with code.loop(whole) as loop:
-        text = code.raw(f"trunc i64 {loop.i} to i32")
-        base = code.add(first, code.mul(vector(code, text), code.constant(2, "uint32")))
-        start = code.index(f"shl i64 {loop.i}, 2")
-        for i, z in enumerate(normals([base, ahead(1, base)])):
-            put(code.index(f"add i64 {start}, {i}"), z)
-    rest = range(4 * whole, size)
-    if rest:
-        drawn = normals([ahead(j, first) for j in range(2 * whole, pairs)])[: len(rest)]
-        for i in rest:
-            put(i, drawn[i - 4 * whole])
+def _bytes(dtype: str, count: int) -> int:
+    return np.dtype(dtype).itemsize * count
 
 
 def vector(code: Code, scalar: str, dtype: str = "uint32") -> Ref:

@@ -11,10 +11,10 @@ import numpy as np
 
 from . import gradients, noise, passes, trace
 from .body import Body, Workspace
-from .code import Code, Ref
+from .code import Code
 from .program import Value
 from .rollout import Phase
-from .storage import Place, Small
+from .storage import Place, row_major
 
 AHEAD = 2  # rows of tape that are fetched before they are needed
 
@@ -118,39 +118,42 @@ class PhaseEmitter:
         if not setup.counter:
             self.supplied(code, body, value, "noise_initial" if initial else "noise", t)
             return
-        keys, paths = owner.field(code, "keys"), owner.field(code, "paths")
-        offset = 8 if initial else 0
-        pair = [code.load(code.pointer(keys, offset + 4 * i), "uint32", 1, True) for i in range(2)]
-        lanes = code.pointer(paths, code.index(f"mul nsw i64 %block, {4 * code.lanes}"))
-        number = code.load(lanes, "uint32", code.lanes, True)
+        if not value.size:
+            body.set(value, np.empty(value.shape, object))
+            return
+        size, steps = value.size, 1 if initial else noise.ahead(value.size)
+        rows = steps * size + noise.SPARE
+        out = body.workspace.allocate((rows,), value.dtype, code.lanes)
+        words = body.workspace.allocate((rows,), np.uint32, code.lanes)
+        name = noise.draw_function(code.module, size, value.dtype.name, setup.antithetic)
+        key = code.pointer(owner.field(code, "keys"), 8 if initial else 0)
+        lanes = code.index(f"mul nsw i64 %block, {4 * code.lanes}")
+        paths = code.pointer(owner.field(code, "paths"), lanes)
+
+        def draw(first: str, count: str) -> None:
+            code.do(
+                f"call void @{name}(ptr {key}, ptr {paths}, i64 {first}, i64 {count}, "
+                f"ptr {code.pointer(out.base, out.offset)}, "
+                f"ptr {code.pointer(words.base, words.offset)})"
+            )
+
         if initial:
-            step = code.constant(0, "uint32")
+            draw("0", "1")
+            base = out.base
         else:
-            absolute = code.index(f"add nsw i64 {t}, {owner.field(code, 'first')}")
-            step = noise.vector(code, code.raw(f"trunc i64 {absolute} to i32"))
-        size, home = value.size, body.homes.get(value)
-        items: list[Ref | None] = [None] * size
-        place = home or (
-            body.workspace.allocate(value.shape, value.dtype, code.lanes) if size > 4 else None
+            relative = code.index(f"sub nsw i64 {t}, %begin")
+            slot = code.index(f"and i64 {relative}, {steps - 1}")
+            with code.branch(code.index(f"icmp eq i64 {slot}, 0")):
+                left = code.index(f"sub nsw i64 %end, {t}")
+                below = code.index(f"icmp slt i64 {left}, {steps}")
+                first = code.index(f"add nsw i64 {t}, {owner.field(code, 'first')}")
+                draw(first, code.index(f"select i1 {below}, i64 {left}, i64 {steps}"))
+            row = code.index(f"mul nsw i64 {slot}, {size * out.unit}")
+            base = code.pointer(out.base, row)
+        shape = value.shape
+        body.where[value] = Place(
+            base, out.offset, shape, row_major(shape), value.dtype, code.lanes
         )
-
-        def put(i, z: Ref) -> None:
-            if place is not None:
-                place.write(code, [i], z)
-            if isinstance(i, int):
-                items[i] = z
-
-        noise.draw(
-            code, (pair[0], pair[1]), number, step, size, value.dtype.name, setup.antithetic, put
-        )
-        if any(z is None for z in items):
-            assert place is not None
-            body.where[value] = place
-        else:
-            array = np.empty(size, object)
-            array[:] = items
-            body.where[value] = Small(array.reshape(value.shape))
-            body.homes.pop(value, None)
 
     def supplied(self, code: Code, body: Body, value: Value, slot: str, t: str) -> None:
         """Given numbers [steps, paths, size], gathered from where the caller has them."""
