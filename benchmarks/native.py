@@ -4,7 +4,7 @@
 
 Every figure is a median over rounds in which the engines take turns, so that a busy machine
 slows them alike. The floor is the time that the multiply-adds of a network's forward pass and its
-two transposes take at the machine's measured rate.
+two transposes take when every thread does nothing else, in registers; it takes its turns too.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from statistics import median
 
@@ -144,44 +145,47 @@ def alternate(*calls: Callable, rounds: int = ROUNDS) -> list[float]:
     return [median(kept) for kept in times]
 
 
-def rate() -> float:
-    """Multiply-adds per second and thread, measured on independent chains in registers."""
+CHAINS, TURNS = 12, 2_000_000  # enough to hide the latency, few enough for 16 registers
+
+
+def multiply_adds(threads: int) -> tuple[Callable, int]:
+    """A call in which every thread multiplies and adds in registers, and how often it does."""
     _, _, register = compiler.host()
-    lanes, chains, rounds = register // 4, 12, 4_000_000
+    lanes = register // 4
     kind = f"<{lanes} x float>"
     lines = ["define void @run(ptr %out, i64 %a, i64 %b) #0 {\nentry:\n  br label %loop\nloop:"]
     lines += ["  %i = phi i64 [ 0, %entry ], [ %j, %loop ]"]
     lines += [
-        f"  %x{k} = phi {kind} [ zeroinitializer, %entry ], [ %y{k}, %loop ]" for k in range(chains)
+        f"  %x{k} = phi {kind} [ zeroinitializer, %entry ], [ %y{k}, %loop ]" for k in range(CHAINS)
     ]
     one = f"{kind} splat (float 1.0)"
     half = f"{kind} splat (float 0.5)"
     name = f"@llvm.fma.v{lanes}f32"
-    lines += [f"  %y{k} = call {kind} {name}({kind} %x{k}, {half}, {one})" for k in range(chains)]
-    lines += [f"  %j = add i64 %i, 1\n  %more = icmp slt i64 %j, {rounds}"]
+    lines += [f"  %y{k} = call {kind} {name}({kind} %x{k}, {half}, {one})" for k in range(CHAINS)]
+    lines += [f"  %j = add i64 %i, 1\n  %more = icmp slt i64 %j, {TURNS}"]
     lines += ["  br i1 %more, label %loop, label %exit\nexit:", f"  %s0 = fadd {kind} %y0, %y1"]
-    lines += [f"  %s{k} = fadd {kind} %s{k - 1}, %y{k + 1}" for k in range(1, chains - 1)]
-    lines += [f"  store {kind} %s{chains - 2}, ptr %out, align 4\n  ret void\n}}"]
+    lines += [f"  %s{k} = fadd {kind} %s{k - 1}, %y{k + 1}" for k in range(1, CHAINS - 1)]
+    lines += [f"  store {kind} %s{CHAINS - 2}, ptr %out, align 4\n  ret void\n}}"]
     lines += [f"declare {kind} {name}({kind}, {kind}, {kind})"]
     bits = 8 * register
     lines += [
         f'attributes #0 = {{ "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}" }}'
     ]
     machine = compiler.Machine(compiler.compile_text("\n".join(lines)), ["run"])
-    out = np.zeros(64, np.float32)
-    times = []
-    for _ in range(5):
-        begin = time.perf_counter()
-        machine.functions["run"](ctypes.c_void_p(out.ctypes.data), 0, 0)
-        times.append(time.perf_counter() - begin)
-    return rounds * chains * lanes / median(times)
+    outs = [np.zeros(64, np.float32) for _ in range(threads)]
+    pool = ThreadPoolExecutor(threads)
+
+    def call() -> None:
+        run = machine.functions["run"]
+        list(pool.map(lambda out: run(ctypes.c_void_p(out.ctypes.data), 0, 0), outs))
+
+    return call, threads * TURNS * CHAINS * lanes
 
 
-def floor(work: Workload, widths, threads: int, per_second: float) -> float:
-    """Milliseconds of the network's multiply-adds: forward, and two products back."""
+def work_of_network(work: Workload, widths) -> int:
+    """Multiply-adds of the network: forward, and two products back."""
     products = sum(a * b for a, b in pairwise(widths))
-    per_second = per_second / (2 if work.precision == "float64" else 1)
-    return 3000 * products * work.simulator.horizon * work.paths / (per_second * threads)
+    return 3 * products * work.simulator.horizon * work.paths
 
 
 def rows(quick: bool):
@@ -245,8 +249,10 @@ def torch_milliseconds(python: str, threads: int) -> float | None:
 
 def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
     """The lines of the table, each as soon as it is known; `python` is one that may have torch."""
-    threads, per_second = len(os.sched_getaffinity(0)), rate()
-    yield f"{threads} threads, {2e-9 * per_second * threads:.0f} GFLOP/s in registers"
+    threads = len(os.sched_getaffinity(0))
+    spin, spun = multiply_adds(threads)
+    (alone,) = alternate(spin)
+    yield f"{threads} threads, {2e-6 * spun / alone:.0f} GFLOP/s in registers"
     yield (
         f"{'workload':34}{'native ms':>10}{'XLA ms':>10}{'ratio':>8}{'needed':>8}"
         f"{'gradient/value':>16}"
@@ -264,10 +270,10 @@ def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
         )
     work = Workload(Storage(), (7, 32, 32, 3))
     args = (work.simulator, work.policy, work.schedule, work.draws, work.smooth, work.weights)
-    one, two = alternate(
-        lambda: Native(threads=1).adjoint(*args), lambda: Native(threads=2).adjoint(*args)
+    one, two, spinning = alternate(
+        lambda: Native(threads=1).adjoint(*args), lambda: Native(threads=2).adjoint(*args), spin
     )
-    least = floor(work, (7, 32, 32, 3), threads, rate())
+    least = spinning * work_of_network(work, (7, 32, 32, 3)) / spun
     yield (
         f"times the multiply-add floor: {two / least:.2f} (needed 2.2); "
         f"one to two threads: {one / two:.2f} (1.8)"

@@ -13,6 +13,8 @@ from snapo.simulator import Box, Schedule, Simulator
 from snapo.smooth import Exact
 
 PATHS = 33
+# Of a positive and a negative zero IEEE 754-2008 lets max and min give either.
+EITHER_ZERO = ("max", "min", "relu", "clamp")
 
 
 class Named(dict):
@@ -98,6 +100,16 @@ def same(expected, found, tolerance: float, name: str) -> None:
     np.testing.assert_allclose(b[usual], a[usual], tolerance, tolerance / 10, err_msg=name)
 
 
+def zeros_alike(expected, found, name: str) -> None:
+    """Zeros have the signs they have in XLA."""
+    a, b = np.asarray(expected), np.asarray(found)
+    if a.dtype.kind == "f":
+        both_zero = (a == 0) & (b == 0)
+        np.testing.assert_array_equal(
+            np.signbit(a[both_zero]), np.signbit(b[both_zero]), err_msg=f"sign of zero: {name}"
+        )
+
+
 def both(probe: Probe, x: dict, precision: str, tolerance: float, table: bool = True) -> None:
     """Every function and derivative on both engines; `table` where no path spoils the shared sum."""
     x = {name: [a.astype(precision) for a in arrays] for name, arrays in x.items()}
@@ -105,6 +117,8 @@ def both(probe: Probe, x: dict, precision: str, tolerance: float, table: bool = 
     found = run(Native(precision), probe, x)
     for name in probe.functions:
         same(expected[0][name], found[0][name], tolerance, name)
+        if name not in EITHER_ZERO:
+            zeros_alike(expected[0][name], found[0][name], name)
         for a, b in zip(expected[1][name], found[1][name]):
             same(a, b, tolerance, f"derivative of {name}")
     if table:

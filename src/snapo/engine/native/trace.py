@@ -237,7 +237,7 @@ def joint(
             back[len(reads) :] = bound(back[len(reads) :], outputs, *extra)
         return [*outputs, *back]
 
-    shapes = jax.eval_shape(lambda *values: piece(*values), *avals)
+    shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in piece.outputs]
     tail = [shapes[i] for i in moving]
     extra = [] if bound is None else [jax.ShapeDtypeStruct((), tail[0].dtype)]
     closed = jax.make_jaxpr(both)(*avals, *tail, *extra)
