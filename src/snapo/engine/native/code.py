@@ -178,6 +178,11 @@ class Code:
         text = f"select {mask.type} {mask.text}, {yes.type} {yes.text}, {no.type} {no.text}"
         return Ref(self.raw(text), yes.dtype, yes.lanes)
 
+    def recast(self, x: Ref, dtype: str, lanes: int) -> Ref:
+        """The same bits as other numbers, of another size too."""
+        result = Ref("", dtype, lanes)
+        return Ref(self.raw(f"bitcast {x.type} {x.text} to {result.type}"), dtype, lanes)
+
     def convert(self, instruction: str, x: Ref, dtype: str) -> Ref:
         """`sitofp`, `zext`, `bitcast` …"""
         result = Ref("", dtype, x.lanes)

@@ -97,6 +97,8 @@ def convert(code: Code, x: Ref, dtype: str) -> Ref:
         return compare(code, "ne", x, code.constant(0, x.dtype, x.lanes))
     if x.floating and dtype.startswith("float"):
         return code.convert("fpext" if dtype == "float64" else "fptrunc", x, dtype)
+    if x.floating and dtype == "int32":
+        return _whole(code, x)
     if x.floating:
         function = "llvm.fptoui.sat" if dtype.startswith("uint") else "llvm.fptosi.sat"
         return _saturate(code, function, x, dtype)
@@ -115,6 +117,20 @@ def convert(code: Code, x: Ref, dtype: str) -> Ref:
 
 def _width(dtype: str) -> int:
     return 1 if dtype == "bool" else 8 * np.dtype(dtype).itemsize
+
+
+def _whole(code: Code, x: Ref) -> Ref:
+    """Towards zero into 32 bits: saturating instructions are made lane by lane on x86."""
+    low, high = np.iinfo(np.int32).min, np.iinfo(np.int32).max
+    largest = np.nextafter(np.float32(2**31), np.float32(0)) if x.dtype == "float32" else high
+    known = code.select(code.compare("ord", x, x), x, _zero(code, x))
+    top, bottom = (code.constant(v, x.dtype, x.lanes) for v in (largest, low))
+    within = code.select(code.compare("ogt", known, top), top, known)
+    within = code.select(code.compare("olt", within, bottom), bottom, within)
+    result = code.convert("fptosi", within, "int32")
+    if x.dtype == "float64":
+        return result
+    return code.select(code.compare("ogt", known, top), code.constant(high, "int32"), result)
 
 
 def _saturate(code: Code, function: str, x: Ref, dtype: str) -> Ref:

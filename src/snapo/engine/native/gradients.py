@@ -125,6 +125,7 @@ def accumulate(
     body: Body, rows: Rows, owner, calls: str, step_row: str | None, tape_row, chunk_row
 ) -> None:
     """Adds what belongs to this step's own numbers."""
+    singles: list[tuple[Place, Ref]] = []
     for g in rows.gradients.items:
         if g.leaf in owner.layouts["call_sums"].fields:
             continue
@@ -132,7 +133,58 @@ def accumulate(
         for t in g.terms:
             rows.product(body.code, t, target, tape_row, chunk_row, "1")
         for value in g.rest:
-            add(body, value, target)
+            known = body.where.get(value)
+            if value.size <= BIG and isinstance(known, Small):
+                singles += [(target.at(p), known.items[p]) for p in np.ndindex(*value.shape)]
+            else:
+                add(body, value, target)
+    add_together(body.code, [(place, x) for place, x in singles if x.lanes == body.code.lanes])
+    for place, x in singles:
+        if x.lanes != body.code.lanes:
+            _add(body.code, place, [], x)
+
+
+def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
+    """Adds sums over lanes to float64 memory: a register's lanes of one become lanes of many."""
+    singles = sorted(singles, key=lambda pair: (pair[0].base, pair[0].offset))
+    if not singles:
+        return
+    width = code.module.register // np.dtype(singles[0][1].dtype).itemsize
+    for start in range(0, len(singles), width):
+        group = singles[start : start + width]
+        vectors = []
+        for _, x in group:
+            parts = [code.part(x, k, width) for k in range(x.lanes // width)]
+            while len(parts) > 1:
+                parts = [code.op("fadd", *parts[k : k + 2]) for k in range(0, len(parts), 2)]
+            vectors += parts
+        (sums,) = across(code, vectors, width)
+        for first, count in _neighbours([place for place, _ in group]):
+            place = group[first][0]
+            _add_row(
+                code, code.pointer(place.base, place.offset), sums, range(first, first + count)
+            )
+
+
+def _neighbours(places: list[Place]) -> list[tuple[int, int]]:
+    """(first, how many) of numbers that lie side by side in memory."""
+    runs = [[0, 1]]
+    for i in range(1, len(places)):
+        before, place = places[i - 1], places[i]
+        if place.base == before.base and place.offset == before.offset + place.unit:
+            runs[-1][1] += 1
+        else:
+            runs.append([i, 1])
+    return [(first, count) for first, count in runs]
+
+
+def _add_row(code: Code, at: str, sums: Ref, lanes: range) -> None:
+    """Adds some lanes to float64 numbers that lie side by side."""
+    x = _shuffle(code, sums, sums, list(lanes))
+    wide = x if x.dtype == "float64" else code.convert("fpext", x, "float64")
+    old = Ref(code.raw(f"load {wide.type}, ptr {at}, align 8"), "float64", wide.lanes)
+    new = code.op("fadd", old, wide)
+    code.do(f"store {new.type} {new.text}, ptr {at}, align 8")
 
 
 def add(body: Body, value: Value, target: Place) -> None:
@@ -264,12 +316,8 @@ def _product_tile(code: Code, columns: int, first, shape, width: int, dtype: str
     target = code.pointer(code.pointer("%sum", row), code.index(f"shl i64 {j}, 3"))
     for r in range(height):
         picks = [r * breadth + c for c in range(breadth)]
-        x = _pick(code, totals, picks, width, dtype)
-        wide = x if dtype == "float64" else code.convert("fpext", x, "float64")
-        at = code.pointer(target, 8 * r * columns)
-        old = Ref(code.raw(f"load {wide.type}, ptr {at}, align 8"), "float64", breadth)
-        new = code.op("fadd", old, wide)
-        code.do(f"store {new.type} {new.text}, ptr {at}, align 8")
+        x = _pick(code, totals, picks, width)
+        _add_row(code, code.pointer(target, 8 * r * columns), x, range(breadth))
 
 
 def across(code: Code, vectors: list[Ref], width: int) -> list[Ref]:
@@ -303,7 +351,7 @@ def _shuffle(code: Code, a: Ref, b: Ref, mask: list[int]) -> Ref:
     return Ref(code.raw(text), a.dtype, len(mask))
 
 
-def _pick(code: Code, totals: list[Ref], picks: list[int], width: int, dtype: str) -> Ref:
+def _pick(code: Code, totals: list[Ref], picks: list[int], width: int) -> Ref:
     """Some of the sums as one short vector."""
     parts = sorted({p // width for p in picks})
     first = totals[parts[0]]

@@ -1,7 +1,7 @@
 """Reading and writing at positions known only while running: gather, scatter, dynamic slices.
 
 A position known while compiling costs nothing. One that differs between paths becomes selections
-among up to 16 candidates, else one masked gather over the lanes.
+or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes.
 """
 
 from collections.abc import Iterator
@@ -11,6 +11,7 @@ import numpy as np
 
 from . import elementwise
 from .code import Code, Ref
+from .lookups import lookup
 from .passes import BIG
 from .program import Op, Unsupported, Value
 from .storage import Place, Small, row_major
@@ -163,7 +164,7 @@ def read(body, x: Value, position: list[Start]) -> Ref:
         or (isinstance(known, Small) and count <= 2 * SELECTED)
     ):
         candidates = [_element(body, x, position, moving, i) for i in range(count)]
-        return elementwise.select(code, flat, *candidates) if count > 1 else candidates[0]
+        return lookup(code, flat, candidates) if count > 1 else candidates[0]
     return _load(code, body.place(x), position)
 
 

@@ -75,6 +75,11 @@ class Place:
             pointer = code.pointer(pointer, code.index(f"mul nsw i64 {counter}, {stride}"))
         return code.pointer(pointer, self.offset + fixed)
 
+    def at(self, position: Sequence[int]) -> "Place":
+        """One element, as an array without axes."""
+        fixed = sum(p * s for p, s in zip(position, self.strides)) * self.unit
+        return replace(self, offset=self.offset + fixed, shape=(), strides=())
+
     def read(self, code: Code, position: Sequence[int | str]) -> Ref:
         return code.load(self.address(code, position), self.dtype, self.lanes, self.invariant)
 
