@@ -289,7 +289,7 @@ def _updater(training: Training):
     optimiser = _optimiser(training)
     memory = max(1.0, training.average * training.steps)
 
-    @eqx.filter_jit
+    @jax.jit
     def ascend(moving, old, state, gradient, step):
         descent = jax.tree.map(lambda g, p: -g.astype(p.dtype), gradient, moving)
         change, state = optimiser.update(descent, state, moving)  # pyright: ignore
