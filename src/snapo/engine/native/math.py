@@ -5,7 +5,8 @@ NaN, infinities, denormals and both zeros, and within 2 units in the last place 
 or 3 for tanh, logistic, erf, pow and atan2, or 6 for tanh in float32, where one ratio takes half
 the time and XLA's own is no closer (the tests measure it). Polynomials are near-minimax
 (Chebyshev interpolation of the remainder in 40 digits); reductions follow Cody and Waite,
-"Software Manual for the Elementary Functions" (1980), and the fdlibm sources. What is rare
+"Software Manual for the Elementary Functions" (1980), and the fdlibm sources. Where the answer is
+denormal exp gives zero, which kernels would make of it anyway. What is rare
 (`tan`, `asin` …, `pow` in float64) goes to the C library lane by lane.
 """
 
@@ -26,8 +27,8 @@ class Format:
     magic: float  # adding it rounds to an integer and leaves that integer in the low bits
     ln2_high: float
     ln2_low: float
-    largest: float  # exp overflows beyond
-    smallest: float  # exp vanishes below
+    largest: float  # the last x whose exp is finite
+    smallest: float  # the first whose exp is not denormal
     tiny: float  # x stands for x + x^2 below
     normal: float  # the smallest normal number
     half_root: int  # the bits of sqrt(1/2)
@@ -35,12 +36,13 @@ class Format:
 
 FORMATS = {
     "float32": Format(
-        "float32", "int32", 23, 127, 1.5 * 2**23, 0.693359375, -2.12194440e-4, 89.0, -104.0,
-        2.0**-26, 2.0**-126, 0x3F3504F3,
+        "float32", "int32", 23, 127, 1.5 * 2**23, 0.693359375, -2.12194440e-4,
+        88.72283172607422, -87.33654022216797, 2.0**-26, 2.0**-126, 0x3F3504F3,
     ),
     "float64": Format(
         "float64", "int64", 52, 1023, 1.5 * 2**52, 6.93147180369123816490e-01,
-        1.90821492927058770002e-10, 710.0, -746.0, 2.0**-55, 2.0**-1022, 0x3FE6A09E667F3BCD,
+        1.90821492927058770002e-10, 709.782712893384, -708.3964185322641,
+        2.0**-55, 2.0**-1022, 0x3FE6A09E667F3BCD,
     ),
 }  # fmt: skip
 
@@ -156,20 +158,33 @@ class Curve:
         return self.code.fma(self.code.mul(r, r), self.polynomial(r, EXP[self.format.dtype]), r)
 
     def exp(self, x: Ref) -> Ref:
-        """exp(r) 2^n, the power in two halves so that neither over- nor underflows."""
+        """1 + growth, with n added to its exponent; what would be denormal is zero."""
         code, f = self.code, self.format
-        shifted, r = self.octaves(self.clamp(x, f.smallest, f.largest))
-        result = code.op("fadd", self.growth(r), self.real(1.0))
-        n = code.sub(self.bits(shifted), self.bits(self.real(f.magic)))
-        half = code.op("ashr", n, self.whole(1))
-        rest = self.value(code.sub(n, half))
-        result = code.op("fmul", result, self.power_of_two(self.value(half)))
-        return code.op("fmul", result, self.power_of_two(rest))
+        if f.dtype == "float32":
+            shifted, r = self.octaves(x)
+            growth = self.growth(r)
+        else:
+            # Twice p / (q - p), with p / q the tangent of half of what remains.
+            shifted, y = self.octaves(code.op("fmul", x, self.real(0.5)), 0.5)
+            p, q = self.tangent(y)
+            growth = code.div(code.op("fadd", p, p), code.op("fsub", q, p))
+        near_one = self.bits(code.op("fadd", growth, self.real(1.0)))
+        octaves = code.op("shl", self.bits(shifted), self.whole(f.mantissa))
+        result = self.value(code.add(near_one, octaves))
+        beyond = code.op("fadd", x, self.real(math.inf))  # NaN for NaN
+        result = code.select(code.compare("ugt", x, self.real(f.largest)), beyond, result)
+        return code.select(code.compare("olt", x, self.real(f.smallest)), self.real(0.0), result)
+
+    def tangent(self, y: Ref) -> tuple[Ref, Ref]:
+        """p and q with p / q = tanh(y), for |y| < ln 2 / 4 in float64."""
+        square = self.code.op("fmul", y, y)
+        p = self.code.op("fmul", y, self.polynomial(square, TANH64[0]))
+        return p, self.polynomial(square, TANH64[1])
 
     def expm1(self, x: Ref) -> Ref:
         """2^n (exp(r) - 1) + 2^n - 1, at half size so that 2^n does not overflow."""
         code, f = self.code, self.format
-        shifted, r = self.octaves(self.clamp(x, -f.mantissa - 10.0, f.largest))
+        shifted, r = self.octaves(self.clamp(x, -f.mantissa - 10.0, math.ceil(f.largest)))
         p = self.growth(r)
         scale = self.power_of_two(shifted, 1)
         whole = code.fma(scale, p, code.op("fsub", scale, self.real(0.5)))
@@ -192,9 +207,7 @@ class Curve:
             return self.clamp(code.div(top, self.polynomial(square, bottom)), -1.0, 1.0)
         size = self.clamp(code.call("llvm.fabs", x), None, 20.0)  # where the answer is 1
         shifted, y = self.octaves(size, 0.5)
-        square, scale = code.op("fmul", y, y), self.power_of_two(shifted)
-        p = code.op("fmul", y, self.polynomial(square, TANH64[0]))
-        q = self.polynomial(square, TANH64[1])
+        scale, (p, q) = self.power_of_two(shifted), self.tangent(y)
         less, more = (code.op(o, scale, self.real(1.0)) for o in ("fsub", "fadd"))
         top = code.fma(less, q, code.op("fmul", more, p))
         bottom = code.fma(more, q, code.op("fmul", less, p))
