@@ -13,8 +13,9 @@ from snapo.simulator import Box, Schedule, Simulator
 from snapo.smooth import Exact
 
 PATHS = 33
-# Of a positive and a negative zero IEEE 754-2008 lets max and min give either.
-EITHER_ZERO = ("max", "min", "relu", "clamp")
+# Of a positive and a negative zero IEEE 754-2008 lets max and min give either; a product of a
+# negative number and a truth value that is false is -0, where XLA makes a selection of it.
+EITHER_ZERO = ("max", "min", "relu", "clamp", "one_hot")
 
 
 class Named(dict):

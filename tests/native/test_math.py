@@ -135,6 +135,15 @@ def test_signed_zero(name, dtype):
     np.testing.assert_array_equal(np.signbit(found), np.signbit(expected))
 
 
+@pytest.mark.parametrize("dtype", ["float32", "float64"])
+@pytest.mark.parametrize("name", sorted(n for n, count in CURVES.items() if count == 2))
+def test_every_pair_of_special_values(name, dtype):
+    pairs = np.meshgrid(np.array(SPECIAL, dtype), np.array(SPECIAL, dtype))
+    arrays = [a.ravel() for a in pairs]
+    found, expected = curve(name, dtype)(*arrays), exact(name, dtype, arrays)
+    assert errors(found, expected, dtype).max() <= bound(name, dtype)
+
+
 @settings(deadline=None, max_examples=200)
 @given(st.data())
 def test_any_float32(data):

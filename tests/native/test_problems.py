@@ -25,6 +25,7 @@ from snapo.simulator import probe
 from snapo.smooth import Exact, Smooth
 
 PATHS = 48
+SEEDS = (4, 5, 6)
 STEPS = 12  # of the problems whose horizon is a number: XLA compiles no faster, but runs so
 STORAGE = ("quick", "G1", "G3", "G6")
 
@@ -64,24 +65,27 @@ def test_engines_agree(name, constraints):
     """The gradient by every parameter and input, relative to the largest of each: 1e-11 in float64.
 
     In float32 1e-5, beyond what float32 itself does to XLA's own answer, five times over (other
-    roundings): where a store stands at a limit, they decide which side of the kink a path is on. Inputs, not the schedule:
-    where two limits coincide by construction, only the sum of their derivatives has a meaning.
+    roundings): where a store stands at a limit, they decide which side of the kink a path is on,
+    and a sum that cancels shows them alone. They are chance, so that each engine has three draws.
+    Inputs, not the schedule: where two limits coincide by construction, only the sum of their
+    derivatives has a meaning.
     """
     simulator, inputs, schedule, policy = problem(name)
     assert unsupported(simulator, schedule, policy, constraints) is None
-    draws = Pseudo(4).draws(np.arange(PATHS), simulator)
-    given = (simulator, policy, schedule, draws, constraints)
-    names = Native("float64").values(*given).totals
-    weights = {name: np.linspace(0.5, 1.5, PATHS) / PATHS for name in names}
 
-    def gradient(engine):
+    def gradient(engine, seed: int):
+        draws = Pseudo(seed).draws(np.arange(PATHS), simulator)
+        given = (simulator, policy, schedule, draws, constraints)
+        names = Native("float64").values(*given).totals
+        weights = {name: np.linspace(0.5, 1.5, PATHS) / PATHS for name in names}
         found = engine.adjoint(*given, weights)
         return found.totals, found.policy, pull_back(simulator, inputs, [found.schedule])
 
+    exact = [gradient(Xla("float64"), seed) for seed in SEEDS]
+
     def gap(engine) -> float:
         # What does not matter at all (the one row of constant rates) is left as rounding.
-        return difference(exact, gradient(engine), least=1e-3)
+        return max(difference(e, gradient(engine, s), least=1e-3) for e, s in zip(exact, SEEDS))
 
-    exact = gradient(Xla("float64"))
     assert gap(Native("float64")) < 1e-11
     assert gap(Native("float32")) < 1e-5 + 5 * gap(Xla("float32"))

@@ -324,20 +324,9 @@ class Curve:
         )
         result = code.select(broken, self.real(math.nan), result)
         unit = code.compare("oeq", size, self.real(1.0))
-        unit = code.op(
-            "and",
-            unit,
-            code.op("or", code.compare("ogt", x, self.real(0.0)), code.compare("ueq", y, y)),
-        )
-        sure = code.op(
-            "and",
-            unit,
-            code.op(
-                "or",
-                code.compare("ogt", x, self.real(0.0)),
-                code.op("xor", finite, code.constant(True, "bool", self.lanes)),
-            ),
-        )
+        infinite = code.compare("oeq", code.call("llvm.fabs", y), self.real(math.inf))
+        positive = code.compare("ogt", x, self.real(0.0))
+        sure = code.op("and", unit, code.op("or", positive, infinite))
         one = code.op("or", code.compare("oeq", y, self.real(0.0)), sure)
         return code.select(one, self.real(1.0), result)
 
