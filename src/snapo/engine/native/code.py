@@ -304,9 +304,14 @@ class Module:
         self.tables: list[str] = []
 
     @property
+    def x86(self) -> bool:
+        """Whether the processor understands LLVM's names for instructions of x86."""
+        return platform.machine().lower() in ("x86_64", "amd64")
+
+    @property
     def few(self) -> bool:
         """Whether the processor has 16 vector registers only: x86 before AVX-512."""
-        return self.register < 64 and platform.machine().lower() in ("x86_64", "amd64")
+        return self.register < 64 and self.x86
 
     def declare(self, text: str) -> None:
         self.declared[text] = None

@@ -4,14 +4,12 @@ A register of the processor is a table itself: one instruction rearranges its nu
 of positions. Longer tables are several registers, and what each gives is selected.
 """
 
-import platform
-
 import numpy as np
 
 from .code import Code, Ref
 from .elementwise import compare, convert, select
 
-FEWEST = 5  # numbers for which rearranging beats selections
+FEWEST = 5  # fewer are selected: filling a register costs a few instructions too
 # By bytes of a register and of a number: LLVM's name, and the positions' type.
 PERMUTES = {
     (32, 4): ("llvm.x86.avx2.permps", "int32"),
@@ -23,8 +21,8 @@ PERMUTES = {
 def lookup(code: Code, which: Ref, options: list[Ref]) -> Ref:
     """The option with the number `which`, from 0 to one less than there are."""
     size, register = np.dtype(options[0].dtype).itemsize, code.module.register
-    x86 = platform.machine().lower() in ("x86_64", "amd64")
-    usual = x86 and options[0].dtype in ("float32", "float64") and register in (32, 64)
+    floating = options[0].dtype in ("float32", "float64")
+    usual = code.module.x86 and floating and register in (32, 64)
     if not usual or which.lanes == 1 or len(options) < FEWEST or any(o.lanes > 1 for o in options):
         return select(code, which, *options)
     width = register // size

@@ -96,7 +96,8 @@ def draw_function(module: Module, size: int, dtype: str, antithetic: bool) -> st
     rounds = code.index(f"lshr i64 {code.index(f'add nsw i64 {count}, 1')}, 1")
     with code.loop(rounds) as loop:
         words = code.pointer("%words", code.index(f"mul nsw i64 {loop.i}, {8 * lanes}"))
-        out = code.pointer("%out", code.index(f"mul nsw i64 {loop.i}, {_bytes(dtype, 2 * lanes)}"))
+        unit = np.dtype(dtype).itemsize * lanes
+        out = code.pointer("%out", code.index(f"mul nsw i64 {loop.i}, {2 * unit}"))
         code.store(normal(code, code.load(words, "uint32", 2 * lanes), dtype), out, 2 * lanes)
     code.do("ret void")
     header = (
@@ -148,11 +149,7 @@ def _draw_words(code: Code, size: int, together: int, antithetic: bool) -> None:
                 code.store(part, code.pointer(to, distance), lanes)
 
 
-def _bytes(dtype: str, count: int) -> int:
-    return np.dtype(dtype).itemsize * count
-
-
-def vector(code: Code, scalar: str, dtype: str = "uint32") -> Ref:
-    """A scalar register as a vector of one lane."""
-    kind = "i32" if np.dtype(dtype).itemsize == 4 else "i64"
-    return Ref(code.raw(f"insertelement <1 x {kind}> poison, {kind} {scalar}, i64 0"), dtype, 1)
+def vector(code: Code, scalar: str) -> Ref:
+    """A scalar word as a vector of one lane."""
+    text = f"insertelement <1 x i32> poison, i32 {scalar}, i64 0"
+    return Ref(code.raw(text), "uint32", 1)
