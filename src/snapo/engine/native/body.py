@@ -1,5 +1,6 @@
 """Emits the straight-line body of one step: registers, loops, dot products, in a region's order."""
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -154,7 +155,7 @@ class Body:
             inputs = np.broadcast_arrays(*(self.small(v) for v in op.inputs))
             shape = op.outputs[0].shape
             inputs = [np.broadcast_to(i, shape) for i in inputs]
-            if all(_repeats(i) for i in inputs) and inputs and np.prod(shape) > 1:
+            if all(_repeats(i) for i in inputs) and inputs and math.prod(shape) > 1:
                 one = elementwise.apply(self.code, op, [i.flat[0] for i in inputs])
                 self.set(op.outputs[0], np.broadcast_to(_objects([one], (1,) * len(shape)), shape))
                 return
@@ -172,33 +173,45 @@ class Body:
             rule(self, op)
 
     def loop(self, region: Region) -> None:
-        """One pass over the elements of equally shaped arrays."""
+        """One pass over the elements of equally shaped arrays.
+
+        A dot product that the loop begins with hands over each sum as it leaves its registers,
+        unless an array of the loop is stored in another order.
+        """
         code, shape = self.code, region.shape
         assert shape is not None
         inside = {v for op in region.ops for v in op.outputs}
         outside = dict.fromkeys(v for op in region.ops for v in op.inputs if v not in inside)
-        sources = {v: self.operand(v, shape) for v in outside}
+        sums = region.dot.outputs if region.dot else []
+        sources = {v: self.operand(v, shape) for v in outside if v not in sums}
         targets = {v: self.target(v) for v in region.stored}
-        places = [p for p in [*sources.values(), *targets.values()] if isinstance(p, Place)]
+        front = [0] * (len(shape) - 1)
 
-        def round(position: list[int | str], width: int) -> None:
-            refs = {v: fetch(code, s, position, width) for v, s in sources.items()}
+        def round(position: list[int | str], width: int, *given: Ref) -> None:
+            refs = dict(zip(sums, given))
+            refs |= {v: fetch(code, s, position, width) for v, s in sources.items()}
             for op in region.ops:
                 refs[op.outputs[0]] = elementwise.apply(code, op, [refs[v] for v in op.inputs])
             for v, target in targets.items():
                 put(code, target, position, refs[v], width)
 
-        count = int(np.prod(shape))
-        flat = all(p.contiguous and p.shape == shape for p in places)
-        wide = self.interleaved(region) if flat else 1
-        front = [0] * (len(shape) - 1)
+        if region.dot and _in_order(sources, targets, shape):
+            dots.dot(self, region.dot, lambda i, total: round([*front, i], 1, total))
+            self.where.update(targets)
+            return
+        if region.dot:
+            self.single(region.dot)
+            sources |= {v: self.operand(v, shape) for v in sums}
+            sums = []
+        count = math.prod(shape)
+        wide = self.interleaved(region) if _in_order(sources, targets, shape) else 1
         if wide > 1 and count >= wide:
             with code.loop(count // wide) as loop:
                 round([*front, code.index(f"mul nsw i64 {loop.i}, {wide}")], wide)
             for i in range(count - count % wide, count):
                 round([*front, i], 1)
         else:
-            with nest(code, shape, places) as position:
+            with nest(code, shape, [*sources.values(), *targets.values()]) as position:
                 round(position, 1)
         self.where.update(targets)
 
@@ -223,7 +236,7 @@ class Workspace:
         place = Place(
             self.base, self.size, tuple(shape), row_major(tuple(shape)), np.dtype(dtype), lanes
         )
-        self.size += -(-int(np.prod(shape, dtype=np.int64)) * place.unit // 64) * 64
+        self.size += -(-math.prod(shape) * place.unit // 64) * 64
         return place
 
 
@@ -258,12 +271,12 @@ class nest:
         places = [p for p in operands if isinstance(p, Place)]
         self.code, self.shape = code, shape
         self.flat = all(p.contiguous and p.shape == shape for p in places) and len(shape) > 1
-        self.flat = self.flat and all(int(np.prod(shape)) > 1 for _ in places)
+        self.flat = self.flat and all(math.prod(shape) > 1 for _ in places)
         self.open = []
 
     def __enter__(self) -> list[int | str]:
         if self.flat:
-            loop = self.code.loop(int(np.prod(self.shape)))
+            loop = self.code.loop(math.prod(self.shape))
             counter = loop.__enter__()
             self.open.append(loop)
             return [0] * (len(self.shape) - 1) + [counter.i]
@@ -284,7 +297,13 @@ class nest:
 
 
 def known_size(known: Small | Place) -> int:
-    return int(np.prod(known.shape, dtype=np.int64))
+    return math.prod(known.shape)
+
+
+def _in_order(sources, targets, shape) -> bool:
+    """Whether all arrays of a loop lie in memory one element after the other."""
+    places = [p for p in [*sources.values(), *targets.values()] if isinstance(p, Place)]
+    return all(p.contiguous and p.shape == shape for p in places)
 
 
 def _objects(refs: list[Ref], shape) -> np.ndarray:

@@ -1,10 +1,13 @@
 """Dot products in register tiles, and the product that gathers a matrix's gradient over steps."""
 
+import math
+from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from .code import Code
+from .code import Code, Ref
 from .program import Op, Value
 from .storage import Place
 
@@ -12,8 +15,25 @@ WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
 ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
 
 
-def dot(body, op: Op) -> None:
-    """`dot_general` with any batch, free and contracted axes."""
+# What becomes of each sum: its position in the flattened result, and its register.
+Finish = Callable[[int | str, Ref], None]
+
+
+def tiles(op: Op) -> bool:
+    """Whether a dot product is done in tiles; small ones are written out."""
+    return _work(op) > WRITTEN_OUT
+
+
+def _work(op: Op) -> int:
+    (contract, _), _ = op.params["dimension_numbers"]
+    return op.outputs[0].size * _count(op.inputs[0], contract)
+
+
+def dot(body, op: Op, finish: Finish | None = None) -> None:
+    """`dot_general` with any batch, free and contracted axes.
+
+    In tiles, `finish` takes each sum as it leaves its registers; without it they are stored.
+    """
     (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
     a, b = op.inputs
     free_a = [i for i in range(len(a.shape)) if i not in (*contract_a, *batch_a)]
@@ -24,20 +44,24 @@ def dot(body, op: Op) -> None:
         _count(b, free_b),
         _count(a, contract_a),
     ]
-    work = int(np.prod(sizes, dtype=np.int64))
-    out = op.outputs[0]
-    if work <= WRITTEN_OUT:
+    if not tiles(op):
         _written_out(body, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes)
         return
     left = _axes(body.place(a), batch_a, free_a, contract_a)
     right = _axes(body.place(b), batch_b, free_b, contract_b)
-    target = body.target(out)
-    tiled(body.code, left, right, target, sizes)
-    body.where[out] = target
+    finish = finish or _stored(body, op.outputs[0])
+    tiled(body.code, left, right, op.outputs[0], sizes, finish)
+
+
+def _stored(body, out: Value) -> Finish:
+    """Writes the sums to memory, as they come."""
+    target = body.where[out] = body.target(out)
+    flat = replace(target, shape=(out.size,), strides=(1,))
+    return lambda position, total: flat.write(body.code, [position], total)
 
 
 def _count(v: Value, axes) -> int:
-    return int(np.prod([v.shape[i] for i in axes], dtype=np.int64))
+    return math.prod([v.shape[i] for i in axes])
 
 
 def _axes(place: Place, *groups) -> list[Any]:
@@ -61,26 +85,24 @@ def _written_out(body, op: Op, left, right, sizes) -> None:
     body.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
 
 
-def tiled(code: Code, left, right, target: Place, sizes) -> None:
-    """target[n, i, j] = sum over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
+def tiled(code: Code, left, right, out: Value, sizes, finish: Finish) -> None:
+    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
     batch, rows, columns, depth = sizes
     wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1
+    order = (rows * columns, columns, 1)
     if (wide_left and not wide_right) or (rows == 1 and columns > 1):
         left, right, rows, columns = right, left, columns, rows
         order = (columns * rows, 1, rows)
-    else:
-        order = (rows * columns, columns, 1)
-    out = Place(
-        target.base, target.offset, (batch, rows, columns), order, target.dtype, target.lanes
-    )
-    registers = max(1, code.lanes * target.dtype.itemsize // code.module.register)
+    lanes = max(left[0].lanes, right[0].lanes)
+    zero = code.constant(0, out.dtype, lanes)
+    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
     sums = FEW if code.module.few else ACCUMULATORS
     for first, count, height in even_tiles(rows, max(2, sums // registers)):
-        with counted(code, count) as tile:
-            start = tile if tile == 0 else code.index(f"mul nsw i64 {tile}, {height}")
-            _tile(
-                code, left, right, out, (batch, columns, depth), _plus(code, start, first), height
-            )
+        with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
+            row = _plus(code, _times(code, tile, height), first)
+            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height)
+            for r, total in enumerate(totals):
+                finish(_flat(code, (n, _plus(code, row, r), j), order), total)
 
 
 def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
@@ -94,29 +116,40 @@ def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
     return [(0, taller, height + 1), low] if taller else [low]
 
 
-def _tile(code: Code, left, right, out: Place, sizes, first, height: int) -> None:
-    batch, columns, depth = sizes
+def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> list[Ref]:
+    """The sums of neighbouring rows, in one column."""
     place_a, batch_a, free_a, depth_a = left
     place_b, batch_b, free_b, depth_b = right
-    with counted(code, batch) as n, counted(code, columns) as j:
-        base_a = _at(code, place_a, [(n, batch_a)])
-        rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(height)]
-        base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
-        zero = code.constant(0, out.dtype, out.lanes)
-        init = tuple(zero for _ in range(height))
-        unrolled = next(u for u in (4, 3, 2, 1) if depth % u == 0)
-        with code.loop(depth // unrolled, init) as loop:
-            totals = list(loop.carried)
-            start = code.index(f"mul nsw i64 {loop.i}, {unrolled}") if unrolled > 1 else loop.i
-            for u in range(unrolled):
-                b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
-                for r, row in enumerate(rows):
-                    a = _at(code, row, [((start, u), depth_a)]).read(code, [])
-                    totals[r] = code.fma(*code.same(a, b, totals[r]))
-            loop.results = totals
-        for r in range(height):
-            position = [n, _plus(code, first, r), j]
-            out.write(code, position, loop.results[r])
+    n, first, j = position
+    base_a = _at(code, place_a, [(n, batch_a)])
+    rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(len(totals))]
+    base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
+    unrolled = next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
+    with code.loop(depth // unrolled, tuple(totals)) as loop:
+        totals = list(loop.carried)
+        start = _times(code, loop.i, unrolled)
+        for u in range(unrolled):
+            b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
+            for r, row in enumerate(rows):
+                a = _at(code, row, [((start, u), depth_a)]).read(code, [])
+                totals[r] = code.fma(*code.same(a, b, totals[r]))
+        loop.results = totals
+    return totals
+
+
+def _times(code: Code, i, factor: int):
+    if isinstance(i, int):
+        return i * factor
+    return code.index(f"mul nsw i64 {i}, {factor}") if factor != 1 else i
+
+
+def _flat(code: Code, position, order) -> int | str:
+    """The place in the flattened result."""
+    parts = [_times(code, p, o) for p, o in zip(position, order)]
+    flat = sum(p for p in parts if isinstance(p, int))
+    for part in (p for p in parts if isinstance(p, str)):
+        flat = _plus(code, part, flat)
+    return flat
 
 
 class counted:
@@ -133,8 +166,8 @@ class counted:
             self.loop.__exit__(None, None, None)
 
 
-def _plus(code: Code, first, r: int):
-    if isinstance(first, int):
+def _plus(code: Code, first, r):
+    if isinstance(first, int) and isinstance(r, int):
         return first + r
     return code.index(f"add nsw i64 {first}, {r}") if r else first
 

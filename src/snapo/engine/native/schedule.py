@@ -6,9 +6,11 @@ is gathered into loops, so that only what another region reads goes through memo
 
 from dataclasses import dataclass, field
 
-from . import elementwise
+from . import dots, elementwise
 from .passes import BIG, costly
 from .program import Op, Value
+
+SHORT = 8  # operations of a loop that is written out for every sum of a dot product's tile
 
 
 @dataclass(eq=False)
@@ -18,6 +20,7 @@ class Region:
     ops: list[Op]
     shape: tuple[int, ...] | None = None
     stored: list[Value] = field(default_factory=list)
+    dot: Op | None = None  # one whose sums go into this loop straight from their registers
 
 
 def loops(op: Op) -> tuple[int, ...] | None:
@@ -68,6 +71,7 @@ def regions(ops: list[Op], wanted: set[Value]) -> list[Region]:
             group.append(op)
         result.append(Region(group, shape))
     sink(result, readers, wanted)
+    join(result, readers, wanted)
     for region in result:
         inside = set(region.ops)
         if region.shape is not None:
@@ -95,3 +99,21 @@ def sink(order: list[Region], readers, wanted: set[Value]) -> None:
                 region.ops.remove(op)
                 user.ops.insert(0, op)
                 home[op] = user
+
+
+def join(order: list[Region], readers, wanted: set[Value]) -> None:
+    """Gives a short loop the dot product that it alone reads, element by element."""
+    home = {op: region for region in order for op in region.ops}
+    for region in order:
+        op = region.ops[0] if len(region.ops) == 1 else None
+        if op is None or op.name != "dot_general" or not dots.tiles(op):
+            continue
+        (out,) = op.outputs
+        users = {home[r] for r in readers.get(out, [])}
+        if len(users) != 1 or out in wanted:
+            continue
+        (user,) = users
+        short = len(user.ops) <= SHORT and not any(map(costly, user.ops))
+        if short and user.shape == out.shape and user.dot is None:
+            user.dot = op
+            region.ops.remove(op)
