@@ -1,7 +1,10 @@
 """The native engine against the XLA engine: everything that the interface offers."""
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
+from jaxtyping import Array
 from problems import TOLERANCE, Store, Tanh, Wide, difference
 
 from snapo.engine import Clip, Window, Xla
@@ -108,6 +111,42 @@ def test_wide_states_and_matrices(precision):
     assert (
         difference(xla.adjoint(*args, weight), native.adjoint(*args, weight)) < TOLERANCE[precision]
     )
+
+
+class Corners(Tanh):
+    """Layers with two biases (both have the same gradient), a gate, and a matrix turned over."""
+
+    turned: Array
+
+    def __init__(self, widths):
+        super().__init__(widths)
+        self.turned = 0.3 * jnp.cos(jnp.arange(float(widths[1] ** 2))).reshape(widths[1], -1)
+
+    def __call__(self, x, smooth):
+        first, middle, last = self.weights
+        shift, again, end = self.biases
+        x = jax.nn.relu(first @ x + shift + jnp.roll(again, 1)[: shift.size])
+        plane = jnp.outer(x, x[::-1]).reshape(x.size, -1) * (self.turned @ jnp.outer(x, x)).T
+        x = jnp.maximum(middle @ x + again, 0.1 * x[0]) + plane.sum() / x.size**3
+        return jax.nn.sigmoid(last @ x + end)
+
+
+@pytest.mark.parametrize(
+    ("kind", "precision", "widths"),
+    [
+        (Tanh, "float64", (4, 12, 13, 2)),
+        (Tanh, "float64", (4, 33, 32, 2)),
+        (Corners, "float64", (4, 7, 7, 2)),
+        pytest.param(Tanh, "float32", (4, 96, 98, 2), marks=pytest.mark.slow),
+        pytest.param(Corners, "float32", (4, 97, 97, 2), marks=pytest.mark.slow),
+    ],
+)
+def test_sizes_that_tiles_do_not_divide(store, kind, precision, widths):
+    """Products and their sums go by tiles and panels; what is left over has tiles of its own."""
+    simulator, _, schedule = store
+    given = (simulator, kind(widths), schedule, draws(simulator, 19), Smooth(0.3), weights(19))
+    found = difference(Xla(precision).adjoint(*given), Native(precision).adjoint(*given))
+    assert found < TOLERANCE[precision]
 
 
 def test_nothing_is_compiled_twice(store, monkeypatch):

@@ -5,6 +5,7 @@ per multiply-add, so both factors of some tens of steps are kept and multiplied 
 tile by tile in registers; only then are the lanes added up. Vectors wait in the same rows.
 """
 
+import math
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -94,30 +95,48 @@ class Rows:
     def gather(
         self, code: Code, owner, calls: str, tape_row: str, chunk_row: str, count: str
     ) -> None:
-        """Sums over the waiting steps, of what belongs to the whole call."""
+        """Sums over the waiting steps, of what belongs to the whole call.
+
+        What is summed alone (a bias) rides along where it is also a product's rows.
+        """
+        alone: dict[Value, list[Place]] = {}
+        products: list[tuple[Outer, Place]] = []
         for g in self.gradients.items:
-            if g.leaf not in owner.layouts["call_sums"].fields:
-                continue
-            target = owner.sums(g.leaf, calls, None)
-            for t in g.terms:
-                self.product(code, t, target, tape_row, chunk_row, count)
-            for value in g.rest:
-                place, stride = self.place(value, tape_row, chunk_row)
+            if g.leaf in owner.layouts["call_sums"].fields:
+                target = owner.sums(g.leaf, calls, None)
+                products += [(t, target) for t in g.terms]
+                for value in g.rest:
+                    alone.setdefault(value, []).append(target)
+        for t, target in products:
+            riding = alone.get(t.rows)
+            along = riding.pop() if riding else None
+            self.product(code, t, target, tape_row, chunk_row, count, along)
+        for value, targets in alone.items():
+            place, stride = self.place(value, tape_row, chunk_row)
+            for target in targets:
                 add_rows(code, place, stride, count, target)
 
     def product(
-        self, code: Code, t: Outer, target: Place, tape_row: str, chunk_row: str, count: str
+        self,
+        code: Code,
+        t: Outer,
+        target: Place,
+        tape_row: str,
+        chunk_row: str,
+        count: str,
+        along: Place | None = None,
     ) -> None:
-        """Adds the sum over steps of rows x columns to the target."""
-        rows, columns = (t.columns, t.rows) if t.transposed else (t.rows, t.columns)
-        a, stride_a = self.place(rows, tape_row, chunk_row)
-        b, stride_b = self.place(columns, tape_row, chunk_row)
-        name = product_function(code.module, rows.size, columns.size, rows.dtype.name)
+        """Adds the sum over steps of rows x columns to the target, that of the rows to `along`."""
+        a, stride_a = self.place(t.rows, tape_row, chunk_row)
+        b, stride_b = self.place(t.columns, tape_row, chunk_row)
+        sizes = t.rows.size, t.columns.size
+        name = product_function(code.module, sizes, t.rows.dtype.name, along is not None)
         p, q = code.pointer(a.base, a.offset), code.pointer(b.base, b.offset)
         r = code.pointer(target.base, target.offset)
+        own = "null" if along is None else code.pointer(along.base, along.offset)
         code.do(
             f"call void @{name}(ptr {p}, i64 {stride_a}, ptr {q}, i64 {stride_b}, "
-            f"i64 {count}, ptr {r})"
+            f"i64 {count}, ptr {r}, ptr {own})"
         )
 
 
@@ -222,7 +241,7 @@ def total(code: Code, x: Ref) -> Ref:
 
 def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -> None:
     """Adds every element's sum over lanes and steps, some elements side by side."""
-    size = int(np.prod(place.shape, dtype=np.int64))
+    size = math.prod(place.shape)
     flat = Place(place.base, place.offset, (size,), (1,), place.dtype, place.lanes)
     into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
 
@@ -245,9 +264,13 @@ def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -
     _ranges(code, size, 4, some)
 
 
-def product_function(module, rows: int, columns: int, dtype: str) -> str:
-    """The function that adds sum over s of a[s, i] b[s, j] to a float64 matrix."""
-    name = f"product_{dtype}_{rows}_{columns}"
+def product_function(module, sizes: tuple[int, int], dtype: str, along: bool) -> str:
+    """The function that adds sum over s of a[s, i] b[s, j] to a float64 matrix.
+
+    With `along` it also adds the sum of a[s, i] to a vector: one more column, of ones.
+    """
+    rows, columns = sizes
+    name = f"product_{dtype}_{rows}_{columns}{'_along' if along else ''}"
     if name in module.instances:
         return name
     module.instances[name] = None
@@ -256,68 +279,72 @@ def product_function(module, rows: int, columns: int, dtype: str) -> str:
     tile = (4, 3) if module.few else (4, 4)
 
     def panel(start: str, wide: int) -> None:
+        last = along and start == str(columns - wide)
+
         def tall(i: str, height: int) -> None:
             def block(j: str, breadth: int) -> None:
                 at = code.index(f"add nsw i64 {start}, {j}")
-                _product_tile(code, columns, (i, at), (height, breadth), width, dtype)
+                ones = last and j == str(wide + 1 - breadth)
+                shape = height, breadth - ones, ones
+                _product_tile(code, columns, (i, at), shape, width, dtype)
 
-            _ranges(code, wide, tile[1], block)
+            _ranges(code, wide + last, tile[1], block, apart=last)
 
         _ranges(code, rows, tile[0], tall)
 
-    _ranges(code, columns, PANEL, panel)
+    _ranges(code, columns, PANEL, panel, apart=along)
     code.do("ret void")
     header = (
         f"define internal void @{name}(ptr noalias %a, i64 %sa, ptr noalias %b, i64 %sb, "
-        "i64 %count, ptr noalias %sum) noinline nounwind"
+        "i64 %count, ptr noalias %sum, ptr noalias %along) noinline nounwind"
     )
     module.define(header, code)
     return name
 
 
-def _ranges(code: Code, size: int, tile: int, body) -> None:
+def _ranges(code: Code, size: int, tile: int, body, apart: bool = False) -> None:
+    """Calls `body` for every tile, the last one `apart` from the loop where it is special."""
     whole, rest = divmod(size, tile)
+    if apart and not rest and whole:
+        whole, rest = whole - 1, tile
     if whole == 1:
         body("0", tile)
     elif whole:
         with code.loop(whole) as loop:
             body(code.index(f"mul nsw i64 {loop.i}, {tile}"), tile)
     if rest:
-        body(str(whole * tile), rest)
+        body(str(size - rest), rest)
 
 
 def _product_tile(code: Code, columns: int, first, shape, width: int, dtype: str) -> None:
-    (i, j), (height, breadth) = first, shape
+    (i, j), (height, breadth, ones) = first, shape
     item = np.dtype(dtype).itemsize
     unit, part = code.lanes * item, width * item
     a = code.pointer("%a", code.index(f"mul nsw i64 {i}, {unit}"))
     b = code.pointer("%b", code.index(f"mul nsw i64 {j}, {unit}"))
     zero = code.constant(0.0, dtype, width)
-    with code.loop("%count", tuple(zero for _ in range(height * breadth))) as loop:
+    with code.loop("%count", (zero,) * (height * (breadth + ones))) as loop:
         p = code.pointer(a, code.index(f"mul nsw i64 {loop.i}, %sa"))
         q = code.pointer(b, code.index(f"mul nsw i64 {loop.i}, %sb"))
         sums = list(loop.carried)
         for v in range(code.lanes // width):
-            x = [
-                code.load(code.pointer(p, r * unit + v * part), dtype, width) for r in range(height)
-            ]
-            y = [
-                code.load(code.pointer(q, c * unit + v * part), dtype, width)
-                for c in range(breadth)
-            ]
-            sums = [
-                code.fma(x[r], y[c], sums[r * breadth + c])
-                for r in range(height)
-                for c in range(breadth)
-            ]
+            at = v * part
+            x = [code.load(code.pointer(p, r * unit + at), dtype, width) for r in range(height)]
+            y = [code.load(code.pointer(q, c * unit + at), dtype, width) for c in range(breadth)]
+            pairs = [(x[r], y[c]) for r in range(height) for c in range(breadth)]
+            products = [code.fma(*pair, total) for pair, total in zip(pairs, sums)]
+            own = [code.op("fadd", one, total) for one, total in zip(x, sums[len(pairs) :])]
+            sums = products + own
         loop.results = sums
     totals = across(code, loop.results, width)
     row = code.index(f"mul nsw i64 {i}, {8 * columns}")
     target = code.pointer(code.pointer("%sum", row), code.index(f"shl i64 {j}, 3"))
-    for r in range(height):
-        picks = [r * breadth + c for c in range(breadth)]
-        x = _pick(code, totals, picks, width)
+    for r in range(height if breadth else 0):
+        x = _pick(code, totals, [r * breadth + c for c in range(breadth)], width)
         _add_row(code, code.pointer(target, 8 * r * columns), x, range(breadth))
+    if ones:
+        x = _pick(code, totals, [height * breadth + r for r in range(height)], width)
+        _add_row(code, code.pointer("%along", code.index(f"shl i64 {i}, 3")), x, range(height))
 
 
 def across(code: Code, vectors: list[Ref], width: int) -> list[Ref]:

@@ -181,7 +181,6 @@ class Outer:
 
     rows: Value
     columns: Value
-    transposed: bool
 
 
 def outer_terms(program: Program, gradient: Value) -> tuple[list[Outer], list[Value]]:
@@ -208,9 +207,9 @@ def outer_terms(program: Program, gradient: Value) -> tuple[list[Outer], list[Va
             if source is None or not is_outer(source) or len(source.inputs[0].shape) != 1:
                 rest.append(value)
             else:
-                terms.append(Outer(*source.inputs, transposed=True))
+                terms.append(Outer(*reversed(source.inputs)))
         elif op is not None and is_outer(op):
-            terms.append(Outer(*op.inputs, transposed=False))
+            terms.append(Outer(*op.inputs))
         elif value.constant is None or np.any(value.constant):
             rest.append(value)
 
