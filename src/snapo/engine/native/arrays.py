@@ -1,5 +1,6 @@
 """Primitives that rearrange, reduce or accumulate arrays."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -237,7 +238,7 @@ def _reduce(body, op: Op) -> None:
     x, out = op.inputs[0], op.outputs[0]
     axes = tuple(op.params["axes"])
     kept = [i for i in range(len(x.shape)) if i not in axes]
-    count = int(np.prod([x.shape[i] for i in axes], dtype=np.int64))
+    count = math.prod([x.shape[i] for i in axes])
     if count == 0:
         raise Unsupported(f"{op.name}: over no elements, at {op.where}")
     if x.size <= 2 * BIG or isinstance(body.get(x), Small):
@@ -287,7 +288,7 @@ def _accumulate(body, name, like: Value, view: Place, position, kept: int, where
             for i in range(inner[0])
         ]
         return _fold(body, name, like, outer, where)
-    count = int(np.prod(inner))
+    count = math.prod(inner)
     base = replace(
         view, shape=(*view.shape[:kept], count), strides=(*view.strides[:kept], strides[-1])
     )

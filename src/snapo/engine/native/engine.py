@@ -1,5 +1,6 @@
 """The native engine: `values` and `adjoint` by kernels compiled for simulator and processor."""
 
+import math
 import os
 from collections import OrderedDict
 from typing import Any
@@ -174,9 +175,7 @@ class _Call:
         def fill(name: str, arrays: dict, *axes: int) -> None:
             """Arrays [*axes, paths, ...] into rows of lanes; the last path fills the last block."""
             layout = layouts[name]
-            rows[name] = aligned(
-                blocks * int(np.prod(axes, dtype=np.int64)) * layout.stride, zero=True
-            )
+            rows[name] = aligned(blocks * math.prod(axes) * layout.stride, zero=True)
             memory = rows[name].reshape(blocks, *axes, -1)
             for key, array in arrays.items():
                 padded = np.take(np.asarray(array), pad, axis=len(axes))

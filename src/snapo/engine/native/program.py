@@ -5,6 +5,7 @@ into the other: calls are inlined, short loops unrolled, branches evaluated on b
 selected, and arithmetic on constants done at once.
 """
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import Any
@@ -38,7 +39,7 @@ class Value:
 
     @property
     def size(self) -> int:
-        return int(np.prod(self.shape, dtype=np.int64))
+        return math.prod(self.shape)
 
     @property
     def floating(self) -> bool:

@@ -176,7 +176,7 @@ class _Functions:
         self.calls, self.nows = calls, nows
 
     def describe(self, call, now, state_like, noise_sizes, action_size) -> None:
-        """Shapes of states, outputs and records, by abstract evaluation."""
+        """Shapes of states, outputs and records, and the one trace of the user's step."""
         real = self.dtype
         self.noise = [jax.ShapeDtypeStruct((n,), real) for n in noise_sizes]
         self.action = jax.ShapeDtypeStruct((action_size,), real)
@@ -190,11 +190,9 @@ class _Functions:
         leaves, self.state_tree = jax.tree.flatten(state_like)
         self.state = [jax.ShapeDtypeStruct(x.shape, self._kind(x)) for x in leaves]
 
-        def once(call, now, state, noise, action):
-            return self._outputs(call, now, state, noise, action)
-
-        kept = jax.eval_shape(once, call, now, self.state, self.noise[0], self.action)
-        self.names = list(kept[1])
+        given = call, now, self.state, self.noise[0], self.action
+        self.once, kept = jax.make_jaxpr(self._outputs, return_shape=True)(*given)
+        self.after, self.names = jax.tree.structure(kept), list(kept[1])
         self.record_tree = jax.tree.structure(kept[2])
 
         def last(call, state):
@@ -251,8 +249,9 @@ class _Functions:
         n = len(self.state)
         leaves, totals, own = own[:n], own[n : n + len(self.names)], own[n + len(self.names) :]
         noise = own[0]
-        action = own[1] if self.setup.actions else None
-        after, outputs, kept = self._outputs(call, now, leaves, noise, action)
+        action = own[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
+        found = trace.evaluate(self.once, [*call, *now, *leaves, noise, action])
+        after, outputs, kept = jax.tree.unflatten(self.after, found)
         kinds = self.pieces(call)[3].totals()
         totals = [_add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
         return [*self._leaves(after), *totals, *jax.tree.leaves(kept), *self._scales(call)]

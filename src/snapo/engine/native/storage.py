@@ -4,6 +4,7 @@ Rearranging a `Small` array rearranges Python objects; rearranging a `Place` cha
 Neither costs an instruction.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -54,7 +55,7 @@ class Place:
 
     @property
     def contiguous(self) -> bool:
-        return self.strides == row_major(self.shape) or int(np.prod(self.shape)) <= 1
+        return self.strides == row_major(self.shape) or math.prod(self.shape) <= 1
 
     def broadcast(self, shape: tuple[int, ...]) -> "Place":
         """This array repeated along axes of length one, as NumPy does."""
@@ -106,10 +107,10 @@ class Layout:
     def add(self, key, shape, dtype) -> None:
         dtype = np.dtype(dtype)
         stored = 1 if dtype == np.bool_ else dtype.itemsize
-        align = 64 if self.lanes > 1 or np.prod(shape) > 16 else 8
+        align = 64 if self.lanes > 1 or math.prod(shape) > 16 else 8
         offset = -(-self.size // align) * align
         self.fields[key] = (offset, tuple(shape), dtype)
-        self.size = offset + int(np.prod(shape, dtype=np.int64)) * stored * self.lanes
+        self.size = offset + math.prod(shape) * stored * self.lanes
 
     @property
     def stride(self) -> int:

@@ -71,11 +71,21 @@ class Piece:
 def inlined(function: Callable, avals: Sequence[Any]):
     """The jaxpr of a function with plain calls inlined; rules of differentiation stay whole."""
     closed = jax.make_jaxpr(function)(*avals)
-    return jax.make_jaxpr(lambda *values: _evaluate(closed, values))(*avals)
+    if not any(map(_plain_call, closed.jaxpr.eqns)):
+        return closed
+    return jax.make_jaxpr(lambda *values: evaluate(closed, values))(*avals)
 
 
-def _evaluate(closed, values, caller=None):
-    """Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's."""
+def _plain_call(eqn) -> bool:
+    name = eqn.primitive.name
+    return name in ("jit", "pjit", "closed_call") and eqn.params.get("name") != SEARCH
+
+
+def evaluate(closed, values, caller=None):
+    """Applies a jaxpr's equations, and those of the plain calls in it.
+
+    Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
+    """
     jaxpr = closed.jaxpr
     env = dict(zip(jaxpr.constvars, closed.consts))
     env.update(zip(jaxpr.invars, values))
@@ -85,11 +95,11 @@ def _evaluate(closed, values, caller=None):
 
     for eqn in jaxpr.eqns:
         inputs = [read(a) for a in eqn.invars]
-        name, line = eqn.primitive.name, eqn.source_info.traceback
+        line = eqn.source_info.traceback
         if source_info_util.user_frame(line) is None:
             line = caller
-        if name in ("jit", "pjit", "closed_call") and eqn.params.get("name") != SEARCH:
-            outputs = _evaluate(eqn.params[CALLS[name]], inputs, line)
+        if _plain_call(eqn):
+            outputs = evaluate(eqn.params[CALLS[eqn.primitive.name]], inputs, line)
         else:
             outputs = _bind(eqn, inputs, line)
         env.update(zip(eqn.outvars, outputs))
