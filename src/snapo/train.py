@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import optax
-from jaxtyping import PyTree
+from jaxtyping import Array, PyTree
 
 from .adjoint import float64
 from .engine import Clip, Engine, Window
@@ -48,7 +48,7 @@ class Training:
     - `seed`: of the network's first weights and of all scenarios.
     """
 
-    steps: int = 300
+    steps: int = 240
     paths: int = 512
     learning_rate: float = 0.01
     warmup: int = 20
@@ -130,7 +130,7 @@ Callback = Callable[[Progress], None]
 def begin(policy: Policy, training: Training) -> Progress:
     """The state before the first step."""
     moving, _ = trainable(policy)
-    state = _optimiser(training).init(moving)  # pyright: ignore[reportArgumentType]
+    state = _optimiser(training).init(_flat(moving))
     nothing = float("-inf")
     return Progress(0, policy, policy, policy, policy, state, nothing, 0, (), "training")
 
@@ -291,19 +291,34 @@ def _updater(training: Training):
 
     @jax.jit
     def ascend(moving, old, state, gradient, step):
-        descent = jax.tree.map(lambda g, p: -g.astype(p.dtype), gradient, moving)
-        change, state = optimiser.update(descent, state, moving)  # pyright: ignore
-        moving = optax.apply_updates(moving, change)  # pyright: ignore[reportArgumentType]
+        change, state = optimiser.update(-gradient, state, moving)
+        moving = optax.apply_updates(moving, change)
         # A running mean whose memory grows to `memory` steps: early on it forgets the start.
-        share = jnp.maximum(1 / memory, 1 / (1 + step))
-        average = jax.tree.map(lambda a, p: a + share.astype(p.dtype) * (p - a), old, moving)
-        return moving, average, state, optax.tree.norm(gradient)
+        share = jnp.maximum(1 / memory, 1 / (1 + step)).astype(old.dtype)
+        return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
 
     def update(policy, average, state, gradient, step):
-        # What is not trained goes round the compiled part, and keeps the precision it came in.
+        # What is not trained goes round the compiled part.
         moving, fixed = trainable(policy)
-        old, gradient = trainable(average)[0], trainable(gradient)[0]
-        moving, average, state, norm = ascend(moving, old, state, gradient, step)
-        return eqx.combine(moving, fixed), eqx.combine(average, fixed), state, norm
+        flat, old, slope = (_flat(trainable(tree)[0]) for tree in (policy, average, gradient))
+        flat, old, state, norm = ascend(flat, old, state, slope.astype(flat.dtype), step)
+        policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (flat, old))
+        return policy, average, state, norm
 
     return update
+
+
+def _flat(tree: PyTree) -> np.ndarray:
+    """All numbers of a tree as one vector: one array compiles in half the time of many."""
+    leaves = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
+    return np.concatenate([np.zeros(0, np.float32), *leaves])
+
+
+def _shaped(flat: Array, like: PyTree) -> PyTree:
+    """The numbers of a vector in the shapes and types of a tree."""
+    leaves, structure = jax.tree.flatten(like)
+    parts = np.split(np.asarray(flat), np.cumsum([leaf.size for leaf in leaves])[:-1])
+    shaped = [
+        part.reshape(leaf.shape).astype(leaf.dtype, copy=False) for part, leaf in zip(parts, leaves)
+    ]
+    return jax.tree.unflatten(structure, shaped)
