@@ -122,7 +122,7 @@ Positive = Annotated[float, Field(gt=0)]
 class Training(Table):
     """`[training]`: how the policy is trained; fields and defaults are those of `snapo.train`."""
 
-    steps: Annotated[int, Field(ge=0)] = Field(300, description="a whole number, 0 or more")
+    steps: Annotated[int, Field(ge=0)] = Field(240, description="a whole number, 0 or more")
     paths: Annotated[int, Field(ge=2)] = Field(512, description="a whole number, 2 or more")
     learning_rate: Positive = Field(0.01, description="a number above 0")
     warmup: Annotated[int, Field(ge=0)] = Field(20, description="a number of steps, 0 or more")
