@@ -64,9 +64,11 @@ SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("quick", "portfolio", 
 def test_engines_agree(name, constraints):
     """The gradient by every parameter and input, relative to the largest of each: 1e-11 in float64.
 
-    In float32 1e-5, beyond what float32 itself does to XLA's own answer, five times over (other
-    roundings): where a store stands at a limit, they decide which side of the kink a path is on,
-    and a sum that cancels shows them alone. They are chance, so that each engine has three draws.
+    The largest of all three draws: in one draw a sum over the paths may cancel (G3's derivative by
+    the injection fuel is 214 in one and 6,800 in another, off by 1.5e-8 in the former). In float32
+    1e-5, beyond what float32 itself does to XLA's own answer, five times over (other roundings):
+    where a store stands at a limit, they decide which side of the kink a path is on. They are
+    chance, hence three draws.
     Inputs, not the schedule: where two limits coincide by construction, only the sum of their
     derivatives has a meaning.
     """
@@ -81,11 +83,14 @@ def test_engines_agree(name, constraints):
         found = engine.adjoint(*given, weights)
         return found.totals, found.policy, pull_back(simulator, inputs, [found.schedule])
 
-    exact = [gradient(Xla("float64"), seed) for seed in SEEDS]
+    def gradients(engine):
+        return jax.tree.map(lambda *draws: np.stack(draws), *(gradient(engine, s) for s in SEEDS))
+
+    exact = gradients(Xla("float64"))
 
     def gap(engine) -> float:
         # What does not matter at all (the one row of constant rates) is left as rounding.
-        return max(difference(e, gradient(engine, s), least=1e-3) for e, s in zip(exact, SEEDS))
+        return difference(exact, gradients(engine), least=1e-3)
 
     assert gap(Native("float64")) < 1e-11
     assert gap(Native("float32")) < 1e-5 + 5 * gap(Xla("float32"))
