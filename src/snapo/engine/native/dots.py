@@ -1,4 +1,4 @@
-"""Dot products in register tiles, and the product that gathers a matrix's gradient over steps."""
+"""Dot products in register tiles; `gradients.py` has the product over steps."""
 
 import math
 from collections.abc import Callable
