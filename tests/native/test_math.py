@@ -11,7 +11,7 @@ from scipy import special
 from snapo.engine.native import compiler
 from snapo.engine.native.code import Code, Module
 from snapo.engine.native.math import CURVES
-from snapo.engine.native.runtime import aligned
+from snapo.engine.native.runtime import Memory
 
 REFERENCE = {
     "exp": np.exp, "expm1": np.expm1, "log": np.log, "log1p": np.log1p, "tanh": np.tanh,
@@ -52,13 +52,13 @@ def build(name: str, dtype: str):
     def call(*arrays):
         assert machine is not None  # the code lives as long as this function
         count = -(-arrays[0].size // lanes)
-        memory = []
-        for array in arrays:
-            padded = aligned(count * size).view(dtype)
+        memory = Memory({k: count * size for k in ("x0", "x1", "y")})
+        for k, array in enumerate(arrays):
+            padded = memory[f"x{k}"].view(dtype)
             padded[: array.size], padded[array.size :] = array, 1
-            memory.append(padded)
-        out = aligned(count * size).view(dtype)
-        function(count, *(m.ctypes.data for m in memory), out.ctypes.data)
+        given = [memory.where[f"x{k}"] for k in range(len(arrays))]
+        function(count, *given, memory.where["y"])
+        out = memory["y"].view(dtype)
         return out[: arrays[0].size].copy()
 
     return call

@@ -3,6 +3,7 @@
 import abc
 from collections.abc import Mapping
 from contextlib import AbstractContextManager, nullcontext
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import equinox as eqx
@@ -52,14 +53,15 @@ class Adjoint(NamedTuple):
     start: PyTree
 
 
-class Clip(eqx.Module):
+@dataclass(frozen=True)
+class Clip:
     """Bounds each path's own adjoint at every backward step, in training only.
 
     The adjoint of the state, times the simulator's `state_scale`, may have a norm of at most
     `norm` times the path's weight: the bound means the same for any number of paths.
     """
 
-    norm: float = eqx.field(static=True)
+    norm: float
 
     def apply(self, packed, packing, simulator: Simulator, constants, weight):
         """The identity on a packed state, whose cotangent is bounded."""
@@ -91,10 +93,11 @@ def _bounded_backward(residual, cotangents):
 _bounded.defvjp(_bounded_forward, _bounded_backward)
 
 
-class Engine(eqx.Module):
+@dataclass(frozen=True)
+class Engine(abc.ABC):
     """Rolls paths forward, and takes adjoints back along the same road."""
 
-    precision: eqx.AbstractVar[str]
+    precision: str = "float32"
 
     @property
     def dtype(self):

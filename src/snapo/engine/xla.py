@@ -5,7 +5,7 @@ body of every step rematerialised; it is the oracle of the native engine in test
 """
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,6 +26,7 @@ from .packing import Packing
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 
 
+@dataclass(frozen=True)
 class Xla(Engine):
     """Rollouts by `jax.vmap` and `jax.lax.scan`.
 
@@ -38,9 +39,8 @@ class Xla(Engine):
       None uses the default one.
     """
 
-    precision: str = eqx.field(static=True, default="float32")
-    segments: int | None = eqx.field(static=True, default=None)
-    devices: tuple[Any, ...] | None = eqx.field(static=True, default=None)
+    segments: int | None = None
+    devices: tuple[Any, ...] | None = None
 
     def values(
         self,

@@ -3,9 +3,9 @@
 import math
 import os
 from collections import OrderedDict
+from dataclasses import dataclass
 from typing import Any
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import Array, Float, PyTree
@@ -18,13 +18,14 @@ from . import compiler, rollout
 from .body import ACCIDENTS
 from .kernel import Kernel, emit
 from .program import Unsupported
-from .runtime import Inputs, Runner, aligned
+from .runtime import Inputs, Memory, Runner
 
 KEPT = 64  # compiled kernels in memory
 
 _runners: OrderedDict[Any, Runner] = OrderedDict()
 
 
+@dataclass(frozen=True)
 class Native(Engine):
     """Rollouts by one compiled kernel per problem: lanes of paths through all steps and back.
 
@@ -38,8 +39,7 @@ class Native(Engine):
     compiled.
     """
 
-    precision: str = eqx.field(static=True, default="float32")
-    threads: int | None = eqx.field(static=True, default=None)
+    threads: int | None = None
 
     def values(
         self,
@@ -161,56 +161,54 @@ class _Call:
         layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
         traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
         first, length = self.window
-        rows = {
-            "table": aligned(layouts["table"].stride),
-            "steps": aligned(length * layouts["steps"].stride),
-        }
+        # Arrays with a number per path and their axes before that of paths, by layout.
+        filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
+        if self.actions is not None:
+            filled["actions"] = {"action": self.actions}, (length,)
+        if self.start is not None:
+            leaves = enumerate(jax.tree.leaves(self.start))
+            filled["start"] = {("start", i): x for i, x in leaves}, ()
+        if weights is not None:
+            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
+            filled["bounds"] = {"bound": size}, ()
+        # The last path fills the last block.
+        path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
+        given, lent = self._noise(path)
+        sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
+        sizes |= {name: array.nbytes for name, array in given.items()}
+        for name, (_, axes) in filled.items():
+            sizes[name] = blocks * math.prod(axes) * layouts[name].stride
+        memory = Memory(sizes)
         for leaf, array in zip(traced.call, self.shared.arrays):
-            layouts["table"].view(rows["table"], leaf)[...] = array
-        steps = rows["steps"].reshape(length, -1)
+            layouts["table"].view(memory["table"], leaf)[...] = array
+        steps = memory["steps"].reshape(length, -1)
         for leaf, array in zip(traced.now, self.steps.arrays):
             layouts["steps"].view(steps, leaf)[...] = array[first : first + length]
-        pad = np.minimum(np.arange(blocks * lanes), self.paths - 1)
-
-        def fill(name: str, arrays: dict, *axes: int) -> None:
-            """Arrays [*axes, paths, ...] into rows of lanes; the last path fills the last block."""
-            layout = layouts[name]
-            rows[name] = aligned(blocks * math.prod(axes) * layout.stride, zero=True)
-            memory = rows[name].reshape(blocks, *axes, -1)
+        for name, array in given.items():
+            memory[name].view(array.dtype)[:] = array
+        for name, array in lent.items():
+            memory.lend(name, array)
+        for name, (arrays, axes) in filled.items():
+            rows = memory[name].reshape(blocks, *axes, -1)
             for key, array in arrays.items():
-                padded = np.take(np.asarray(array), pad, axis=len(axes))
-                padded = padded.reshape(*axes, blocks, lanes, *padded.shape[len(axes) + 1 :])
-                padded = np.moveaxis(np.moveaxis(padded, len(axes), 0), len(axes) + 1, -1)
-                layout.view(memory, key)[...] = padded
+                view = layouts[name].view(rows, key)
+                view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
+                if name == "weights":  # what fills the last block counts for nothing
+                    view[-1, lanes - (path.size - self.paths) :] = 0
+        return Inputs(self.paths, length, first, memory, records)
 
-        self._noise(rows, pad)
-        if self.actions is not None:
-            fill("actions", {"action": self.actions}, length)
-        if self.start is not None:
-            fill("start", {("start", i): x for i, x in enumerate(jax.tree.leaves(self.start))})
-        if weights is not None:
-            fill("weights", {("final", name): w for name, w in weights.items()})
-            beyond = np.arange(blocks * lanes).reshape(blocks, lanes) >= self.paths
-            for name in weights:
-                memory = rows["weights"].reshape(blocks, -1)
-                layouts["weights"].view(memory, ("final", name))[beyond] = 0
-            fill("bounds", {"bound": size})
-        return Inputs(self.paths, length, first, rows, records)
-
-    def _noise(self, rows, pad) -> None:
+    def _noise(self, path: np.ndarray) -> tuple[dict, dict]:
+        """What the noise is made of: small arrays, and large ones that stay where they are."""
         draws = self.draws
         if isinstance(draws, Counter):
-            rows["keys"] = aligned(16)
-            rows["keys"].view(np.uint32)[:] = np.asarray(draws.keys).reshape(-1)
-            rows["paths"] = aligned(4 * pad.size)
-            rows["paths"].view(np.uint32)[:] = np.asarray(draws.paths)[pad]
-            return
-        rows["positions"] = aligned(8 * pad.size)
-        rows["positions"].view(np.int64)[:] = pad
+            paths = np.asarray(draws.paths, np.uint32)
+            return {"keys": np.asarray(draws.keys, np.uint32).ravel(), "paths": paths[path]}, {}
         first, length = self.window
         steps = np.asarray(draws.step_noise)[first : first + length]
-        rows["noise"] = np.ascontiguousarray(steps, self.engine.dtype)
-        rows["noise_initial"] = np.ascontiguousarray(draws.initial_noise, self.engine.dtype)
+        arrays = {"noise": steps, "noise_initial": draws.initial_noise}
+        dtype = self.engine.dtype
+        lent = {name: np.ascontiguousarray(array, dtype) for name, array in arrays.items()}
+        return {"positions": path.astype(np.int64)}, lent
 
     # Out of rows.
 
@@ -218,12 +216,8 @@ class _Call:
         self, runner: Runner, name: str, memory: np.ndarray, key, *axes: int
     ) -> np.ndarray:
         """[*axes, paths, ...] from rows of lanes."""
-        blocks = runner.blocks(self.paths)
-        view = runner.kernel.layouts[name].view(memory.reshape(blocks, *axes, -1), key)
-        moved = np.moveaxis(np.moveaxis(view, -1, len(axes) + 1), 0, len(axes))
-        lanes = blocks * runner.kernel.lanes
-        flat = moved.reshape(*axes, lanes, *moved.shape[len(axes) + 2 :])
-        return flat[(slice(None),) * len(axes) + (slice(0, self.paths),)]
+        rows = memory.reshape(runner.blocks(self.paths), *axes, -1)
+        return _paths(runner.kernel.layouts[name].view(rows, key), self.paths, len(axes))
 
     def finals(self, runner: Runner, memory: np.ndarray) -> Any:
         traced = runner.kernel.traced
@@ -276,6 +270,24 @@ class _Call:
                 for i, x in enumerate(traced.state)
             ])  # fmt: skip
         return policy, Schedule(constants, steps), start
+
+
+def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.ndarray:
+    """[*axes, paths, ...] as [blocks, *axes, ..., lanes]."""
+    if array.shape[axes] != path.size:
+        array = np.take(array, path, axis=axes)
+    split = array.reshape(*array.shape[:axes], path.size // lanes, lanes, *array.shape[axes + 1 :])
+    lead, rest = range(axes), range(axes + 2, split.ndim)
+    return split.transpose(axes, *lead, *rest, axes + 1)
+
+
+def _paths(view: np.ndarray, paths: int, axes: int) -> np.ndarray:
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...]."""
+    lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
+    moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
+    lanes = view.shape[0] * view.shape[-1]
+    flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
+    return flat[(slice(None),) * axes + (slice(0, paths),)]
 
 
 __all__ = ["Native", "Unsupported"]

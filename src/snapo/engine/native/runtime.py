@@ -2,9 +2,9 @@
 
 import os
 import threading
-from concurrent.futures import ThreadPoolExecutor, wait
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import lru_cache
 
 import numpy as np
 
@@ -18,33 +18,62 @@ PROCESSORS = os.cpu_count() or 1
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
-def aligned(size: int, zero: bool = False) -> np.ndarray:
-    """Bytes that begin on a 64-byte boundary."""
-    raw = (np.zeros if zero else np.empty)(size + 64, np.uint8)
-    start = -address(raw) % 64
-    return raw[start : start + size]
+class Memory:
+    """Named rows of zero bytes on 64-byte boundaries, and their addresses.
+
+    They are of one allocation: kernels take addresses, and NumPy is slow to tell them.
+    """
+
+    def __init__(self, sizes: dict[str, int]):
+        raw = np.zeros(64 + sum(map(_rounded, sizes.values())), np.uint8)
+        base = address(raw)
+        at = -base % 64
+        self.rows: dict[str, np.ndarray] = {}
+        self.where: dict[str, int] = {}
+        for name, size in sizes.items():
+            self.rows[name], self.where[name] = raw[at : at + size], base + at
+            at += _rounded(size)
+
+    def __getitem__(self, name: str) -> np.ndarray:
+        return self.rows[name]
+
+    def lend(self, name: str, array: np.ndarray) -> None:
+        """Adds an array that lies elsewhere."""
+        self.rows[name], self.where[name] = array, address(array)
+
+    def holds(self, sizes: dict[str, int]) -> bool:
+        """Whether every row has at least its size."""
+        return all(self.rows[name].size >= size for name, size in sizes.items())
+
+
+def _rounded(size: int) -> int:
+    return -(-size // 64) * 64
+
+
+def address(array: np.ndarray) -> int:
+    return array.__array_interface__["data"][0]
 
 
 @dataclass(eq=False)
 class Inputs:
-    """What one run reads, as rows of the kernel's layouts; missing ones stay None."""
+    """What one run reads, as rows of the kernel's layouts."""
 
     paths: int
     length: int
     first: int
-    rows: dict[str, np.ndarray]
+    memory: Memory
     records: bool = False
 
 
 @dataclass(eq=False)
 class Outputs:
-    """What one run wrote, as rows of the kernel's layouts."""
+    """What one run wrote, as rows of the kernel's layouts; the sums of an adjoint kernel only."""
 
     final: np.ndarray
     records: np.ndarray | None
-    call_sums: np.ndarray | None
-    step_sums: np.ndarray | None
-    start_cotangent: np.ndarray | None
+    call_sums: np.ndarray | None = None
+    step_sums: np.ndarray | None = None
+    start_cotangent: np.ndarray | None = None
 
 
 class Runner:
@@ -52,70 +81,49 @@ class Runner:
 
     def __init__(self, kernel: Kernel, machine: Machine):
         self.kernel, self.machine = kernel, machine
-        self._spare: list[dict[str, np.ndarray]] = []
-        self._lock = threading.Lock()
+        self._spare: list[Memory] = []
 
     def blocks(self, paths: int) -> int:
         return -(-paths // self.kernel.lanes)
 
     def run(self, inputs: Inputs, threads: int) -> Outputs:
         """All blocks, forward and (in an adjoint kernel) back."""
-        kernel, layouts = self.kernel, self.kernel.layouts
-        blocks = self.blocks(inputs.paths)
-        adjoint = kernel.traced.setup.adjoint
-        out = Outputs(aligned(blocks * layouts["final"].stride), None, None, None, None)
+        layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
+        blocks, length = self.blocks(inputs.paths), inputs.length
+        calls, steps = layouts["call_sums"].stride, length * layouts["step_sums"].stride
+        groups = _groups(blocks, calls + steps if adjoint else 0)
+        sizes = {"stop": 8, "final": blocks * layouts["final"].stride}
         if inputs.records:
-            out.records = aligned(blocks * inputs.length * layouts["records"].stride)
-        segment = self.segment(inputs.length)
-        call_size, step_size = (
-            layouts["call_sums"].stride,
-            inputs.length * layouts["step_sums"].stride,
-        )
-        groups = _groups(blocks, call_size + step_size) if adjoint else min(blocks, GROUPS)
-        sums = None
+            sizes["records"] = blocks * length * layouts["records"].stride
         if adjoint:
-            sums = aligned(groups * (call_size + step_size), zero=True)
-            out.start_cotangent = aligned(blocks * layouts["start_cotangent"].stride)
-        stop = aligned(8, zero=True)
-        shared = {
-            **inputs.rows, "final": out.final, "records": out.records,
-            "start_cotangent": out.start_cotangent, "stop": stop,
-        }  # fmt: skip
-        numbers = {
-            "length": inputs.length,
-            "first": inputs.first,
-            "segment": segment,
-            "count": inputs.paths,
-        }
-        context = _context(shared, numbers)
-        sizes = segment, -(-inputs.length // segment)
-        self._alone("prepare", context, sizes)
-        bounds = [blocks * g // groups for g in range(groups + 1)]
-        base = 0 if sums is None else address(sums)
+            sizes["start_cotangent"] = blocks * layouts["start_cotangent"].stride
+            sizes["total"], sizes["sums"] = calls + steps, groups * (calls + steps)
+        memory = Memory(sizes)
+        segment = self.segment(length)
+        numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
+        context = _context(inputs.memory.where | memory.where | numbers | {"segment": segment})
+        scratch = self._scratch(segment, -(-length // segment))
+        functions = self.machine.functions
 
         def one(group: int, own: np.ndarray) -> None:
-            start = base + group * (call_size + step_size)
-            own[SLOTS["call_sums"]], own[SLOTS["step_sums"]] = start, start + call_size
-            self.machine.functions["run"](address(own), bounds[group], bounds[group + 1])
+            if adjoint:
+                _add_up_in(own, memory.where["sums"] + group * (calls + steps), calls)
+            first, last = blocks * group // groups, blocks * (group + 1) // groups
+            functions["run"](address(own), first, last)
 
-        self._spread(one, groups, min(threads, groups), stop, context, sizes)
-        if sums is not None:
-            table = sums.view(np.float64).reshape(groups, -1)
-            total = aligned(call_size + step_size)
-            np.sum(table, axis=0, out=total.view(np.float64))
-            out.call_sums, out.step_sums = total[:call_size], total[call_size:]
-            _place(context, {"call_sums": out.call_sums, "step_sums": out.step_sums})
-            self._alone("finish", context, sizes)
+        with self._own(context, scratch) as own:
+            functions["prepare"](address(own))
+        self._spread(one, groups, min(threads, groups), memory["stop"], context, scratch)
+        out = Outputs(memory["final"], memory.rows.get("records"))
+        if adjoint:
+            sums, total = memory["sums"].view(np.float64), memory["total"]
+            np.sum(sums.reshape(groups, -1), axis=0, out=total.view(np.float64))
+            out.call_sums, out.step_sums = total[:calls], total[calls:]
+            out.start_cotangent = memory["start_cotangent"]
+            with self._own(context, scratch) as own:
+                _add_up_in(own, memory.where["total"], calls)
+                functions["finish"](address(own))
         return out
-
-    def _alone(self, name: str, context: np.ndarray, sizes) -> None:
-        """A function that runs once, on this thread."""
-        scratch = self._borrow(*sizes)
-        try:
-            _place(context, scratch)
-            self.machine.functions[name](address(context))
-        finally:
-            self._return(scratch)
 
     def segment(self, length: int) -> int:
         """Steps whose tape is kept at once. It does not depend on the number of threads."""
@@ -123,45 +131,47 @@ class Runner:
             return length
         return int(min(length, max(1, TAPE // self.kernel.layouts["tape"].stride)))
 
-    def _spread(self, one, groups: int, threads: int, stop, context, sizes) -> None:
+    def _spread(self, one, groups: int, threads: int, stop, context, scratch) -> None:
         """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C."""
         waiting = iter(range(groups))
         lock = threading.Lock()
         failures: list[BaseException] = []
 
         def work() -> None:
-            scratch = self._borrow(*sizes)
-            own = aligned(8 * len(CONTEXT)).view(np.int64)
-            own[:] = context
-            _place(own, scratch)
-            try:
-                while not stop.any():
+            with self._own(context, scratch) as own:
+                while not stop[0]:
                     with lock:
                         group = next(waiting, None)
                     if group is None:
                         break
                     one(group, own)
+
+        def help() -> None:
+            try:
+                work()
             except BaseException as error:  # pragma: no cover
                 failures.append(error)
                 stop[:] = 1
-            finally:
-                self._return(scratch)
 
-        others = [_pool(os.getpid()).submit(work) for _ in range(threads - 1)]
+        others = [_helper().take(help) for _ in range(threads - 1)]
         try:
             work()
-            wait(others)
+            for done in others:
+                with done:
+                    pass
         except BaseException:
             stop[:] = 1
-            wait(others)
+            for done in others:
+                with done:
+                    pass
             raise
         if failures:
             raise failures[0]
 
-    def _borrow(self, segment: int, segments: int) -> dict[str, np.ndarray]:
-        """One thread's scratch memory, of at least the sizes needed."""
+    def _scratch(self, segment: int, segments: int) -> dict[str, int]:
+        """The sizes of one thread's scratch memory."""
         layouts, sizes = self.kernel.layouts, self.kernel.sizes
-        needed = {
+        return {
             "work": sizes["work"], "carry": layouts["carry"].stride,
             "cotangent": layouts["cotangent"].stride,
             "tape_initial": layouts["tape_initial"].stride,
@@ -169,45 +179,73 @@ class Runner:
             "tape": segment * layouts["tape"].stride, "chunk": sizes["chunk"],
             "saved": segments * layouts["carry"].stride,
         }  # fmt: skip
-        with self._lock:
-            scratch = self._spare.pop() if self._spare else {}
-        for name, size in needed.items():
-            if name not in scratch or scratch[name].size < size:
-                scratch[name] = aligned(max(64, size))
-        return scratch
 
-    def _return(self, scratch: dict[str, np.ndarray]) -> None:
-        with self._lock:
+    @contextmanager
+    def _own(self, context: np.ndarray, sizes: dict[str, int]) -> Iterator[np.ndarray]:
+        """The context with scratch memory of its own."""
+        try:
+            scratch = self._spare.pop()
+        except IndexError:
+            scratch = Memory(sizes)
+        if not scratch.holds(sizes):
+            scratch = Memory(sizes)
+        own = context.copy()
+        for name, place in scratch.where.items():
+            own[SLOTS[name]] = place
+        try:
+            yield own
+        finally:
             if len(self._spare) < 2 * PROCESSORS:
                 self._spare.append(scratch)
 
 
-@lru_cache(maxsize=1)
-def _pool(process: int) -> ThreadPoolExecutor:
-    """Threads that wait for work: starting them anew would cost more than a small kernel.
+class Helper(threading.Thread):
+    """A thread that waits for work: starting one anew would cost more than a small kernel."""
 
-    A forked child has none of its parent's threads, hence one pool per process.
-    """
-    return ThreadPoolExecutor(PROCESSORS, thread_name_prefix="snapo")
+    def __init__(self):
+        super().__init__(name="snapo", daemon=True)
+        self.begin = threading.Lock()
+        self.begin.acquire()
+        self.start()
+
+    def take(self, work: Callable[[], None]) -> threading.Lock:
+        """Begins the work, and returns the lock that is free once it is done."""
+        done = threading.Lock()
+        done.acquire()
+        self.task = work, done
+        self.begin.release()
+        return done
+
+    def run(self) -> None:
+        while True:
+            self.begin.acquire()
+            work, done = self.task
+            work()
+            del work, self.task  # what the work held is free before the caller goes on
+            _idle.append(self)
+            done.release()
 
 
-def _context(memory: dict, numbers: dict[str, int]) -> np.ndarray:
+_idle: list[Helper] = []
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=_idle.clear)
+
+
+def _helper() -> Helper:
+    try:
+        return _idle.pop()
+    except IndexError:
+        return Helper()
+
+
+def _context(values: dict[str, int]) -> np.ndarray:
     """The table of addresses and numbers that kernel functions take."""
-    context = aligned(8 * len(CONTEXT), zero=True).view(np.int64)
-    _place(context, memory)
-    for name, number in numbers.items():
-        context[SLOTS[name]] = number
-    return context
+    return np.array([values.get(name, 0) for name in CONTEXT], np.int64)
 
 
-def _place(context: np.ndarray, memory: dict) -> None:
-    for name, array in memory.items():
-        if array is not None:
-            context[SLOTS[name]] = address(array)
-
-
-def address(array: np.ndarray) -> int:
-    return array.__array_interface__["data"][0]
+def _add_up_in(context: np.ndarray, place: int, calls: int) -> None:
+    """Sums of the call from here on, then those of the steps."""
+    context[SLOTS["call_sums"]], context[SLOTS["step_sums"]] = place, place + calls
 
 
 def _groups(blocks: int, size: int) -> int:

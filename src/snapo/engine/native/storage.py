@@ -125,6 +125,6 @@ class Layout:
         """A field of all rows, from bytes [..., stride]: [..., *shape] or [..., *shape, lanes]."""
         offset, shape, dtype = self.fields[key]
         lanes = (self.lanes,) if self.lanes > 1 else ()
-        inner = tuple(step * dtype.itemsize for step in row_major((*shape, *lanes)))
-        full = (*memory.shape[:-1], *shape, *lanes)
-        return np.ndarray(full, dtype, memory, offset, (*memory.strides[:-1], *inner))
+        size = math.prod(shape) * dtype.itemsize * self.lanes
+        field = memory[..., offset : offset + size].view(dtype)
+        return field.reshape((*memory.shape[:-1], *shape, *lanes))
