@@ -113,7 +113,7 @@ class Pseudo(Scenarios):
     stream: int = 0
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
-        keys = np.stack([self._key(STEP_STREAM), self._key(INITIAL_STREAM)])
+        keys = np.stack([_key(self.seed, self.stream, use) for use in (STEP_STREAM, INITIAL_STREAM)])
         return Counter(keys, np.asarray(paths, np.uint32), self.antithetic)  # pyright: ignore
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
@@ -124,11 +124,6 @@ class Pseudo(Scenarios):
             return Scenarios.blocks(self, paths, count)
         pairs = Scenarios.blocks(self, paths // 2, count)
         return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
-
-    def _key(self, stream: int) -> np.ndarray:
-        """Two words that separate seeds, uses and streams (numpy's SeedSequence hash)."""
-        entropy = np.random.SeedSequence([self.seed, self.stream, stream])
-        return entropy.generate_state(2, np.uint32)
 
 
 class Sobol(Scenarios):
@@ -205,6 +200,11 @@ class Supplied(Scenarios):
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths
+
+
+def _key(seed: int, stream: int, use: int) -> np.ndarray:
+    """Two words that separate seeds, streams and uses (numpy's SeedSequence hash)."""
+    return np.random.SeedSequence([seed, stream, use]).generate_state(2, np.uint32)
 
 
 def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, "..."]):
