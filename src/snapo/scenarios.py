@@ -113,7 +113,8 @@ class Pseudo(Scenarios):
     stream: int = 0
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
-        keys = np.stack([_key(self.seed, self.stream, use) for use in (STEP_STREAM, INITIAL_STREAM)])
+        uses = STEP_STREAM, INITIAL_STREAM
+        keys = np.stack([_key(self.seed, self.stream, use) for use in uses])
         return Counter(keys, np.asarray(paths, np.uint32), self.antithetic)  # pyright: ignore
 
     def groups(self, paths: np.ndarray) -> np.ndarray:

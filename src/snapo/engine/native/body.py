@@ -152,9 +152,9 @@ class Body:
 
     def single(self, op: Op) -> None:
         if elementwise.supported(op.name):
-            inputs = np.broadcast_arrays(*(self.small(v) for v in op.inputs))
             shape = op.outputs[0].shape
-            inputs = [np.broadcast_to(i, shape) for i in inputs]
+            inputs = [self.small(v) for v in op.inputs]
+            inputs = [i if i.shape == shape else np.broadcast_to(i, shape) for i in inputs]
             if all(_repeats(i) for i in inputs) and inputs and math.prod(shape) > 1:
                 one = elementwise.apply(self.code, op, [i.flat[0] for i in inputs])
                 self.set(op.outputs[0], np.broadcast_to(_objects([one], (1,) * len(shape)), shape))

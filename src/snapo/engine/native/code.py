@@ -9,6 +9,7 @@ import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -38,6 +39,12 @@ class Ref:
     @property
     def unsigned(self) -> bool:
         return self.dtype.startswith("uint") or self.dtype == "bool"
+
+
+@cache
+def name_of(dtype) -> str:
+    """NumPy's name of a type; NumPy puts it together anew each time."""
+    return np.dtype(dtype).name
 
 
 def number(value, dtype: str) -> str:
@@ -75,7 +82,7 @@ class Code:
         self.lines.append("  " + text)
 
     def constant(self, value, dtype, lanes: int = 1) -> Ref:
-        dtype = np.dtype(dtype).name
+        dtype = name_of(dtype)
         text = f"splat ({TYPES[dtype]} {number(value, dtype)})"
         return Ref(text, dtype, lanes, np.dtype(dtype).type(value))
 
@@ -197,7 +204,7 @@ class Code:
 
     def load(self, pointer: str, dtype, lanes: int, invariant: bool = False) -> Ref:
         """Booleans lie in memory as bytes."""
-        dtype = np.dtype(dtype).name
+        dtype = name_of(dtype)
         stored = "int8" if dtype == "bool" else dtype
         ref = Ref("", stored, lanes)
         align = min(64, np.dtype(stored).itemsize * lanes)

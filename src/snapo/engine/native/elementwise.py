@@ -4,7 +4,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from .code import Code, Ref
+from .code import Code, Ref, name_of
 from .math import CURVES
 from .program import Op, Unsupported
 
@@ -26,7 +26,7 @@ SHIFTS = {"shift_right_logical": "lshr", "shift_right_arithmetic": "ashr"}
 
 def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
     """One operation on one element."""
-    name, dtype = op.name, op.outputs[0].dtype.name
+    name, dtype = op.name, name_of(op.outputs[0].dtype)
     if name in FLOAT:
         return compare(code, name, *inputs)
     if name in CURVES:

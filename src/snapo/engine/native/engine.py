@@ -16,7 +16,7 @@ from ...simulator import Schedule, Simulator
 from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_window
 from . import compiler, rollout
 from .body import ACCIDENTS
-from .kernel import Kernel, emit
+from .kernel import Kernel, Stages, emit
 from .program import Unsupported
 from .runtime import Inputs, Memory, Runner
 
@@ -137,14 +137,14 @@ class _Call:
         _runners.move_to_end(key)
         return _runners[key]
 
-    def kernel(self, setup: rollout.Setup, like) -> Kernel:
+    def kernel(self, setup: rollout.Setup, like, stages: Stages | None = None) -> Kernel:
         """Traces and emits. What goes wrong inside the emitter is a reason, not an accident."""
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
         given = self.shared.split(), self.steps.split()
         traced = rollout.traced(*given, like, setup, sizes, simulator.action.size)
         try:
-            return emit(traced, compiler.lanes(self.engine.precision), compiler.host()[2])
+            return emit(traced, compiler.lanes(self.engine.precision), compiler.host()[2], stages)
         except ACCIDENTS as error:
             raise Unsupported(
                 f"{type(simulator).__name__}: {type(error).__name__}: {error}"

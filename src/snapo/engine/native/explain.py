@@ -12,6 +12,7 @@ from ...smooth import Smooth
 from ..base import Window
 from . import compiler
 from .engine import Native, _Call
+from .kernel import Stages
 from .program import Unsupported
 
 
@@ -58,12 +59,14 @@ def explain(
     if policy is None:
         features = probe(simulator, schedule)[1].shape[0]
         policy = MLP(simulator.action, features, key=jax.random.key(0), hidden=(8,))
-    kernel = _kernel(Native(precision), simulator, schedule, policy, smooth or Smooth(0.1))
+    stages: Stages = []
+    smooth = smooth or Smooth(0.1)
+    kernel = _kernel(Native(precision), simulator, schedule, policy, smooth, stages=stages)
     rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
     processor, _, register = compiler.host()
     target = f"{processor}: registers of {register} bytes, blocks of {kernel.lanes} paths"
     # Emitted last, but what the paths share comes first in time.
-    programs = sorted(kernel.stages, key=lambda stage: "computed once" not in stage[0])
+    programs = sorted(stages, key=lambda stage: "computed once" not in stage[0])
     return Explanation(tuple(programs), "\n".join(rows), kernel.text, target)
 
 
@@ -86,7 +89,14 @@ RECORDS = ("state", "action", "outputs", "slack")
 
 
 def _kernel(
-    engine: Native, simulator, schedule, policy, smooth, record=(), clip: float | None = None
+    engine: Native,
+    simulator,
+    schedule,
+    policy,
+    smooth,
+    record=(),
+    clip: float | None = None,
+    stages: Stages | None = None,
 ):
     """The kernel of a whole adjoint."""
     from .rollout import Setup
@@ -97,4 +107,4 @@ def _kernel(
         call = _Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
         wrt = ("policy", "schedule", "start")
         setup = Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)
-        return call.kernel(setup, None)
+        return call.kernel(setup, None, stages)

@@ -6,7 +6,7 @@ finish    the transposes of `prepare`, on sums over all paths
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -38,22 +38,24 @@ class Kernel:
     traced: Traced
     layouts: dict[str, Layout]
     sizes: dict[str, int]
-    stages: list[tuple[str, str]] = field(default_factory=list)
 
 
-def emit(traced: Traced, lanes: int, register: int) -> Kernel:
-    """Emits every function of a kernel."""
-    return Emitter(traced, lanes, register).kernel()
+Stages = list[tuple[str, str]]  # titles and programs as text
+
+
+def emit(traced: Traced, lanes: int, register: int, stages: Stages | None = None) -> Kernel:
+    """Emits every function of a kernel, and tells `stages` of the programs on the way."""
+    return Emitter(traced, lanes, register, stages).kernel()
 
 
 class Emitter:
     """The module under construction, shared by the functions of all phases."""
 
-    def __init__(self, traced: Traced, lanes: int, register: int):
+    def __init__(self, traced: Traced, lanes: int, register: int, stages: Stages | None):
         self.traced, self.lanes = traced, lanes
         self.dtype = traced.setup.dtype
         self.module = Module(lanes, register)
-        self.stages: list[tuple[str, str]] = []
+        self.stages = stages
         self.adjoint = traced.setup.adjoint
         self.work = self.chunk = 0
         self.layouts = self._layouts()
@@ -116,7 +118,7 @@ class Emitter:
             self.finish()
         self.driver()
         sizes = {"work": self.work, "chunk": self.chunk}
-        return Kernel(self.module.text(), self.lanes, self.traced, self.layouts, sizes, self.stages)
+        return Kernel(self.module.text(), self.lanes, self.traced, self.layouts, sizes)
 
     # Functions.
 
@@ -160,7 +162,8 @@ class Emitter:
         self.work = max(self.work, workspace.size)
 
     def show(self, title: str, program: Program) -> None:
-        self.stages.append((title, "\n".join(walk(program))))
+        if self.stages is not None:
+            self.stages.append((title, "\n".join(walk(program))))
 
     def prepare(self) -> None:
         """Everything that the paths share."""
