@@ -8,15 +8,16 @@ cost, negate: `-Mean("cost")`. Objectives add and scale: `Mean("x") + 0.5 * CVaR
 
 import abc
 from collections.abc import Mapping
+from dataclasses import dataclass
 
-import equinox as eqx
 import numpy as np
 
 Totals = Mapping[str, np.ndarray]
 Weights = dict[str, np.ndarray]
 
 
-class Objective(eqx.Module):
+@dataclass(frozen=True)
+class Objective(abc.ABC):
     """A number made from path totals {name: [N]}."""
 
     @abc.abstractmethod
@@ -56,10 +57,11 @@ class Objective(eqx.Module):
         return self * -1.0
 
 
+@dataclass(frozen=True)
 class _OneOutput(Objective):
     """An objective of one output's totals x: subclasses say value, slope and influence."""
 
-    output: str = eqx.field(static=True)
+    output: str
 
     @property
     def outputs(self) -> tuple[str, ...]:
@@ -92,6 +94,7 @@ class _OneOutput(Objective):
         """Numbers whose mean is the value and whose spread is its sampling error."""
 
 
+@dataclass(frozen=True)
 class Mean(_OneOutput):
     """The mean."""
 
@@ -106,15 +109,16 @@ class Mean(_OneOutput):
         return x
 
 
+@dataclass(frozen=True)
 class CVaR(_OneOutput):
     """The mean of the worst (smallest) 1 - level of the paths (Rockafellar and Uryasev 2000).
 
     Tail measures on few paths are biased: keep at least 50 paths in the tail.
     """
 
-    level: float = eqx.field(static=True, default=0.95)
+    level: float = 0.95
 
-    def __check_init__(self):
+    def __post_init__(self):
         if not 0 < self.level < 1:
             raise ValueError(f"CVaR: level is {self.level}; it must lie between 0 and 1.")
 
@@ -131,10 +135,11 @@ class CVaR(_OneOutput):
         return edge + np.minimum(x - edge, 0) / (1 - self.level)
 
 
+@dataclass(frozen=True)
 class MeanVariance(_OneOutput):
     """mean - aversion / 2 * variance."""
 
-    aversion: float = eqx.field(static=True, default=1.0)
+    aversion: float = 1.0
 
     def _slope(self, x):
         return 1 - self.aversion * (x - x.mean())
@@ -143,10 +148,11 @@ class MeanVariance(_OneOutput):
         return x - self.aversion / 2 * (x - x.mean()) ** 2
 
 
+@dataclass(frozen=True)
 class Entropic(_OneOutput):
     """-log(mean(exp(-a x))) / a, the certainty equivalent of exponential utility, a > 0."""
 
-    aversion: float = eqx.field(static=True, default=1.0)
+    aversion: float = 1.0
 
     def _slope(self, x):
         tilt = np.exp(-self.aversion * (x - x.min()))
@@ -158,6 +164,7 @@ class Entropic(_OneOutput):
         return level - (tilt - 1) / self.aversion
 
 
+@dataclass(frozen=True)
 class ExpectedUtility(_OneOutput):
     """Mean utility of the total, such as `CRRA(5.0)`."""
 
@@ -170,12 +177,13 @@ class ExpectedUtility(_OneOutput):
         return self.utility(x)
 
 
-class CRRA(eqx.Module):
+@dataclass(frozen=True)
+class CRRA:
     """Utility W^(1 - aversion) / (1 - aversion) of W = wealth + x, the logarithm at aversion 1;
     minus infinity where W <= 0."""
 
-    aversion: float = eqx.field(static=True)
-    wealth: float = eqx.field(static=True, default=0.0)
+    aversion: float
+    wealth: float = 0.0
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         x = x + self.wealth
@@ -197,10 +205,11 @@ class CRRA(eqx.Module):
         return float(((1 - self.aversion) * utility) ** (1 / (1 - self.aversion))) - self.wealth
 
 
+@dataclass(frozen=True)
 class Target(_OneOutput):
     """Minus the mean squared distance from a target: -mean((x - target)^2)."""
 
-    target: float = eqx.field(static=True, default=0.0)
+    target: float = 0.0
 
     def _slope(self, x):
         return -2 * (x - self.target)
@@ -209,6 +218,7 @@ class Target(_OneOutput):
         return -((x - self.target) ** 2)
 
 
+@dataclass(frozen=True)
 class Probability(_OneOutput):
     """The probability that x > threshold; its weights round the step over `width` (in x's unit).
 
@@ -216,8 +226,8 @@ class Probability(_OneOutput):
     are those of a logistic step of this width.
     """
 
-    threshold: float = eqx.field(static=True, default=0.0)
-    width: float = eqx.field(static=True, default=1.0)
+    threshold: float = 0.0
+    width: float = 1.0
 
     def _slope(self, x):
         z = np.abs(x - self.threshold) / self.width
@@ -227,13 +237,14 @@ class Probability(_OneOutput):
         return (x > self.threshold).astype(float)
 
 
+@dataclass(frozen=True, init=False)
 class Weighted(Objective):
     """A sum of factors times objectives."""
 
     terms: tuple[tuple[float, Objective], ...]
 
     def __init__(self, *terms: tuple[float, Objective]):
-        self.terms = terms
+        object.__setattr__(self, "terms", terms)
 
     @property
     def outputs(self) -> tuple[str, ...]:

@@ -7,6 +7,7 @@ threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian b
 """
 
 import abc
+from dataclasses import dataclass
 
 import equinox as eqx
 import jax
@@ -86,7 +87,8 @@ class Table(eqx.Module):
 Draws = Counter | Table
 
 
-class Scenarios(eqx.Module):
+@dataclass(frozen=True)
+class Scenarios(abc.ABC):
     """A source of noise. `draws` gives that of chosen paths, `groups` what is independent."""
 
     @abc.abstractmethod
@@ -102,14 +104,15 @@ class Scenarios(eqx.Module):
         return [b for b in np.array_split(np.arange(paths), count) if b.size]
 
 
+@dataclass(frozen=True)
 class Pseudo(Scenarios):
     """Counter-based pseudo-random normals; antithetic paths 2i and 2i + 1 have opposite signs.
 
     `stream` separates uses of one seed (training step, validation, evaluation).
     """
 
-    seed: int = eqx.field(static=True, default=0)
-    antithetic: bool = eqx.field(static=True, default=True)
+    seed: int = 0
+    antithetic: bool = True
     stream: int = 0
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
@@ -127,6 +130,7 @@ class Pseudo(Scenarios):
         return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
 
 
+@dataclass(frozen=True)
 class Sobol(Scenarios):
     """Scrambled Sobol points through a Brownian bridge, for evaluation.
 
@@ -135,8 +139,8 @@ class Sobol(Scenarios):
     the leading Sobol dimensions, the rest (past what Sobol offers) is pseudo-random.
     """
 
-    seed: int = eqx.field(static=True, default=0)
-    scrambles: int = eqx.field(static=True, default=BLOCKS)
+    seed: int = 0
+    scrambles: int = BLOCKS
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Table:
         horizon, size = simulator.horizon, simulator.noise_size
@@ -176,6 +180,7 @@ class Sobol(Scenarios):
         return np.concatenate([z, _stored(counter, width - z.shape[1])], axis=1)
 
 
+@dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
     """Scenarios of one's own in place of normals: `step_noise` [T, paths, K], and optionally
     `initial_noise` [paths, K0]. The paths are taken to be independent."""

@@ -300,7 +300,8 @@ def _updater(training: Training):
     def update(policy, average, state, gradient, step):
         # What is not trained goes round the compiled part.
         moving, fixed = trainable(policy)
-        flat, old, slope = (_flat(trainable(tree)[0]) for tree in (policy, average, gradient))
+        flat = _flat(moving)
+        old, slope = (_flat(trainable(tree)[0]) for tree in (average, gradient))
         flat, old, state, norm = ascend(flat, old, state, slope.astype(flat.dtype), step)
         policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (flat, old))
         return policy, average, state, norm
