@@ -178,3 +178,26 @@ def test_results_are_numpy_arrays_of_the_precision(store):
     double = Native("float64").values(simulator, policy, schedule, noise, Exact()).totals["cash"]
     assert isinstance(single, np.ndarray) and single.dtype == np.float32
     assert isinstance(double, np.ndarray) and double.dtype == np.float64
+
+
+@pytest.mark.parametrize("paths", [31, 32])
+def test_results_keep_nothing_else_alive(store, paths):
+    """Not what the kernel wrote beside them, whether the last block is full or not."""
+    simulator, policy, schedule = store
+    noise = draws(simulator, paths)
+    out = Native().adjoint(simulator, policy, schedule, noise, Exact(), weights(paths))
+    for array in jax.tree.leaves(out):
+        whole = array
+        while whole.base is not None:
+            whole = whole.base
+        assert whole.nbytes <= 2 * array.nbytes
+
+
+@pytest.mark.parametrize("engine", [Xla(), Native()], ids=["xla", "native"])
+def test_no_paths_are_refused(store, engine):
+    simulator, policy, schedule = store
+    given = simulator, policy, schedule, draws(simulator, 0, False), Exact()
+    with pytest.raises(ValueError, match="no paths"):
+        engine.values(*given)
+    with pytest.raises(ValueError, match="no paths"):
+        engine.adjoint(*given, weights(0))

@@ -182,6 +182,12 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
         )
 
 
+def check_paths(draws: Draws) -> None:
+    """There is something to roll."""
+    if not draws.size:
+        raise ValueError("engine: the draws have no paths; at least one is needed.")
+
+
 def check_window(simulator: Simulator, window: Window) -> None:
     """A window lies within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:

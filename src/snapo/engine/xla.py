@@ -20,7 +20,17 @@ from jaxtyping import Array, PyTree
 from ..policy import Policy
 from ..scenarios import Counter, Draws
 from ..simulator import Schedule, Simulator
-from .base import Adjoint, Clip, Engine, Rollout, Window, cast, check_actions, check_window
+from .base import (
+    Adjoint,
+    Clip,
+    Engine,
+    Rollout,
+    Window,
+    cast,
+    check_actions,
+    check_paths,
+    check_window,
+)
 from .packing import Packing
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
@@ -83,6 +93,7 @@ class Xla(Engine):
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
+        check_paths(draws)
         check_actions(simulator, policy, actions)
         window = window or Window(0, simulator.horizon)
         check_window(simulator, window)

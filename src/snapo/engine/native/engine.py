@@ -13,7 +13,7 @@ from jaxtyping import Array, Float, PyTree
 from ...policy import Policy
 from ...scenarios import Counter, Draws
 from ...simulator import Schedule, Simulator
-from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_window
+from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_paths, check_window
 from . import compiler, rollout
 from .body import ACCIDENTS
 from .kernel import Kernel, Stages, emit
@@ -103,6 +103,7 @@ class _Call:
     """One call's trees, and their way into the kernel's rows and back."""
 
     def __init__(self, engine, simulator, policy, schedule, draws, smooth, actions, window, start):
+        check_paths(draws)
         check_actions(simulator, policy, actions)
         self.window = window or Window(0, simulator.horizon)
         check_window(simulator, self.window)
@@ -282,12 +283,14 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
 
 
 def _paths(view: np.ndarray, paths: int, axes: int) -> np.ndarray:
-    """[blocks, *axes, ..., lanes] as [*axes, paths, ...]."""
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
     lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
     moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
     lanes = view.shape[0] * view.shape[-1]
     flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
-    return flat[(slice(None),) * axes + (slice(0, paths),)]
+    chosen = flat[(slice(None),) * axes + (slice(0, paths),)]
+    # A view would keep all that the kernel wrote alive.
+    return chosen.copy() if np.may_share_memory(chosen, view) else chosen
 
 
 __all__ = ["Native", "Unsupported"]
