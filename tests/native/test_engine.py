@@ -9,7 +9,7 @@ from problems import TOLERANCE, Store, Tanh, Wide, difference
 
 from snapo.engine import Clip, Window, Xla
 from snapo.engine.native import Native, compiler
-from snapo.scenarios import Pseudo, Supplied
+from snapo.scenarios import Pseudo, Supplied, Table
 from snapo.smooth import Exact, Smooth
 
 PATHS = 37
@@ -191,6 +191,24 @@ def test_results_keep_nothing_else_alive(store, paths):
         while whole.base is not None:
             whole = whole.base
         assert whole.nbytes <= 2 * array.nbytes
+
+
+@pytest.mark.parametrize("engine", [Xla(), Native()], ids=["xla", "native"])
+def test_noise_of_another_shape_is_refused(store, engine):
+    simulator, policy, schedule = store
+    steps, size, initial = simulator.horizon, simulator.noise_size, simulator.initial_noise_size
+    right = np.zeros((5, initial)), np.zeros((steps, 5, size))
+    wrong = [
+        (right[0], np.zeros((steps - 1, 5, size))),
+        (right[0], np.zeros((steps, 5, size + 1))),
+        (np.zeros((4, initial)), right[1]),
+        (np.zeros((5, initial + 1)), right[1]),
+    ]
+    given = simulator, policy, schedule
+    engine.values(*given, Table(*right), Exact())
+    for arrays in wrong:
+        with pytest.raises(ValueError, match="noise of the draws has shape"):
+            engine.values(*given, Table(*arrays), Exact())
 
 
 @pytest.mark.parametrize("engine", [Xla(), Native()], ids=["xla", "native"])

@@ -14,7 +14,7 @@ from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
 from ..policy import Policy
-from ..scenarios import Draws
+from ..scenarios import Draws, Table
 from ..simulator import Schedule, Simulator
 
 
@@ -182,10 +182,21 @@ def check_actions(simulator: Simulator, policy, actions) -> None:
         )
 
 
-def check_paths(draws: Draws) -> None:
-    """There is something to roll."""
+def check_draws(simulator: Simulator, draws: Draws) -> None:
+    """There are paths, and numbers for each of their steps: a kernel would read past an end."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
+    if isinstance(draws, Table):
+        shapes = {
+            "step_noise": (simulator.horizon, draws.size, simulator.noise_size),
+            "initial_noise": (draws.size, simulator.initial_noise_size),
+        }
+        for name, shape in shapes.items():
+            if np.shape(getattr(draws, name)) != shape:
+                raise ValueError(
+                    f"engine: {name} of the draws has shape {np.shape(getattr(draws, name))}; "
+                    f"this simulator needs {shape}."
+                )
 
 
 def check_window(simulator: Simulator, window: Window) -> None:

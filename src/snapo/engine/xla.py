@@ -28,7 +28,7 @@ from .base import (
     Window,
     cast,
     check_actions,
-    check_paths,
+    check_draws,
     check_window,
 )
 from .packing import Packing
@@ -93,7 +93,7 @@ class Xla(Engine):
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
-        check_paths(draws)
+        check_draws(simulator, draws)
         check_actions(simulator, policy, actions)
         window = window or Window(0, simulator.horizon)
         check_window(simulator, window)
