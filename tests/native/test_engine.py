@@ -10,6 +10,7 @@ from problems import TOLERANCE, Store, Tanh, Wide, difference
 from snapo.engine import Clip, Window, Xla
 from snapo.engine.native import Native, compiler
 from snapo.scenarios import Pseudo, Supplied, Table
+from snapo.simulator import Schedule
 from snapo.smooth import Exact, Smooth
 
 PATHS = 37
@@ -209,6 +210,14 @@ def test_noise_of_another_shape_is_refused(store, engine):
     for arrays in wrong:
         with pytest.raises(ValueError, match="noise of the draws has shape"):
             engine.values(*given, Table(*arrays), Exact())
+
+
+@pytest.mark.parametrize("engine", [Xla(), Native()], ids=["xla", "native"])
+def test_a_schedule_of_too_few_steps_is_refused(store, engine):
+    simulator, policy, schedule = store
+    short = Schedule(schedule.constants, jax.tree.map(lambda leaf: leaf[:1], schedule.steps))
+    with pytest.raises(ValueError, match=r"schedule.steps\[.*\] has shape \(1,"):
+        engine.values(simulator, policy, short, draws(simulator), Exact())
 
 
 @pytest.mark.parametrize("engine", [Xla(), Native()], ids=["xla", "native"])

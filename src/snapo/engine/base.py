@@ -199,6 +199,17 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
                 )
 
 
+def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
+    """Every step has its numbers: an array of one step must not stand for all."""
+    horizon = simulator.horizon
+    for path, leaf in jax.tree.leaves_with_path(schedule.steps):
+        if isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] < (horizon,):
+            raise ValueError(
+                f"engine: schedule.steps{jax.tree_util.keystr(path)} has shape {leaf.shape}; its "
+                f"first axis is that of the {horizon} steps."
+            )
+
+
 def check_window(simulator: Simulator, window: Window) -> None:
     """A window lies within the horizon."""
     if window.first < 0 or window.length < 1 or window.first + window.length > simulator.horizon:

@@ -29,6 +29,7 @@ from .base import (
     cast,
     check_actions,
     check_draws,
+    check_schedule,
     check_window,
 )
 from .packing import Packing
@@ -94,6 +95,7 @@ class Xla(Engine):
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         check_draws(simulator, draws)
+        check_schedule(simulator, schedule)
         check_actions(simulator, policy, actions)
         window = window or Window(0, simulator.horizon)
         check_window(simulator, window)

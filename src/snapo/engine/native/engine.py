@@ -13,7 +13,17 @@ from jaxtyping import Array, Float, PyTree
 from ...policy import Policy
 from ...scenarios import Counter, Draws
 from ...simulator import Schedule, Simulator
-from ..base import Adjoint, Clip, Engine, Rollout, Window, check_actions, check_draws, check_window
+from ..base import (
+    Adjoint,
+    Clip,
+    Engine,
+    Rollout,
+    Window,
+    check_actions,
+    check_draws,
+    check_schedule,
+    check_window,
+)
 from . import compiler, rollout
 from .body import ACCIDENTS
 from .kernel import Kernel, Stages, emit
@@ -104,6 +114,7 @@ class _Call:
 
     def __init__(self, engine, simulator, policy, schedule, draws, smooth, actions, window, start):
         check_draws(simulator, draws)
+        check_schedule(simulator, schedule)
         check_actions(simulator, policy, actions)
         self.window = window or Window(0, simulator.horizon)
         check_window(simulator, self.window)
