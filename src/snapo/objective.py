@@ -18,7 +18,7 @@ Weights = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Objective(abc.ABC):
-    """A number made from path totals {name: [N]}."""
+    """A number made from path totals {name: [N]}. Subclasses are frozen dataclasses."""
 
     @abc.abstractmethod
     def value(self, totals: Totals) -> float:

@@ -167,6 +167,18 @@ def cast(tree: PyTree, dtype) -> PyTree:
     return jax.tree.map(convert, tree)
 
 
+def checked(
+    simulator: Simulator, policy, schedule: Schedule, draws: Draws, actions, window: Window | None
+) -> Window:
+    """Refuses what does not fit together; the window, the whole horizon where none is given."""
+    check_draws(simulator, draws)
+    check_schedule(simulator, schedule)
+    check_actions(simulator, policy, actions)
+    window = window or Window(0, simulator.horizon)
+    check_window(simulator, window)
+    return window
+
+
 def check_actions(simulator: Simulator, policy, actions) -> None:
     """Either a policy or recorded actions decide."""
     if policy is None and actions is None:
@@ -202,12 +214,16 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
 def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
     """Every step has its numbers: an array of one step must not stand for all."""
     horizon = simulator.horizon
-    for path, leaf in jax.tree.leaves_with_path(schedule.steps):
-        if isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] < (horizon,):
-            raise ValueError(
-                f"engine: schedule.steps{jax.tree_util.keystr(path)} has shape {leaf.shape}; its "
-                f"first axis is that of the {horizon} steps."
-            )
+    short = [
+        isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] < (horizon,)
+        for leaf in jax.tree.leaves(schedule.steps)
+    ]
+    if any(short):
+        path, leaf = jax.tree.leaves_with_path(schedule.steps)[short.index(True)]
+        raise ValueError(
+            f"engine: schedule.steps{jax.tree_util.keystr(path)} has shape {leaf.shape}; its "
+            f"first axis is that of the {horizon} steps."
+        )
 
 
 def check_window(simulator: Simulator, window: Window) -> None:

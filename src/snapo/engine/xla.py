@@ -20,18 +20,7 @@ from jaxtyping import Array, PyTree
 from ..policy import Policy
 from ..scenarios import Counter, Draws
 from ..simulator import Schedule, Simulator
-from .base import (
-    Adjoint,
-    Clip,
-    Engine,
-    Rollout,
-    Window,
-    cast,
-    check_actions,
-    check_draws,
-    check_schedule,
-    check_window,
-)
+from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked
 from .packing import Packing
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
@@ -94,11 +83,7 @@ class Xla(Engine):
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
-        check_draws(simulator, draws)
-        check_schedule(simulator, schedule)
-        check_actions(simulator, policy, actions)
-        window = window or Window(0, simulator.horizon)
-        check_window(simulator, window)
+        window = checked(simulator, policy, schedule, draws, actions, window)
         ends = window.first + window.length == simulator.horizon
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array

@@ -13,17 +13,7 @@ from jaxtyping import Array, Float, PyTree
 from ...policy import Policy
 from ...scenarios import Counter, Draws
 from ...simulator import Schedule, Simulator
-from ..base import (
-    Adjoint,
-    Clip,
-    Engine,
-    Rollout,
-    Window,
-    check_actions,
-    check_draws,
-    check_schedule,
-    check_window,
-)
+from ..base import Adjoint, Clip, Engine, Rollout, Window, checked
 from . import compiler, rollout
 from .body import ACCIDENTS
 from .kernel import Kernel, Stages, emit
@@ -113,11 +103,7 @@ class _Call:
     """One call's trees, and their way into the kernel's rows and back."""
 
     def __init__(self, engine, simulator, policy, schedule, draws, smooth, actions, window, start):
-        check_draws(simulator, draws)
-        check_schedule(simulator, schedule)
-        check_actions(simulator, policy, actions)
-        self.window = window or Window(0, simulator.horizon)
-        check_window(simulator, self.window)
+        self.window = checked(simulator, policy, schedule, draws, actions, window)
         self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
         self.ends = self.window.first + self.window.length == simulator.horizon
         self.paths = draws.size

@@ -156,14 +156,10 @@ class Runner:
         others = [_helper().take(help) for _ in range(threads - 1)]
         try:
             work()
-            for done in others:
-                with done:
-                    pass
+            _wait(others)
         except BaseException:
             stop[:] = 1
-            for done in others:
-                with done:
-                    pass
+            _wait(others)
             raise
         if failures:
             raise failures[0]
@@ -186,8 +182,8 @@ class Runner:
         try:
             scratch = self._spare.pop()
         except IndexError:
-            scratch = Memory(sizes)
-        if not scratch.holds(sizes):
+            scratch = None
+        if scratch is None or not scratch.holds(sizes):
             scratch = Memory(sizes)
         own = context.copy()
         for name, place in scratch.where.items():
@@ -236,6 +232,13 @@ def _helper() -> Helper:
         return _idle.pop()
     except IndexError:
         return Helper()
+
+
+def _wait(others: list[threading.Lock]) -> None:
+    """Until each lock is free; it may be done twice."""
+    for done in others:
+        with done:
+            pass
 
 
 def _context(values: dict[str, int]) -> np.ndarray:
