@@ -159,16 +159,7 @@ class _Call:
         layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
         traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
         first, length = self.window
-        # Arrays with a number per path and their axes before that of paths, by layout.
-        filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
-        if self.actions is not None:
-            filled["actions"] = {"action": self.actions}, (length,)
-        if self.start is not None:
-            leaves = enumerate(jax.tree.leaves(self.start))
-            filled["start"] = {("start", i): x for i, x in leaves}, ()
-        if weights is not None:
-            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
-            filled["bounds"] = {"bound": size}, ()
+        filled = self._filled(weights, size)
         # The last path fills the last block.
         path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
         given, lent = self._noise(path)
@@ -194,6 +185,19 @@ class _Call:
                 if name == "weights":  # what fills the last block counts for nothing
                     view[-1, lanes - (path.size - self.paths) :] = 0
         return Inputs(self.paths, length, first, memory, records)
+
+    def _filled(self, weights, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
+        """By layout: arrays with numbers of each path, and their axes before that of paths."""
+        filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
+        if self.actions is not None:
+            filled["actions"] = {"action": self.actions}, (self.window.length,)
+        if self.start is not None:
+            leaves = enumerate(jax.tree.leaves(self.start))
+            filled["start"] = {("start", i): x for i, x in leaves}, ()
+        if weights is not None:
+            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
+            filled["bounds"] = {"bound": size}, ()
+        return filled
 
     def _noise(self, path: np.ndarray) -> tuple[dict, dict]:
         """What the noise is made of: small arrays, and large ones that stay where they are."""
