@@ -17,7 +17,6 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo.domains.gas_storage as domain
-from snapo.adjoint import float64, prepare, pull_back
 from snapo.domains.gas_storage.case import read_case
 from snapo.domains.gas_storage.guide import Guide
 from snapo.domains.gas_storage.inputs import storage_inputs
@@ -26,10 +25,12 @@ from snapo.domains.gas_storage.references import marginal_values
 from snapo.domains.gas_storage.simulator import StorageSimulator
 from snapo.engine import Xla
 from snapo.engine.native import Native
-from snapo.inputs import Input
-from snapo.scenarios import Pseudo
-from snapo.simulator import probe
-from snapo.smooth import Exact, Smooth
+from snapo.problem.inputs import Input
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import probe
+from snapo.problem.smooth import Exact, Smooth
+from snapo.solver.adjoint import float64, pull_back
 
 CASE = Path(domain.__path__[0]) / "template" / "case.toml"
 COUNTS = (12, 365, 3650)

@@ -10,13 +10,13 @@ from pathlib import Path
 import numpy as np
 from scipy.stats import t as student
 
-from snapo import solver
 from snapo.domains.gas_storage.case import read_case
 from snapo.domains.gas_storage.run import make_problem, new_policy
-from snapo.evaluate import estimate, path_totals
-from snapo.scenarios import Pseudo
-from snapo.sensitivity import sensitivities
-from snapo.smooth import Exact
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.smooth import Exact
+from snapo.solver import solve as solver
+from snapo.solver.evaluate import estimate, path_totals
+from snapo.solver.sensitivity import sensitivities
 
 CASE = Path(__file__).parents[1] / "tests" / "gas_storage" / "cases" / "quick"
 SEEDS, PATHS, MANY = 100, 4096, 4_194_304

@@ -26,10 +26,12 @@ import numpy as np
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, compiler
-from snapo.policy import Network, Policy
-from snapo.scenarios import Pseudo, Table
-from snapo.simulator import Box, Schedule, Simulator
-from snapo.smooth import Smooth
+from snapo.problem.actions import Box
+from snapo.problem.noise import Stored
+from snapo.problem.policy import Network, Policy
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Smooth
 
 ROUNDS = 7
 
@@ -115,7 +117,7 @@ class Workload:
         if table:
             rng = np.random.default_rng(0)
             noise = rng.normal(size=(simulator.horizon, paths, simulator.noise_size))
-            self.draws = Table(np.zeros((paths, 0)), jnp.asarray(noise, precision))
+            self.draws = Stored(np.zeros((paths, 0)), jnp.asarray(noise, precision))
         self.weights = {"cash": np.ones(paths, precision) / paths}
         self.smooth = Smooth(0.3)
 

@@ -25,13 +25,14 @@ import jax
 import numpy as np
 
 import snapo.domains.pension as domain
-from snapo.adjoint import float64, prepare, pull_back
 from snapo.domains.pension.case import read_case
 from snapo.domains.pension.run import Problem, make_problem
 from snapo.engine import Engine, Xla
 from snapo.engine.native import Native
-from snapo.scenarios import Pseudo
-from snapo.smooth import Exact
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.smooth import Exact
+from snapo.solver.adjoint import float64, pull_back
 
 from .gas_storage import alternate, timed
 from .machine import machine

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo
-from snapo.objective import Objective
+from snapo.problem.objective import Objective
 
 ASSETS, MONTHS = 30, 60
 EQUITIES, BONDS, OTHERS = tuple(range(15)), tuple(range(15, 25)), tuple(range(25, 30))

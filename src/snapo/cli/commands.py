@@ -14,7 +14,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..case import CaseError, load, nearest
+from snapo.case.error import CaseError
+from snapo.case.table import load, nearest
+
 from .main import KINDS
 from .new import write_case
 from .own import read_own
@@ -53,7 +55,7 @@ def _new(options: argparse.Namespace) -> int:
 def _check(options: argparse.Namespace) -> int:
     if options.simulator:
         _, own = read_own(options.simulator, options.case)
-        findings = import_module("snapo.checker").check(own["simulator"], own["inputs"])
+        findings = import_module("snapo.checker.check").check(own["simulator"], own["inputs"])
         print(findings)
         return OK if findings.ok else FAILED
     case = _read(options.case)
@@ -96,7 +98,7 @@ def _solve_own(options: argparse.Namespace) -> dict[str, Any]:
         raise CaseError("--reference", "", None, what)
     file, own = read_own(options.simulator, options.case)
     _use_every_core()
-    return import_module("snapo.runfolder").solve_own(
+    return import_module("snapo.study.run_folder").solve_own(
         **own,
         out=options.out or file.parent / "run",
         seed=own["training"].seed if options.seed is None else options.seed,

@@ -20,7 +20,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.command == "new":
         options.size = _size(parser, options)
-    from snapo.cli.commands import run
+    from .commands import run
 
     return run(options)
 

@@ -3,7 +3,7 @@
 from importlib.resources import files
 from pathlib import Path
 
-from ..case import CaseError
+from snapo.case.error import CaseError
 
 
 def write_case(package: str, folder: str | Path, size: str | None = None) -> list[Path]:

@@ -10,7 +10,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from ..case import CaseError, Unquoted, load, read_evaluation, read_training
+from snapo.case.error import CaseError, Unquoted
+from snapo.case.settings import read_evaluation, read_training
+from snapo.case.table import load
 
 
 def load_simulator(module: str, name: str) -> Any:

@@ -13,9 +13,9 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
-from ..policy import Policy
-from ..scenarios import Draws, Table
-from ..simulator import Schedule, Simulator
+from snapo.problem.noise import Draws, Stored
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
 
 
 class Window(NamedTuple):
@@ -198,7 +198,7 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
     """There are paths, and numbers for each of their steps: a kernel would read past an end."""
     if not draws.size:
         raise ValueError("engine: the draws have no paths; at least one is needed.")
-    if isinstance(draws, Table):
+    if isinstance(draws, Stored):
         shapes = {
             "step_noise": (simulator.horizon, draws.size, simulator.noise_size),
             "initial_noise": (draws.size, simulator.initial_noise_size),

@@ -5,9 +5,10 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-from ..policy import Policy
-from ..simulator import Schedule, Simulator
-from ..smooth import Smooth
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Smooth
+
 from .base import Engine
 from .native import Native, unsupported
 from .xla import Xla

@@ -17,9 +17,10 @@ from jax.sharding import PartitionSpec as P
 from jax.typing import ArrayLike
 from jaxtyping import Array, PyTree
 
-from ..policy import Policy
-from ..scenarios import Counter, Draws
-from ..simulator import Schedule, Simulator
+from snapo.problem.noise import Counter, Draws
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
+
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked
 from .packing import Packing
 

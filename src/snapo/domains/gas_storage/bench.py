@@ -7,9 +7,10 @@ from pathlib import Path
 import jax
 import numpy as np
 
-from ...engine import Native, Xla
-from ...scenarios import Pseudo
-from ...smooth import Smooth
+from snapo.engine import Native, Xla
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.smooth import Smooth
+
 from .case import read_case
 from .run import make_problem, new_policy
 

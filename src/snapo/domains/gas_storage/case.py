@@ -5,15 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ...case import (
-    CaseError,
-    Section,
-    load,
-    parse,
-    read_evaluation,
-    read_objective,
-    read_training,
-)
+from snapo.case.error import CaseError
+from snapo.case.settings import read_evaluation, read_objective, read_training
+from snapo.case.table import Section, load, parse
+
 from .contract import decision_days, pays_by_price, read_contract
 from .feasibility import check_feasible
 from .limits import read_limits

@@ -5,17 +5,13 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...case import Given, Section
-from ...csvfile import Mention, read_rows
-from ...dated import dated, ordinals, single
+from snapo.case.csv import Mention, read_rows
+from snapo.case.dates import dated, ordinals, single
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .limits import Limits
-from .records import (
-    Contract,
-    EndRule,
-    LevelAtEnd,
-    PriceAtEnd,
-    ValueAtEnd,
-)
+from .records import Contract, EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
 from .settlement import payment_days
 from .tables import ContractTable
 

@@ -12,9 +12,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...policy import Policy
-from ...simulator import Schedule
-from ...smooth import Exact
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule
+from snapo.problem.smooth import Exact
+
 from . import prices
 from .observation import HEAD, Economics
 from .policy import GuidePolicy, MarginalValue, StoragePolicy

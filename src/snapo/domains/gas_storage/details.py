@@ -6,15 +6,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import certificate
-from ...adjoint import prepare
-from ...case import Given
-from ...evaluate import estimate, path_totals
-from ...inputs import Input
-from ...scenarios import Pseudo, Scenarios
-from ...smooth import Exact
-from ...solution import Solution
-from ...train import EVALUATE_STREAM
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo, Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver import certificate
+from snapo.solver.evaluate import estimate, path_totals
+from snapo.solver.solution import Solution
+from snapo.solver.train import EVALUATE_STREAM
+
 from .decisions import Triggers, decide, triggers
 from .expiry import fixed_costs_value
 from .intrinsic import Plan

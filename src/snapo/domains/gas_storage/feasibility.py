@@ -12,7 +12,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from ...case import CaseError
+from snapo.case.error import CaseError
+
 from .records import LevelAtEnd, StorageCase
 
 Interval = tuple[float, float]

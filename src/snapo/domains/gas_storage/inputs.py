@@ -3,8 +3,9 @@
 from collections.abc import Iterator
 from dataclasses import fields, is_dataclass
 
-from ...case import Given
-from ...inputs import Input
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+
 from .records import StorageCase
 
 

@@ -4,13 +4,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.domains.gas_storage.day_terms import (
-    Interpolation,
-    UnitPrices,
-    end_value,
-    unit_prices,
-)
-from snapo.domains.gas_storage.piecewise import Line, best_move, day_value, visited
+from .day_terms import Interpolation, UnitPrices, end_value, unit_prices
+from .piecewise import Line, best_move, day_value, visited
 
 
 class Plan(NamedTuple):

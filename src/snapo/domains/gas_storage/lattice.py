@@ -10,23 +10,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from snapo.domains.gas_storage.day_terms import (
-    Interpolation,
-    end_value,
-    rates,
-    unit_prices,
-    volume_scale,
-)
-from snapo.domains.gas_storage.factor_grid import FactorGrid, factor_grid
-from snapo.domains.gas_storage.lattice_day import (
-    Decisions,
-    Volumes,
-    decide,
-    follow,
-    free_volumes,
-    inventory_nodes,
-)
-from snapo.domains.gas_storage.piecewise import visited
+from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
+from .factor_grid import FactorGrid, factor_grid
+from .lattice_day import Decisions, Volumes, decide, follow, free_volumes, inventory_nodes
+from .piecewise import visited
 
 
 @dataclass(frozen=True, eq=False)

@@ -4,7 +4,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from snapo.domains.gas_storage.day_terms import (
+from .day_terms import (
     Interpolation,
     Moves,
     Rates,

@@ -6,9 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...case import Given, Section
-from ...csvfile import DAY, Mention, read_rows
-from ...dated import dated, ordinals
+from snapo.case.csv import DAY, Mention, read_rows
+from snapo.case.dates import dated, ordinals
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .ratchets import read_ratchets
 from .records import Ratchets
 from .tables import ContractTable

@@ -4,8 +4,8 @@ import numpy as np
 import scipy.sparse as sparse
 from scipy.optimize import linprog
 
-from snapo.domains.gas_storage.day_terms import Interpolation, rates, volume_scale
-from snapo.domains.gas_storage.intrinsic import Plan, forward_prices, plan
+from .day_terms import Interpolation, rates, volume_scale
+from .intrinsic import Plan, forward_prices, plan
 
 
 def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> Plan | None:

@@ -4,16 +4,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from snapo.domains.gas_storage.day_terms import (
-    Interpolation,
-    end_value,
-    rates,
-    unit_prices,
-)
-from snapo.domains.gas_storage.factor_grid import FactorGrid, factor_grid
-from snapo.domains.gas_storage.intrinsic import values_after
-from snapo.domains.gas_storage.lattice import relevant_factors
-from snapo.domains.gas_storage.lattice_day import decide, free_volumes
+from .day_terms import Interpolation, end_value, rates, unit_prices
+from .factor_grid import FactorGrid, factor_grid
+from .intrinsic import values_after
+from .lattice import relevant_factors
+from .lattice_day import decide, free_volumes
 
 # Inventory nodes of the dynamic program between two levels of the table.
 BETWEEN = 3

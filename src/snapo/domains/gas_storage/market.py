@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...case import CaseError, Given, Section
-from ...csvfile import DAY, MONTH, Mention, Row, read_rows
-from ...dated import ordinals, rising_dates
+from snapo.case.csv import DAY, MONTH, Mention, Row, read_rows
+from snapo.case.dates import ordinals, rising_dates
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .records import Market
 from .settlement import payment_days
 from .tables import MarketTable

@@ -7,9 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ...case import CaseError, Given, Section, Unquoted, parse
-from ...csvfile import Mention, read_array
-from ...dated import dated, single
+from snapo.case.csv import Mention, read_array
+from snapo.case.dates import dated, single
+from snapo.case.error import CaseError, Unquoted
+from snapo.case.given import Given
+from snapo.case.table import Section, parse
+
 from .records import FactorModel, Model, SeasonalModel, SuppliedModel
 from .tables import (
     MODELS,

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.domains.gas_storage.day_terms import (
+from .day_terms import (
     Interpolation,
     Rates,
     UnitPrices,

@@ -13,7 +13,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...policy import Network, Policy
+from snapo.problem.policy import Network, Policy
+
 from .observation import HEAD, Economics
 
 CORRECTION = 0.1  # of the mean price: the network's numbers are of order one

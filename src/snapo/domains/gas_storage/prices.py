@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...case import Given
+from snapo.case.given import Given
+
 from .records import FactorModel, SeasonalModel, StorageCase, SuppliedModel
 
 YEAR = 365.0

@@ -5,9 +5,12 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...case import CaseError, Given, Section
-from ...csvfile import Mention, Row, read_rows
-from ...dated import dated, ordinals, single
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.dates import dated, ordinals, single
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .records import Ratchets
 from .tables import ContractTable
 

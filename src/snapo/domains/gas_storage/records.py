@@ -13,7 +13,8 @@ from typing import Literal
 
 import numpy as np
 
-from ...case import Evaluation, Given, Objective, Training
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 
 @dataclass(frozen=True, eq=False)
@@ -215,9 +216,9 @@ class StorageCase:
     contract: Contract
     market: Market
     model: Model
-    objective: Objective
-    training: Training
-    evaluation: Evaluation
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
     notes: tuple[str, ...] = ()
 
     kind = "gas-storage"

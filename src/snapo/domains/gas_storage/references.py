@@ -14,25 +14,17 @@ import jax
 import numpy as np
 from scipy.special import ndtr
 
-from snapo.domains.gas_storage.day_terms import (
-    Interpolation,
-    end_value,
-    rates,
-    unit_prices,
-    volume_scale,
-)
-from snapo.domains.gas_storage.intrinsic import Plan as Plan
-from snapo.domains.gas_storage.intrinsic import intrinsic as intrinsic
-from snapo.domains.gas_storage.lattice import LatticeResult as LatticeResult
-from snapo.domains.gas_storage.lattice import lattice as lattice
-from snapo.domains.gas_storage.lattice import relevant_factors as relevant_factors
-from snapo.domains.gas_storage.lattice_day import decide, free_volumes, inventory_nodes
-from snapo.domains.gas_storage.linear_program import (
-    intrinsic_by_linear_program as intrinsic_by_linear_program,
-)
-from snapo.domains.gas_storage.marginal import MarginalValues as MarginalValues
-from snapo.domains.gas_storage.marginal import marginal_values as marginal_values
-from snapo.domains.gas_storage.piecewise import visited
+from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
+from .intrinsic import Plan as Plan
+from .intrinsic import intrinsic as intrinsic
+from .lattice import LatticeResult as LatticeResult
+from .lattice import lattice as lattice
+from .lattice import relevant_factors as relevant_factors
+from .lattice_day import decide, free_volumes, inventory_nodes
+from .linear_program import intrinsic_by_linear_program as intrinsic_by_linear_program
+from .marginal import MarginalValues as MarginalValues
+from .marginal import marginal_values as marginal_values
+from .piecewise import visited
 
 
 def numpy_schedule(schedule):

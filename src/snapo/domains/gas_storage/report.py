@@ -4,11 +4,12 @@ from pathlib import Path
 
 import numpy as np
 
-from ...report import charts
-from ...report.drawing import draw_alone
-from ...report.page import Page, render
-from ...report.quantity import array, decimals, finite, long_date
-from ...report.theme import LIGHT
+from snapo.report import charts
+from snapo.report.drawing import draw_alone
+from snapo.report.page import Page, render
+from snapo.report.quantity import array, decimals, finite, long_date
+from snapo.report.theme import LIGHT
+
 from .sections import evidence, headline, position, risk, today, value
 from .sections.run import Run
 

@@ -9,19 +9,29 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ... import solver
-from ...adjoint import prepare
-from ...engine import Engines, choose
-from ...inputs import Input
-from ...objective import Mean
-from ...objective import Objective as CoreObjective
-from ...objective_table import make_objective
-from ...runfolder import DETAILS, Pages, Task, check_folder, copy_case, solve_into, write_run
-from ...scenarios import Pseudo, Scenarios, Supplied
-from ...sensitivity import sensitivities
-from ...simulator import Schedule, probe
-from ...solution import RESULT, Solution, write_text
-from ...train import EVALUATE_STREAM, Training
+from snapo.case.settings import make_objective
+from snapo.engine import Engines, choose
+from snapo.problem.inputs import Input
+from snapo.problem.objective import Mean
+from snapo.problem.objective import Objective as CoreObjective
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo, Scenarios, Supplied
+from snapo.problem.simulator import Schedule, probe
+from snapo.solver import solve as solver
+from snapo.solver.files import write_text
+from snapo.solver.sensitivity import sensitivities
+from snapo.solver.solution import RESULT, Solution
+from snapo.solver.train import EVALUATE_STREAM, Training
+from snapo.study.run_folder import (
+    DETAILS,
+    Pages,
+    Task,
+    check_folder,
+    copy_case,
+    solve_into,
+    write_run,
+)
+
 from . import references
 from .details import details, profile_rows
 from .expiry import value_without_decisions

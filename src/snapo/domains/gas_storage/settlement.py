@@ -6,9 +6,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...case import CaseError, Section
-from ...csvfile import Mention, read_rows
-from ...dated import ordinals
+from snapo.case.csv import Mention, read_rows
+from snapo.case.dates import ordinals
+from snapo.case.error import CaseError
+from snapo.case.table import Section
+
 from .tables import AfterDays, MonthsAfter, OnDate, Settlement
 
 

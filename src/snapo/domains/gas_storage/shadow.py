@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING, Any
 import equinox as eqx
 import numpy as np
 
-from ...adjoint import prepare
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...smooth import Exact
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.smooth import Exact
+
 from .records import SuppliedModel
 
 if TYPE_CHECKING:

@@ -16,8 +16,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...simulator import Box, Schedule, Simulator
-from ...smooth import Exact
+from snapo.problem.actions import Box
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
 from . import prices
 from .guide import Guide
 from .observation import curve_ahead, observation

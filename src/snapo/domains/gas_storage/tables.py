@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from ...case import Table
+from snapo.case.table import Table
 
 
 def _plain_day(value: Any) -> Any:

@@ -17,12 +17,13 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...adjoint import prepare
-from ...evaluate import path_totals
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...simulator import Schedule
-from ...smooth import Exact
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Schedule
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+
 from .books import LEAST, balance
 from .records import PensionCase
 from .simulator import Happened, PensionSimulator

@@ -8,8 +8,10 @@ from typing import Any
 import jax
 import numpy as np
 
-from ...adjoint import adjoint_jacobian, prepare
-from ...inputs import Input, plain
+from snapo.problem.inputs import Input, plain
+from snapo.problem.prepare import prepare
+from snapo.solver.adjoint import adjoint_jacobian
+
 from .books import balance, opening
 from .curve import log_bond
 from .inputs import pension_inputs, use

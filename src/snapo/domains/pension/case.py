@@ -6,17 +6,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any, TypeVar
 
-from ...case import (
-    CaseError,
-    Section,
-    Table,
-    load,
-    nearest,
-    parse,
-    read_evaluation,
-    read_objective,
-    read_training,
-)
+from snapo.case.error import CaseError
+from snapo.case.settings import read_evaluation, read_objective, read_training
+from snapo.case.table import Section, Table, load, nearest, parse
+
 from . import case_assets, case_curve, case_people, case_plan, tables
 from .case_assets import Grid
 from .case_correlation import correlated, read_correlations

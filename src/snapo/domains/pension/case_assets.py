@@ -6,8 +6,11 @@ from typing import NamedTuple, cast
 
 import numpy as np
 
-from ...case import Given, Section, Unquoted
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import Unquoted
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .case_curve import SQUARE_ROOT, YEARLY
 from .cells import (
     Pieces,

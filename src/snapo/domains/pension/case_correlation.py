@@ -4,8 +4,10 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...case import Section, Unquoted
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import Unquoted
+from snapo.case.table import Section
+
 from .cells import empty, listed, unique
 from .correlation import check_correlation, nearest
 from .records import Assets, Correlation, Credit, Currencies, RateModel

@@ -2,9 +2,21 @@
 
 import numpy as np
 
-from ...case import Given, Section
-from ...csvfile import Mention, Row, read_rows
-from .cells import Pieces, alone, empty, listed, rising, side_by_side, single, stepwise, years
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from .cells import (
+    Pieces,
+    alone,
+    empty,
+    listed,
+    rising,
+    side_by_side,
+    single,
+    stepwise,
+    years,
+)
 from .records import Curve, Inflation, RateModel
 from .tables import CurveTable, InflationTable, RatesTable
 

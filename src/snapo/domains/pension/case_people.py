@@ -4,8 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ...case import Given, Section, Unquoted
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import Unquoted
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from .case_assets import WHOLE, Grid
 from .case_curve import SQUARE_ROOT, YEARLY
 from .cells import empty, listed, number, single, unique, word, years

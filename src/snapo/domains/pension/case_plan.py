@@ -5,7 +5,9 @@ A number that the rule of a case does not look at is no input: its `Given` stays
 
 from collections.abc import Iterable
 
-from ...case import Given, Section, Table
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+
 from .cells import empty, single
 from .records import Frontier
 from .records_people import Contribution, Indexation, Liability, Plan, Reconcile

@@ -5,8 +5,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...case import CaseError, Section, Unquoted, show
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError, Unquoted, show
+from snapo.case.table import Section
+
 from .case_assets import Grid
 from .records import SuppliedScenarios
 from .tables import ScenariosTable

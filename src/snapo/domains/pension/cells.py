@@ -6,8 +6,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...case import CaseError, Given, Section, nearest
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, nearest
 
 NEVER = 1e-9  # of a year: two times closer than this are one
 

@@ -9,8 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...policy import Policy
-from ...smooth import Exact
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
+
 from .observation import RATIO, slots
 from .policy import Limits, present
 from .records import PensionCase

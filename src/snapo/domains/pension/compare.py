@@ -7,13 +7,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
 
 import numpy as np
 
-from ...evaluate import path_totals
-from ...objective import CRRA, ExpectedUtility, Objective, Totals
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...smooth import Exact
-from ...solution import Solution
-from ...train import begin, train
+from snapo.problem.objective import CRRA, ExpectedUtility, Objective, Totals
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+from snapo.solver.solution import Solution
+from snapo.solver.train import begin, train
+
 from .classical import ConstantMix, followers
 
 if TYPE_CHECKING:

@@ -7,13 +7,14 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...adjoint import prepare
-from ...evaluate import path_totals
-from ...inputs import plain
-from ...policy import Policy
-from ...scenarios import Pseudo, Scenarios
-from ...smooth import Exact
-from ...train import EVALUATE_STREAM
+from snapo.problem.inputs import plain
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo, Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+from snapo.solver.train import EVALUATE_STREAM
+
 from .cells import empty
 from .curve import log_bond
 from .liability import nodes

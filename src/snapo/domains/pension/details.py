@@ -6,10 +6,11 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ... import certificate
-from ...inputs import plain
-from ...scenarios import Scenarios
-from ...solution import Solution
+from snapo.problem.inputs import plain
+from snapo.problem.scenarios import Scenarios
+from snapo.solver import certificate
+from snapo.solver.solution import Solution
+
 from . import balance, paths, stress
 from .attribution import attribution
 from .compare import equivalent

@@ -4,9 +4,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...inputs import plain
-from ...sensitivity import Sensitivities
-from ...solution import Solution
+from snapo.problem.inputs import plain
+from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.solution import Solution
+
 from . import units
 from .compare import equivalent
 from .longer_life import longer_life

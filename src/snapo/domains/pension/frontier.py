@@ -11,13 +11,14 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...evaluate import estimate, path_totals
-from ...objective import CVaR, Mean, Objective
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...smooth import Exact
-from ...solution import Solution
-from ...train import begin, train
+from snapo.problem.objective import CVaR, Mean, Objective
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import estimate, path_totals
+from snapo.solver.solution import Solution
+from snapo.solver.train import begin, train
+
 from .records import Frontier
 
 if TYPE_CHECKING:

@@ -7,8 +7,9 @@ from typing import Any
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from ...case import Given
-from ...inputs import Input
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+
 from .records import PensionCase
 
 

@@ -5,11 +5,12 @@ from typing import Any
 
 import numpy as np
 
-from ...engine import Engine
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...simulator import Schedule
-from ...smooth import Exact
+from snapo.engine import Engine
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Schedule
+from snapo.problem.smooth import Exact
+
 from .records import PensionCase
 from .simulator import PensionSimulator
 

@@ -7,7 +7,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array
 
-from ...smooth import Constraints
+from snapo.problem.smooth import Constraints
+
 from .inputs import use
 from .records import PensionCase
 from .records_people import Plan

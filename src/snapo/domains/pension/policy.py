@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...inputs import Frozen
-from ...policy import Network, Policy
-from ...simulator import Schedule, Simulator, probe
+from snapo.problem.inputs import Frozen
+from snapo.problem.policy import Network, Policy
+from snapo.problem.simulator import Schedule, Simulator, probe
+
 from .balance import limit_unit
 from .records import PensionCase
 from .trading import SHARE

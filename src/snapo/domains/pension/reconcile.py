@@ -8,7 +8,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...adjoint import adjoint_gradient
+from snapo.solver.adjoint import adjoint_gradient
+
 from .cash_flows import horizon, project
 from .liability import paid_at, people
 from .records import Curve, PensionCase

@@ -14,8 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...case import Evaluation, Given, Training
-from ...case import Objective as ObjectiveTable
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
 from .records_people import CashFlows, LeeCarter, Liability, Members, Mortality, Plan, Reconcile
 
 
@@ -300,8 +301,8 @@ class PensionCase:
     observation: tuple[str, ...]
     hidden: tuple[int, ...]
     objective: tuple[ObjectiveTerm, ...]
-    training: Training
-    evaluation: Evaluation
+    training: TrainingTable
+    evaluation: EvaluationTable
     frontier: Frontier | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()

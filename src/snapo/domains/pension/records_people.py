@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...case import Given
+from snapo.case.given import Given
 
 MALE, FEMALE = 0, 1
 ACTIVE, DEFERRED, PENSIONER, SPOUSE = 0, 1, 2, 3

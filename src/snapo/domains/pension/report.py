@@ -2,8 +2,9 @@
 
 from pathlib import Path
 
-from ...report.page import Page, render
-from ...report.quantity import long_date, number
+from snapo.report.page import Page, render
+from snapo.report.quantity import long_date, number
+
 from .sections import decisions, evidence, frontier, outcome, reconciliation, risk
 from .sections.run import Run
 

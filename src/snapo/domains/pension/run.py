@@ -8,19 +8,20 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ... import solver
-from ...adjoint import prepare
-from ...case import CaseError
-from ...engine import Engines, choose
-from ...inputs import Input, plain
-from ...objective import Objective, Weighted
-from ...objective_table import make_objective
-from ...policy import Policy
-from ...runfolder import Pages, Task, check_folder, copy_case, solve_into, write_run
-from ...scenarios import Scenarios, Supplied
-from ...simulator import Schedule
-from ...solution import Solution
-from ...train import Training
+from snapo.case.error import CaseError
+from snapo.case.settings import make_objective
+from snapo.engine import Engines, choose
+from snapo.problem.inputs import Input, plain
+from snapo.problem.objective import Objective, Weighted
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios, Supplied
+from snapo.problem.simulator import Schedule
+from snapo.solver import solve as solver
+from snapo.solver.solution import Solution
+from snapo.solver.train import Training
+from snapo.study.run_folder import Pages, Task, check_folder, copy_case, solve_into, write_run
+
 from .compare import compare
 from .details import details, profile_rows
 from .inputs import pension_inputs

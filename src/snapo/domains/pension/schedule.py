@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...simulator import Schedule
+from snapo.problem.simulator import Schedule
+
 from .curve import log_bond
 from .inputs import use
 from .liability import People, nodes, people

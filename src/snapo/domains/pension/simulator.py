@@ -13,7 +13,9 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...simulator import Box, Schedule, Simulator
+from snapo.problem.actions import Box
+from snapo.problem.simulator import Schedule, Simulator
+
 from .books import LEAST, Balance, State, balance, opening
 from .market import Move, move, noise_size
 from .observation import observe

@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ...adjoint import prepare
-from ...evaluate import path_totals
-from ...inputs import Input
-from ...policy import Policy
-from ...scenarios import Scenarios
-from ...smooth import Exact
+from snapo.problem.inputs import Input
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+
 from .inputs import every_given
 
 if TYPE_CHECKING:

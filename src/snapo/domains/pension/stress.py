@@ -11,8 +11,9 @@ from typing import Any
 
 import numpy as np
 
-from ...case import Section, load, nearest, parse
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.table import Section, load, nearest, parse
+
 from .cells import word
 from .inputs import every_given
 from .records import Curve, PensionCase

@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...inputs import Input
+from snapo.problem.inputs import Input
 
 BASIS_POINT, POINT = 1e-4, 0.01
 

@@ -5,7 +5,10 @@ from typing import Any
 
 import numpy as np
 
-from ...case import CaseError, Section, load, parse, read_evaluation, read_training
+from snapo.case.error import CaseError
+from snapo.case.settings import read_evaluation, read_training
+from snapo.case.table import Section, load, parse
+
 from .draws import process_entries
 from .flowsheet import ancestors, in_order, read_connections
 from .inputs import every_given
@@ -14,7 +17,13 @@ from .read_control import read_control, read_design_space, read_goal
 from .read_estimation import read_estimation
 from .read_network import read_feeds, read_network
 from .read_optimise import read_optimise
-from .read_quality import Numbers, every_measure, read_attributes, read_parameters, read_uncertainty
+from .read_quality import (
+    Numbers,
+    every_measure,
+    read_attributes,
+    read_parameters,
+    read_uncertainty,
+)
 from .read_units import read_units
 from .records import Numerics, PharmaCase
 from .records_units import Crystalliser, Dryer, Feed, Profile, Reactor, Timed, TrayDryer, Unit

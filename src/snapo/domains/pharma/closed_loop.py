@@ -12,16 +12,17 @@ from typing import Any
 import jax
 import numpy as np
 
-from ... import solver
-from ...adjoint import prepare
-from ...engine import Engines, choose
-from ...evaluate import path_totals
-from ...objective import CVaR, Mean, Objective
-from ...runfolder import Task, Tell, solve_into
-from ...simulator import Schedule
-from ...smooth import Exact
-from ...train import Training, begin
-from ...train import train as climb
+from snapo.engine import Engines, choose
+from snapo.problem.objective import CVaR, Mean, Objective
+from snapo.problem.prepare import prepare
+from snapo.problem.simulator import Schedule
+from snapo.problem.smooth import Exact
+from snapo.solver import solve as solver
+from snapo.solver.evaluate import path_totals
+from snapo.solver.train import Training, begin
+from snapo.solver.train import train as climb
+from snapo.study.run_folder import Task, Tell, solve_into
+
 from .policy import Feedback
 from .process import Process
 from .records import Goal, PharmaCase

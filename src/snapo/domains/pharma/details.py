@@ -5,7 +5,15 @@ from typing import Any
 
 import numpy as np
 
-from . import attribution, batches, design_space, estimation, optimise, ranges, sensitivities
+from . import (
+    attribution,
+    batches,
+    design_space,
+    estimation,
+    optimise,
+    ranges,
+    sensitivities,
+)
 from .balances import balances
 from .capability import Capability
 from .certify import certify

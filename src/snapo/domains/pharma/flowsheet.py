@@ -2,7 +2,9 @@
 
 from collections.abc import Sequence
 
-from ...case import CaseError, Section, parse
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
 from .ports import inlets, outlets
 from .read_numbers import suggest
 from .records import Connection

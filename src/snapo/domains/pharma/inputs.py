@@ -8,8 +8,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ...case import Given
-from ...inputs import Input
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+
 from .records import PharmaCase
 
 

@@ -5,7 +5,8 @@ from typing import Literal, NamedTuple
 import jax
 import numpy as np
 
-from ...adjoint import adjoint_jacobian
+from snapo.solver.adjoint import adjoint_jacobian
+
 from .process import Entry, Process
 
 # One adjoint pass in forward tangents, both beside the run that they share: measured on the process

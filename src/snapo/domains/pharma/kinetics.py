@@ -5,7 +5,8 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
-from ...case import Given
+from snapo.case.given import Given
+
 from .inputs import use
 from .records_units import Kinetics
 

@@ -7,7 +7,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...adjoint import adjoint_jacobian
+from snapo.solver.adjoint import adjoint_jacobian
+
 from .flow import leaving, sources, yields
 from .inputs import every_given
 from .mixing import feed

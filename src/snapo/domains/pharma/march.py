@@ -15,11 +15,13 @@ import numpy as np
 from jax.extend import core as jex
 from jaxtyping import Float
 
-from ...engine import Native
-from ...policy import Constant
-from ...scenarios import Pseudo
-from ...simulator import Box, Schedule, Simulator
-from ...smooth import Exact
+from snapo.engine import Native
+from snapo.problem.actions import Box
+from snapo.problem.policy import Constant
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
 from .dynamics import Dynamics
 from .flow import flow, problem_of
 from .mesh import break_up, edges_of, local_points, steps_per_piece

@@ -14,7 +14,7 @@ import jax.numpy as jnp
 import numpy as np
 from scipy.optimize import lsq_linear, minimize
 
-from ...adjoint import adjoint_jacobian
+from snapo.solver.adjoint import adjoint_jacobian
 
 TOLERANCE = 1e-6  # of the first-order conditions
 ACTIVE = 1e-7  # a bound or inequality closer than this counts as active

@@ -6,8 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...inputs import Frozen
-from ...policy import Network, Policy
+from snapo.problem.inputs import Frozen
+from snapo.problem.policy import Network, Policy
 
 EDGE = 1e-4  # actions at a bound begin this far inside, where a logit is finite
 

@@ -11,8 +11,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...adjoint import adjoint_jacobian
-from ...engine import Unsupported
+from snapo.engine import Unsupported
+from snapo.solver.adjoint import adjoint_jacobian
+
 from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches

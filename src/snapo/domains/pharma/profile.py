@@ -6,7 +6,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
 
-from ...case import Given
+from snapo.case.given import Given
+
 from .inputs import fixed
 from .records import PharmaCase
 from .records_units import Profile

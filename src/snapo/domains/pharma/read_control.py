@@ -3,7 +3,9 @@
 from collections.abc import Sequence
 from typing import Any
 
-from ...case import CaseError, Section, parse
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
 from .ports import states
 from .read_numbers import NOT_NEGATIVE, POSITIVE, quantity, suggest
 from .read_quality import Numbers

@@ -4,7 +4,9 @@ import math
 
 import numpy as np
 
-from ...case import Given, Section
+from snapo.case.given import Given
+from snapo.case.table import Section
+
 from . import tables_units as tables
 from .read_numbers import NOT_NEGATIVE, POSITIVE, absent, quantity, several, suggest
 from .read_table import Reader

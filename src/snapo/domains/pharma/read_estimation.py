@@ -5,8 +5,10 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from ...case import CaseError, Section, parse
-from ...csvfile import Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
 from .ports import states
 from .read_numbers import NOT_NEGATIVE, POSITIVE, quantity, suggest
 from .read_quality import Numbers

@@ -5,15 +5,11 @@ from typing import Any
 
 import numpy as np
 
-from ...case import CaseError, Given, Section, parse
-from .read_numbers import (
-    NOT_NEGATIVE,
-    POSITIVE,
-    absent,
-    quantity,
-    single,
-    suggest,
-)
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, parse
+
+from .read_numbers import NOT_NEGATIVE, POSITIVE, absent, quantity, single, suggest
 from .records import Network
 from .records_units import Feed
 from .tables import FeedTable, ReactionTable, SpeciesTable

@@ -6,7 +6,10 @@ from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
-from ...case import CaseError, Given, Section, nearest, parse
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, nearest, parse
+
 from .records_units import Profile
 from .tables import ProfileTable
 from .units_of_measure import PURE, UnitError, conversion, split

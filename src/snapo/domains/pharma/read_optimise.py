@@ -3,7 +3,8 @@
 from collections.abc import Mapping
 from typing import Any
 
-from ...case import Section, parse
+from snapo.case.table import Section, parse
+
 from .read_numbers import quantity, suggest, unit_of
 from .read_quality import Numbers
 from .records_optimise import Decision, Optimise, Term

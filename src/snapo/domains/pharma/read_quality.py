@@ -6,7 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ...case import CaseError, Given, Section, parse
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, parse
+
 from .draws import Entry
 from .ports import measures
 from .read_numbers import ANY, POSITIVE, quantity, suggest, unit_of

@@ -2,7 +2,9 @@
 
 from typing import Any, NamedTuple
 
-from ...case import Given, Section, Table, parse
+from snapo.case.given import Given
+from snapo.case.table import Section, Table, parse
+
 from .read_numbers import ANY, POSITIVE, Bounds, profile, quantity, single
 from .records_units import Profile
 

@@ -5,18 +5,13 @@ from typing import Any
 
 import numpy as np
 
-from ...case import Given, Section, Table, parse
+from snapo.case.given import Given
+from snapo.case.table import Section, Table, parse
+
 from . import tables_units as tables
 from .read_crystalliser import read_crystalliser
 from .read_network import check_name
-from .read_numbers import (
-    INSIDE,
-    NOT_NEGATIVE,
-    POSITIVE,
-    SHARE,
-    several,
-    suggest,
-)
+from .read_numbers import INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, several, suggest
 from .read_table import Reader
 from .records_units import (
     Dissolution,

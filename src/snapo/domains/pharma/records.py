@@ -14,7 +14,9 @@ from typing import Literal
 
 import numpy as np
 
-from ...case import Evaluation, Given, Training
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, TrainingTable
+
 from .records_optimise import Optimise
 from .records_units import Feed, Unit
 
@@ -297,8 +299,8 @@ class PharmaCase:
     pairs: tuple[tuple[str, str], ...]
     held: frozenset[str]
     numerics: Numerics
-    training: Training
-    evaluation: Evaluation
+    training: TrainingTable
+    evaluation: EvaluationTable
     assumptions: tuple[str, ...]
     notes: tuple[str, ...]
     optimise: Optimise | None = None

@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from ...case import Given
+from snapo.case.given import Given
 
 
 @dataclass(frozen=True, eq=False)

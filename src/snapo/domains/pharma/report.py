@@ -2,7 +2,8 @@
 
 from pathlib import Path
 
-from ...report.page import Page, render
+from snapo.report.page import Page, render
+
 from .sections import (
     assumptions,
     batch,

@@ -8,8 +8,11 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
-from ...runfolder import check_folder, copy_case, plain_json
-from ...solution import RESULT, versions, write_csv, write_text
+from snapo.solver.files import write_csv, write_text
+from snapo.solver.solution import RESULT
+from snapo.solver.versions import versions
+from snapo.study.run_folder import check_folder, copy_case, plain_json
+
 from . import details
 from .capability import Capability, capability
 from .closed_loop import train

@@ -6,10 +6,11 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ...adjoint import prepare
-from ...chain import Chain
-from ...inputs import Input
-from ...simulator import Simulator, probe
+from snapo.problem.chain import Chain
+from snapo.problem.inputs import Input
+from snapo.problem.prepare import prepare
+from snapo.problem.simulator import Simulator, probe
+
 from .inputs import pharma_inputs
 from .policy import Feedback
 from .profile import profiles_of

@@ -15,7 +15,9 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from ...simulator import Box, Schedule, Simulator
+from snapo.problem.actions import Box
+from snapo.problem.simulator import Schedule, Simulator
+
 from .dynamics import Dynamics, Finish
 from .flow import asked, sources, yields
 from .mixing import feed

@@ -4,7 +4,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from ...case import Table
+from snapo.case.table import Table
+
 from .tables import Text, Texts, profile, quantity, word
 
 NUMBER = "a number, such as 1.32"

@@ -10,9 +10,10 @@ import jax
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
-from ...policy import Policy
-from ...scenarios import Counter, Draws
-from ...simulator import Schedule, Simulator
+from snapo.problem.noise import Counter, Draws
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
+
 from ..base import Adjoint, Clip, Engine, Rollout, Window, checked
 from . import compiler, rollout
 from .body import ACCIDENTS

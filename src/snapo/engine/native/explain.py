@@ -5,10 +5,11 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
-from ...policy import MLP, Policy
-from ...scenarios import Pseudo
-from ...simulator import Schedule, Simulator
-from ...smooth import Smooth
+from snapo.problem.policy import MLP, Policy
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Smooth
+
 from ..base import Window
 from . import compiler
 from .engine import Native, _Call
@@ -53,7 +54,7 @@ def explain(
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
     the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.
     """
-    from ...simulator import probe
+    from snapo.problem.simulator import probe
 
     schedule = simulator.prepare(None) if schedule is None else schedule
     if policy is None:

@@ -1,4 +1,4 @@
-"""Normals drawn inside the kernel: the words and the inverse normal of `snapo.scenarios`.
+"""Normals drawn inside the kernel: the words and the inverse normal of `snapo.problem.noise`.
 
 Threefry-2x32 with 20 rounds (Salmon, Moraes, Dror and Shaw, "Parallel random numbers: as easy as
 1, 2, 3", SC 2011) and Wichura's AS241. The words are bit-identical to those of `scenarios`.
@@ -6,7 +6,8 @@ Threefry-2x32 with 20 rounds (Salmon, Moraes, Dror and Shaw, "Parallel random nu
 
 import numpy as np
 
-from ...scenarios import _PPND7, _PPND16
+from snapo.problem.noise import _PPND7, _PPND16
+
 from .code import Code, Module, Ref
 from .math import Curve
 

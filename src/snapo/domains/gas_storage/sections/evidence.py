@@ -1,9 +1,10 @@
 """Why to believe the number: training history, certificate, assumptions and versions."""
 
-from ....report import evidence
-from ....report.evidence import checks as checks
-from ....report.page import Block, Facts, Missing, Section, Table, Text
-from ....report.quantity import decimals, finite, long_date, number, percent, power
+from snapo.report import evidence
+from snapo.report.evidence import checks as checks
+from snapo.report.page import Block, Facts, Missing, Section, Table, Text
+from snapo.report.quantity import decimals, finite, long_date, number, percent, power
+
 from .run import Run
 
 

@@ -1,7 +1,8 @@
 """The first screen: what the contract is worth and what to do today."""
 
-from ....report.page import Block, Facts, Headline, Mark, Missing, Section
-from ....report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
+from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
+from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
+
 from .evidence import checks
 from .run import Run
 

@@ -3,11 +3,11 @@ inventory, deltas by month and by day."""
 
 import numpy as np
 
-from ....report import charts
-from ....report.axes import days as date_numbers
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section, Table
-from ....report.quantity import (
+from snapo.report import charts
+from snapo.report.axes import days as date_numbers
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section, Table
+from snapo.report.quantity import (
     SPACE,
     array,
     decimals,
@@ -17,6 +17,7 @@ from ....report.quantity import (
     plus_minus,
     quantity,
 )
+
 from .run import Run
 
 SIGN = (

@@ -5,8 +5,9 @@ from collections import Counter, defaultdict
 
 import numpy as np
 
-from ....report.page import Block, Missing, Section, Slider, Sliders, Table
-from ....report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
+from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+
 from .run import Run, Sensitivity
 
 CURVE = "forward_curve"

@@ -3,9 +3,9 @@
 from dataclasses import dataclass
 from typing import Any
 
-from ....report.folder import Folder
-from ....report.folder import Sensitivity as Sensitivity
-from ....report.quantity import quantity
+from snapo.report.folder import Folder
+from snapo.report.folder import Sensitivity as Sensitivity
+from snapo.report.quantity import quantity
 
 
 @dataclass(frozen=True)

@@ -2,10 +2,11 @@
 
 import math
 
-from ....report import charts
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section, Table
-from ....report.quantity import array, finite, number, quantity
+from snapo.report import charts
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section, Table
+from snapo.report.quantity import array, finite, number, quantity
+
 from .run import Run
 
 LADDER_KEYS = ("inventory", "inject_below", "withdraw_above")

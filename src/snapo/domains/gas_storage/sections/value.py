@@ -1,9 +1,10 @@
 """What the contract is worth: the value ladder and the distribution of the total cash flow."""
 
-from ....report import charts
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Facts, Missing, Section, Table, Text
-from ....report.quantity import SPACE, decimals, finite, number, plus_minus
+from snapo.report import charts
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Facts, Missing, Section, Table, Text
+from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
+
 from .run import Run
 
 

@@ -4,10 +4,11 @@ from itertools import pairwise
 
 import numpy as np
 
-from ....report.bands import Layer, heat, scatter, stack
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Facts, Missing, Section, Table, Text
-from ....report.quantity import finite, number, plus_minus
+from snapo.report.bands import Layer, heat, scatter, stack
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Facts, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, plus_minus
+
 from .run import Run, points, share
 
 BREACHES = (("collateral", "Collateral falls short"), ("weights", "Weights leave their bounds"))

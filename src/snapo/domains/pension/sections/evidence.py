@@ -1,8 +1,9 @@
 """Why to believe the numbers: training history, certificate, assumptions and versions."""
 
-from ....report import evidence
-from ....report.page import Block, Facts, Missing, Section, Table, Text
-from ....report.quantity import finite, number
+from snapo.report import evidence
+from snapo.report.page import Block, Facts, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number
+
 from ..units import name_of
 from .run import Run
 

@@ -5,11 +5,12 @@ from collections.abc import Sequence
 import numpy as np
 from matplotlib.axes import Axes
 
-from ....report.axes import number_axis
-from ....report.drawing import draw, unit_above
-from ....report.page import Chart, Missing, Section, Table, Text
-from ....report.quantity import finite, number, plus_minus
-from ....report.theme import LIGHT
+from snapo.report.axes import number_axis
+from snapo.report.drawing import draw, unit_above
+from snapo.report.page import Chart, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, plus_minus
+from snapo.report.theme import LIGHT
+
 from .run import Run, points, share
 
 CAPTION = (

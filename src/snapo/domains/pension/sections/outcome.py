@@ -4,10 +4,11 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from ....report.bands import Swing, quantile_fan, tornado
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section, Table, Text
-from ....report.quantity import number
+from snapo.report.bands import Swing, quantile_fan, tornado
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section, Table, Text
+from snapo.report.quantity import number
+
 from .run import Run, points, share
 
 QUANTILES = ("p01", "p05", "p25", "p50", "p75", "p95", "p99")

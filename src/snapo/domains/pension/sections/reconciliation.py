@@ -2,20 +2,11 @@
 
 import numpy as np
 
-from ....report.bands import Layer, stack
-from ....report.drawing import draw
-from ....report.page import (
-    Block,
-    Chart,
-    Facts,
-    Headline,
-    Mark,
-    Missing,
-    Section,
-    Table,
-    Text,
-)
-from ....report.quantity import finite, number, plus_minus, power
+from snapo.report.bands import Layer, stack
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, plus_minus, power
+
 from .evidence import checks
 from .run import Run, points, share
 

@@ -2,10 +2,11 @@
 
 import numpy as np
 
-from ....report.bands import Bars, Swing, grouped, tornado
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section, Table, Text
-from ....report.quantity import decimals, finite, number, plus_minus
+from snapo.report.bands import Bars, Swing, grouped, tornado
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section, Table, Text
+from snapo.report.quantity import decimals, finite, number, plus_minus
+
 from ..units import meaning, name_of
 from .run import Run
 

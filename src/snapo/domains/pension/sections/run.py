@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ....report.folder import Folder
-from ....report.quantity import NONE, SPACE, finite, money, number, percent
+from snapo.report.folder import Folder
+from snapo.report.quantity import NONE, SPACE, finite, money, number, percent
 
 SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))
 

@@ -1,7 +1,8 @@
 """Assumptions, notes, timings, versions and hashes: how to get this report again."""
 
-from ....report.page import Block, Facts, Missing, Section, Table, Text
-from ....report.quantity import number, seconds
+from snapo.report.page import Block, Facts, Missing, Section, Table, Text
+from snapo.report.quantity import number, seconds
+
 from .run import Run
 
 

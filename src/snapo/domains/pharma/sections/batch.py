@@ -4,8 +4,9 @@ from typing import Any
 
 import numpy as np
 
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section
+
 from . import pictures
 from .run import Run
 

@@ -1,7 +1,8 @@
 """The first screen: the chance that a batch keeps all limits, and every attribute's value."""
 
-from ....report.page import Block, Facts, Headline, Mark, Missing, Section, Table
-from ....report.quantity import finite, number, percent, plus_minus, quantity
+from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table
+from snapo.report.quantity import finite, number, percent, plus_minus, quantity
+
 from .run import Run, limits
 from .verification import checks
 

@@ -1,6 +1,7 @@
 """Purpose, model and numbers, as a reader who must judge them needs them."""
 
-from ....report.page import Block, Missing, Section, Table, Text
+from snapo.report.page import Block, Missing, Section, Table, Text
+
 from .run import Run
 
 SYMBOLS = (

@@ -2,8 +2,8 @@
 
 from typing import Any
 
-from ....report.page import Block, Facts, Mark, Missing, Section, Table, Text
-from ....report.quantity import (
+from snapo.report.page import Block, Facts, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import (
     decimals,
     finite,
     number,
@@ -13,6 +13,7 @@ from ....report.quantity import (
     quantity,
     seconds,
 )
+
 from .run import Run
 
 

@@ -8,10 +8,10 @@ from matplotlib.axes import Axes
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 
-from ....report.axes import number_axis
-from ....report.drawing import legend_above, unit_above
-from ....report.quantity import number
-from ....report.theme import LIGHT
+from snapo.report.axes import number_axis
+from snapo.report.drawing import legend_above, unit_above
+from snapo.report.quantity import number
+from snapo.report.theme import LIGHT
 
 CURVES = ("inject", "withdraw", "good", "limit", "main", "other")
 STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), "-", (0, (3, 1)))

@@ -5,8 +5,8 @@ from typing import Any
 
 import numpy as np
 
-from ....report.folder import Folder
-from ....report.quantity import quantity
+from snapo.report.folder import Folder
+from snapo.report.quantity import quantity
 
 
 @dataclass(frozen=True)

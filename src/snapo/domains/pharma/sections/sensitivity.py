@@ -2,9 +2,10 @@
 
 import numpy as np
 
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Missing, Section, Table, Text
-from ....report.quantity import number, percent
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Missing, Section, Table, Text
+from snapo.report.quantity import number, percent
+
 from . import pictures
 from .run import Run
 

@@ -4,9 +4,10 @@ from typing import Any
 
 import numpy as np
 
-from ....report.drawing import draw
-from ....report.page import Block, Chart, Mark, Missing, Section, Table, Text
-from ....report.quantity import finite, number, percent, quantity
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, percent, quantity
+
 from . import pictures
 from .run import Run
 

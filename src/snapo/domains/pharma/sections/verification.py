@@ -1,7 +1,8 @@
 """Why to believe the numbers: balances, convergence in time, adjoint against differences."""
 
-from ....report.page import Block, Mark, Missing, Section, Table, Text
-from ....report.quantity import finite, number, power
+from snapo.report.page import Block, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, power
+
 from .run import Run
 
 CLOSED, AGREED = 1e-10, 1e-10

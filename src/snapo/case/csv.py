@@ -1,0 +1,220 @@
+"""CSV files and arrays beside a case, read so that every mistake has a line and a remedy.
+
+A CSV is UTF-8 (with or without a byte-order mark), separated by commas, with a header row that
+names the columns in any order; blank lines, lines that start with `#`, and further columns are
+passed over. Numbers have a decimal point; days are YYYY-MM-DD and months YYYY-MM.
+"""
+
+import csv
+import datetime
+import math
+import re
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from .error import CaseError, Unquoted
+from .table import Section, not_utf8
+
+DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
+MONTH = re.compile(r"(\d{4})-(\d{2})", re.ASCII)
+NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+
+
+@dataclass(frozen=True)
+class Mention:
+    """Where a case names a file: the table, the key, and the name that stands there."""
+
+    section: Section
+    key: str
+    name: str
+
+    def error(self, allowed: str) -> CaseError:
+        """The mistake lies in the name itself."""
+        return self.section.error(self.key, self.name, allowed)
+
+
+@dataclass(frozen=True)
+class Row:
+    """One line of a CSV: its file, its line number from 1, and its cells by column."""
+
+    file: str
+    line: int
+    cells: dict[str, str]
+
+    def error(self, column: str, allowed: str) -> CaseError:
+        """A mistake in one cell of this line."""
+        value = self.cells[column]
+        shown = value if value else Unquoted("an empty cell")
+        return CaseError(self.file, f"line {self.line}, column {column}", shown, allowed)
+
+    def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
+        """A finite number within [low, high]."""
+        text = self.cells[column]
+        value = float(text) if NUMBER.fullmatch(text) else math.nan
+        if not math.isfinite(value):
+            raise self.error(column, f"allowed is {within(low, high)}, written like 12.5")
+        if not low <= value <= high:
+            raise self.error(column, f"allowed is {within(low, high)}")
+        return value
+
+    def day(self, column: str) -> datetime.date:
+        """A day that exists, YYYY-MM-DD."""
+        text = self.cells[column]
+        try:
+            if DAY.fullmatch(text):
+                return datetime.date.fromisoformat(text)
+        except ValueError:
+            raise self.error(column, "there is no such day in the calendar") from None
+        raise self.error(column, "a date is written YYYY-MM-DD")
+
+    def month(self, column: str) -> tuple[int, int]:
+        """A month, YYYY-MM, as (year, month)."""
+        match = MONTH.fullmatch(self.cells[column])
+        if not match:
+            raise self.error(column, "a month is written YYYY-MM")
+        if not 1 <= int(match[2]) <= 12 or match[1] == "0000":
+            raise self.error(column, "there is no such month in the calendar")
+        return int(match[1]), int(match[2])
+
+
+def within(low: float, high: float) -> str:
+    """The words for a range: "a number of at least 0"."""
+    if low == -math.inf:
+        return "a finite number"
+    if high == math.inf:
+        return f"a number of at least {low:g}"
+    return f"a number from {low:g} to {high:g}"
+
+
+def beside(mention: Mention, suffixes: Sequence[str]) -> Path:
+    """The plain file that a case names, which must lie in the folder of the case or below it."""
+    name = Path(mention.name)
+    kinds = " or ".join(suffixes)
+    if name.suffix.lower() not in suffixes:
+        raise mention.error(f"allowed is the name of a {kinds} file beside the case")
+    folder = mention.section.file.parent.resolve()
+    path = folder / name
+    try:
+        inside, exists = path.resolve().is_relative_to(folder), path.exists()
+    except (OSError, ValueError) as error:
+        raise mention.error(f"this cannot be the name of a file ({error.args[-1]})") from None
+    if name.is_absolute() or not inside:
+        raise mention.error("a file that a case names must lie beside the case")
+    if not exists:
+        present = [each.name for each in sorted(folder.iterdir()) if each.suffix in suffixes]
+        hint = f" (there are {', '.join(present)})" if present else ""
+        raise mention.error(f"there is no such file in {folder}{hint}")
+    if not path.is_file():
+        raise mention.error("this is not a plain file")
+    return path
+
+
+def read_rows(mention: Mention, columns: Sequence[str]) -> list[Row]:
+    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped."""
+    path = beside(mention, (".csv",))
+    name = mention.name
+    records = _records(name, _text(path, name))
+    header = next(records, None)
+    if header is None:
+        what = f"the file is empty; its first line is {','.join(columns)}"
+        raise CaseError(name, "", None, what)
+    line, cells = header
+    names = _header(name, line, cells, columns)
+    rows = []
+    for line, cells in records:
+        if len(cells) != len(names):
+            got = Unquoted(f"{len(cells)} cells")
+            what = f"the header has {len(names)} columns ({','.join(names)}); decimals have a point"
+            raise CaseError(name, f"line {line}", got, what)
+        rows.append(Row(name, line, dict(zip(names, cells, strict=True))))
+    if not rows:
+        raise CaseError(name, "", None, "there are no rows below the header")
+    return rows
+
+
+def _text(path: Path, name: str) -> str:
+    try:
+        text = path.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise CaseError(name, "", None, not_utf8(error)) from None
+    except OSError as error:
+        raise CaseError(name, "", None, f"the file cannot be read ({error.strerror})") from None
+    if "\0" in text:
+        what = "the file holds zero bytes, as UTF-16 does; save it as CSV in UTF-8"
+        raise CaseError(name, "", None, what)
+    return text
+
+
+def _records(name: str, text: str) -> Iterator[tuple[int, list[str]]]:
+    """Line number and cells of each line that is neither blank nor a comment."""
+    reader = csv.reader(text.splitlines(), strict=True)
+    try:
+        for cells in reader:
+            cells = [cell.strip() for cell in cells]
+            if any(cells) and not cells[0].startswith("#"):
+                yield reader.line_num, cells
+    except csv.Error as error:
+        raise CaseError(name, f"line {reader.line_num}", None, f"not a CSV line: {error}") from None
+
+
+def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> list[str]:
+    names = [cell.lower() for cell in cells]
+    wanted = ",".join(columns)
+    for column in columns:
+        if column in names:
+            continue
+        got = Unquoted(f"the header {','.join(cells)!r}")
+        what = f"column {column} is missing; the header is {wanted}"
+        if ";" in "".join(cells) or "\t" in "".join(cells):
+            what += ", separated by commas"
+        raise CaseError(name, f"line {line}", got, what)
+    for column in names:
+        if column and names.count(column) > 1:
+            raise CaseError(name, f"line {line}", column, "this column stands there twice")
+    return names
+
+
+def read_array(mention: Mention, columns: int, meaning: str) -> np.ndarray:
+    """Reads a finite float64 array [path, day] from .npy (no pickles) or Parquet."""
+    path = beside(mention, (".npy", ".parquet"))
+    array = _npy(mention, path) if path.suffix.lower() == ".npy" else _parquet(mention, path)
+    if array.ndim != 2 or array.shape[1] != columns or array.shape[0] < 2:
+        got = Unquoted(f"an array of shape {array.shape}")
+        what = f"allowed is [path, day] with 2 paths or more and {columns} columns, {meaning}"
+        raise CaseError(mention.name, "", got, what)
+    if array.dtype.kind not in "fiu":
+        got = Unquoted(f"numbers of type {array.dtype}")
+        raise CaseError(mention.name, "", got, "allowed are real numbers")
+    bad = np.argwhere(~np.isfinite(array))
+    if len(bad):
+        row, column = bad[0]
+        where = f"path {row}, day {column} (both from 0)"
+        raise CaseError(mention.name, where, array[row, column], "every price must be finite")
+    return array.astype(np.float64)
+
+
+def _npy(mention: Mention, path: Path) -> np.ndarray:
+    try:
+        return np.load(path, allow_pickle=False)
+    except (ValueError, EOFError, OSError) as error:
+        what = f"this is not a .npy file of plain numbers ({error})"
+        raise CaseError(mention.name, "", None, what) from None
+
+
+def _parquet(mention: Mention, path: Path) -> np.ndarray:
+    try:
+        import pyarrow
+        import pyarrow.parquet as parquet
+    except ImportError:
+        raise mention.error(
+            "Parquet needs the package pyarrow, which is not installed; install it or use .npy"
+        ) from None
+    try:
+        table = parquet.read_table(path)
+        return np.column_stack([column.to_numpy() for column in table.columns])
+    except (pyarrow.ArrowException, ValueError, OSError) as error:
+        what = f"this Parquet file is unreadable: {error}"
+        raise CaseError(mention.name, "", None, what) from None

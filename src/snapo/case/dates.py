@@ -1,0 +1,69 @@
+"""Numbers that hold from a date on: one plain number, or a CSV with columns date,value."""
+
+import datetime
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from .csv import Mention, Row, read_rows
+from .given import Given
+from .table import Section
+
+
+def single(name: str, value: float, unit: str) -> Given:
+    """One plain number, used once (index [])."""
+    return Given(name, np.array([value], np.float64), ("",), unit, np.array(0))
+
+
+def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
+    """[n] proleptic Gregorian day numbers, int64."""
+    return np.array([day.toordinal() for day in days], np.int64)
+
+
+def dated(
+    section: Section,
+    key: str,
+    given: float | str,
+    unit: str,
+    days: Sequence[datetime.date],
+    *,
+    low: float = -math.inf,
+    high: float = math.inf,
+    before: float | None = None,
+) -> Given:
+    """What was given under `key`, with its index [len(days)] on the rising dates `days`.
+
+    A number in the file holds from its date on. Before the first date holds `before`, under a
+    label of its own and with a remark; without it the file must begin by the first of `days`.
+    """
+    if not isinstance(given, str):
+        return Given(key, np.array([given], np.float64), ("",), unit, np.zeros(len(days), np.int64))
+    rows = read_rows(Mention(section, key, given), ("date", "value"))
+    dates = rising_dates(rows)
+    values = [row.number("value", low, high) for row in rows]
+    labels = [date.isoformat() for date in dates]
+    starts = ordinals(dates)
+    if len(days) and dates[0] > days[0]:
+        first = dates[0].isoformat()
+        if before is None:
+            what = f"{key} is needed from {days[0].isoformat()} on; add a row for that date"
+            raise rows[0].error("date", what)
+        section.notes.append(f"{given} begins on {first}; until then {key} is {before:g}.")
+        values.insert(0, before)
+        labels.insert(0, f"before {first}")
+        starts = np.insert(starts, 0, days[0].toordinal())
+    index = np.searchsorted(starts, ordinals(days), side="right") - 1
+    return Given(key, np.array(values), tuple(labels), unit, index)
+
+
+def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.date]:
+    """The dates of all rows, each after the one before."""
+    dates: list[datetime.date] = []
+    for row in rows:
+        date = row.day(column)
+        if dates and date <= dates[-1]:
+            what = f"dates must rise, and the row before has {dates[-1].isoformat()}"
+            raise row.error(column, what)
+        dates.append(date)
+    return dates

@@ -1,0 +1,50 @@
+"""A mistake in a case, as its owner reads it: file, key or line, value, and what is allowed."""
+
+import datetime
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+
+class CaseError(ValueError):
+    """A case that cannot be read, or a contract that cannot be met.
+
+    **Arguments:**
+
+    - `file`: the file with the mistake, as its owner knows it.
+    - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
+    - `value`: what stands there; `None` where something is missing.
+    - `allowed`: what would be right, as a clause.
+    - `others`: further mistakes found in the same reading.
+    """
+
+    def __init__(self, file: str, where: str, value: Any, allowed: str, others=()):
+        self.file, self.where, self.value, self.allowed = file, where, value, allowed
+        self.others: tuple[CaseError, ...] = tuple(others)
+        super().__init__(file, where, value, allowed)
+
+    def __str__(self) -> str:
+        place = f"{self.file}, {self.where}" if self.where else self.file
+        got = "" if self.value is None else f" got {show(self.value)};"
+        return "\n".join([f"{place}:{got} {self.allowed}.", *map(str, self.others)])
+
+
+def show(value: Any) -> str:
+    """A value as its owner wrote it: dates in ISO form, text in quotes, long lists cut short."""
+    if isinstance(value, datetime.date):
+        return value.isoformat()
+    if isinstance(value, bool):
+        return str(value).lower()
+    if isinstance(value, float | np.floating):
+        return f"{value:.10g}"
+    if isinstance(value, Mapping):
+        return "{ " + ", ".join(f"{key} = {show(each)}" for key, each in value.items()) + " }"
+    if isinstance(value, list | tuple):
+        value = Unquoted("[" + ", ".join(map(show, value)) + "]")
+    text = value if isinstance(value, Unquoted) else repr(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+class Unquoted(str):
+    """A description in place of a value ("an unknown key"), shown without quotation marks."""

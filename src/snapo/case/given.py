@@ -1,0 +1,37 @@
+"""Numbers that the owner of a case gave, with what is said about them."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """Numbers that the owner of the case gave, and where each of them is used.
+
+    The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
+    name, unit and labels, and takes `[index]` inside `prepare`, so that the sensitivity to every
+    number that was given comes out under its own label.
+
+    **Attributes:**
+
+    - `name`: the key in the case, "max_inventory".
+    - `values`: [n] float64, in `unit`.
+    - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
+    - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
+    - `index`: integers of any shape into `values`; unused numbers are not referred to.
+    """
+
+    name: str
+    values: np.ndarray
+    labels: tuple[str, ...]
+    unit: str
+    index: np.ndarray
+
+    def __post_init__(self):
+        if len(self.labels) != len(self.values):
+            raise ValueError(f"{self.name}: {len(self.values)} values, {len(self.labels)} labels.")
+
+    def used(self) -> np.ndarray:
+        """`values[index]`, the numbers where they are used."""
+        return self.values[self.index]

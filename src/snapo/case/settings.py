@@ -1,0 +1,125 @@
+"""The tables that every case has: `[training]`, `[evaluation]` and `[objective]`."""
+
+from collections.abc import Mapping
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from snapo.problem import objective as core
+
+from .error import CaseError
+from .table import Count, Positive, Table, parse
+
+
+class TrainingTable(Table):
+    """`[training]`: how the policy is trained, with the fields and defaults of `snapo.Training`."""
+
+    steps: Annotated[int, Field(ge=0)] = Field(240, description="a whole number, 0 or more")
+    paths: Annotated[int, Field(ge=2)] = Field(512, description="a whole number, 2 or more")
+    learning_rate: Positive = Field(0.01, description="a number above 0")
+    warmup: Annotated[int, Field(ge=0)] = Field(20, description="a number of steps, 0 or more")
+    temperature_start: Positive = Field(0.02, description="a number above 0")
+    temperature_end: Positive = Field(0.005, description="a number above 0")
+    average: Annotated[float, Field(gt=0, le=1)] = Field(
+        0.05, description="a number above 0, at most 1"
+    )
+    validation_paths: Count = Field(4096, description="a whole number, 1 or more")
+    validation_every: Count = Field(50, description="a number of steps, 1 or more")
+    patience: Count | None = Field(None, description="a number of validations, 1 or more")
+    window: Count | None = Field(None, description="a number of days, 1 or more")
+    clip: Positive | None = Field(None, description="a number above 0")
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
+
+
+class EvaluationTable(Table):
+    """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
+
+    paths: Annotated[int, Field(ge=64)] = Field(65536, description="a whole number, 64 or more")
+    sensitivity_paths: Annotated[int, Field(ge=64)] = Field(
+        16384, description="a whole number, 64 or more"
+    )
+    scenarios: Literal["pseudo-random", "sobol"] = Field(
+        "pseudo-random", description='"pseudo-random" or "sobol"'
+    )
+
+
+class ObjectiveTable(Table):
+    """`[objective]`: what the policy maximises; `kind` says which of the other keys apply.
+
+    `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
+    "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,
+    added to each path's total under "crra". `target`: currency, what "target" stays close to.
+    """
+
+    kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = Field(
+        "mean", description='"mean", "cvar", "mean-variance", "entropic", "crra" or "target"'
+    )
+    level: Annotated[float, Field(gt=0, lt=1)] | None = Field(
+        None, description="a number between 0 and 1"
+    )
+    risk_aversion: Positive | None = Field(None, description="a number above 0")
+    wealth: Positive | None = Field(None, description="a number above 0")
+    target: float | None = Field(None, description="a number")
+
+
+OBJECTIVE_KEYS = {
+    "mean": (),
+    "cvar": ("level",),
+    "mean-variance": ("risk_aversion",),
+    "entropic": ("risk_aversion",),
+    "crra": ("risk_aversion", "wealth"),
+    "target": ("target",),
+}
+
+
+def read_objective(
+    data: Mapping, file: str, name: str = "objective", optional: tuple[str, ...] = ()
+) -> ObjectiveTable:
+    """Reads the table `name`, and checks that the keys are those of its kind.
+
+    Keys in `optional` may be left out where other domains need them.
+    """
+    objective = parse(ObjectiveTable, data, file, name)
+    kind = objective.kind
+    for key in OBJECTIVE_KEYS[kind]:
+        if key not in data and key not in optional:
+            raise CaseError(file, f"{name}.{key}", None, f'kind "{kind}" needs this key')
+    for key in data:
+        if key not in ("kind", *OBJECTIVE_KEYS[kind]):
+            owners = [f'"{each}"' for each, keys in OBJECTIVE_KEYS.items() if key in keys]
+            what = f'kind "{kind}" has no such key; it belongs to {", ".join(owners)}'
+            raise CaseError(file, f"{name}.{key}", data[key], what)
+    return objective
+
+
+def read_training(data: Mapping, file: str) -> TrainingTable:
+    """Reads `[training]`; the temperature may only fall."""
+    training = parse(TrainingTable, data, file, "training")
+    if training.temperature_end > training.temperature_start:
+        where, value = "training.temperature_end", training.temperature_end
+        what = f"allowed is at most temperature_start, {training.temperature_start:g}"
+        raise CaseError(file, where, value, what)
+    return training
+
+
+def read_evaluation(data: Mapping, file: str) -> EvaluationTable:
+    """Reads `[evaluation]`."""
+    return parse(EvaluationTable, data, file, "evaluation")
+
+
+def make_objective(table: ObjectiveTable, output: str) -> core.Objective:
+    """The objective that `table` names, of the paths' totals of `output`."""
+    aversion = table.risk_aversion or 0.0
+    match table.kind:
+        case "mean":
+            return core.Mean(output)
+        case "cvar":
+            return core.CVaR(output, table.level or 0.95)
+        case "mean-variance":
+            return core.MeanVariance(output, aversion)
+        case "entropic":
+            return core.Entropic(output, aversion)
+        case "crra":
+            return core.ExpectedUtility(output, core.CRRA(aversion, table.wealth or 0.0))
+        case "target":
+            return core.Target(output, table.target or 0.0)

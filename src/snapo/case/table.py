@@ -1,0 +1,131 @@
+"""What every domain's case format shares: one TOML file, plain files beside it, clear errors.
+
+A case is data: nothing in it is executed, and every file that it names lies beside it. The
+records here are NumPy and the standard library; pydantic checks the tables at this border.
+"""
+
+import datetime
+import difflib
+import math
+import re
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, TypeVar
+
+import pydantic
+from pydantic import Field
+
+from .error import CaseError
+
+
+@dataclass(frozen=True)
+class Section:
+    """A table of a case while it is read: names the place of a mistake, collects remarks."""
+
+    file: Path
+    name: str
+    notes: list[str]
+
+    def error(self, key: str, value: Any, allowed: str) -> CaseError:
+        """A mistake in what stands under `key`."""
+        return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
+
+
+class Table(pydantic.BaseModel):
+    """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers."""
+
+    model_config = pydantic.ConfigDict(
+        extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
+    )
+
+
+Count = Annotated[int, Field(ge=1)]
+Positive = Annotated[float, Field(gt=0)]
+
+
+AnyTable = TypeVar("AnyTable", bound=Table)
+
+
+def load(path: Path) -> tuple[Path, dict[str, Any]]:
+    """Reads the case at `path`, a TOML file or a folder with `case.toml`; returns file and data."""
+    file = path / "case.toml" if path.is_dir() else path
+    if not file.is_file():
+        what = "a case is a TOML file, or a folder with case.toml in it; there is none here"
+        raise CaseError(str(path), "", None, what)
+    try:
+        text = file.read_bytes().decode("utf-8-sig")
+    except UnicodeDecodeError as error:
+        raise CaseError(str(file), "", None, not_utf8(error)) from None
+    except OSError as error:
+        raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
+    if not text.strip():
+        raise CaseError(str(file), "", None, "the file is empty; `snapo new` writes a case")
+    try:
+        return file, tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise _not_toml(file, text, str(error)) from None
+
+
+def _not_toml(file: Path, text: str, message: str) -> CaseError:
+    """The parser's complaint, with the line that it is about."""
+    found = re.search(r"line (\d+)", message)
+    if found is None:
+        return CaseError(str(file), "", None, f"this is not valid TOML: {message}")
+    number = int(found[1])
+    got = text.splitlines()[number - 1].strip()
+    what = f"this is not valid TOML ({message.partition(' (at ')[0]})"
+    return CaseError(str(file), f"line {number}", got, what)
+
+
+def not_utf8(error: UnicodeDecodeError) -> str:
+    """The sentence about a text file in another encoding, with the line and the byte."""
+    raw = error.object
+    line = raw.count(b"\n", 0, error.start) + 1
+    return f"byte 0x{raw[error.start]:02x} on line {line} is not UTF-8; save the file as UTF-8"
+
+
+def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
+    """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes."""
+    if not isinstance(data, Mapping):
+        raise CaseError(file, name, data, f"this must be a table, [{name}]")
+    try:
+        return table.model_validate(dict(data))
+    except pydantic.ValidationError as error:
+        found, meant = {}, set()
+        for item in error.errors():
+            key = str(item["loc"][0])
+            # Of a union's several complaints about one key, the first stands for all.
+            found.setdefault(key, _explain(table, data, file, name, item))
+            if item["type"] == "extra_forbidden":
+                meant.update(difflib.get_close_matches(key, table.model_fields, n=1))
+        # A key that is missing because it is misspelt is one mistake, not two.
+        found = {key: each for key, each in found.items() if key in data or key not in meant}
+    first, *rest = found.values()
+    raise CaseError(first.file, first.where, first.value, first.allowed, rest)
+
+
+def _explain(table, data, file, name, item) -> CaseError:
+    key = str(item["loc"][0])
+    where = f"{name}.{key}" if name else key
+    if item["type"] == "extra_forbidden":
+        what = f"there is no such key; {nearest(key, table.model_fields)}"
+        return CaseError(file, where, data[key], what)
+    allowed = table.model_fields[key].description or item["msg"]
+    if item["type"] == "missing":
+        return CaseError(file, where, None, f"this key is missing; it is {allowed}")
+    value = data[key]
+    if isinstance(value, str) and table.model_fields[key].annotation is datetime.date:
+        allowed += ", without quotation marks"
+    if isinstance(value, float) and not math.isfinite(value):
+        allowed += ", and finite"
+    return CaseError(file, where, value, f"allowed is {allowed}")
+
+
+def nearest(key: str, known) -> str:
+    """Suggests the known key nearest to an unknown one, or lists them all."""
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    if close:
+        return f"the nearest known key is {close[0]}"
+    return f"the known keys are {', '.join(known)}"

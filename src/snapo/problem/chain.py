@@ -1,0 +1,255 @@
+"""Stages with different state, horizon and outputs, as ONE simulator.
+
+A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map says how
+the final state of one becomes the first state of the next.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import PyTree
+
+from .actions import Box
+from .simulator import Schedule, Simulator, Total
+
+Map = Callable[[PyTree, PyTree, PyTree], PyTree]
+
+
+class Chain(Simulator):
+    """Simulators one after the other; the same policy decides in all of them.
+
+    **Arguments:**
+
+    - `stages`: the simulators. Their action sets must be Boxes with the same bounds; the chain's
+      has the largest size, and a stage reads the first numbers of an action and of the noise.
+    - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` turns the final
+      state of stage i into the first state of stage i + 1, whose own `initial` is not asked.
+    - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
+      name are totalled together.
+
+    `inputs` is one module per stage (a sequence, or a mapping by name if there are names), or any
+    other module, which all stages share. The policy sees the stage's observation, padded with
+    zeros to the longest, and then one number per stage that is 1 in that stage.
+    """
+
+    stages: tuple[Simulator, ...]
+    maps: tuple[Map, ...] = eqx.field(static=True)
+    names: tuple[str, ...] = eqx.field(static=True)
+
+    def __init__(self, stages: Sequence[Simulator], maps: Sequence[Map], names: Sequence[str] = ()):
+        self.stages, self.maps, self.names = tuple(stages), tuple(maps), tuple(names)
+        if not self.stages or len(self.maps) != len(self.stages) - 1:
+            raise ValueError(
+                f"Chain: {len(self.stages)} stages need {len(self.stages) - 1} maps between them; "
+                f"{len(self.maps)} were given."
+            )
+        if self.names and len(set(self.names)) != len(self.stages):
+            raise ValueError(
+                f"Chain: names are {self.names}; give {len(self.stages)} different ones."
+            )
+        sets = [stage.action for stage in self.stages]
+        bounds = {(s.low, s.high) if isinstance(s, Box) else None for s in sets}
+        if len(bounds) > 1 or None in bounds:
+            raise ValueError(
+                f"Chain: the stages' action sets are {sets}; all must be Boxes with the same "
+                "bounds. Give every stage Box(size, 0, 1), say, and scale inside its step."
+            )
+        self.totals()  # refuses one name with two kinds of total
+
+    @property
+    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return sum(stage.horizon for stage in self.stages)
+
+    @property
+    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        first = self.stages[0].action
+        return Box(max(s.action.size for s in self.stages), first.low, first.high)  # pyright: ignore
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return max(stage.noise_size for stage in self.stages)
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.stages[0].initial_noise_size
+
+    def prepare(self, inputs: PyTree) -> Schedule:
+        schedules = [s.prepare(given) for s, given in zip(self.stages, self._inputs(inputs))]
+        ends = [sum(s.horizon for s in self.stages[: i + 1]) for i in range(len(self.stages))]
+        steps = jnp.arange(self.horizon)
+        padded = []
+        for stage, schedule, end in zip(self.stages, schedules, ends):
+            # Outside its stage a schedule repeats its edge, which no step reads.
+            own = jnp.clip(steps - (end - stage.horizon), 0, stage.horizon - 1)
+            padded.append(
+                jax.tree.map(lambda leaf, own=own: jnp.asarray(leaf)[own], schedule.steps)
+            )
+        last = jnp.asarray(ends[:-1], int)
+        branch = 2 * jnp.searchsorted(jnp.asarray(ends), steps, side="right")
+        branch = branch + jnp.isin(steps + 1, last)
+        constants = tuple(schedule.constants for schedule in schedules)
+        return Schedule(constants, {"branch": branch.astype(jnp.int32), "stages": tuple(padded)})
+
+    def initial(self, constants, noise):
+        first = self.stages[0].initial(constants[0], noise)
+        kept = {name: jnp.zeros(()) for name, kind in self.totals().items() if kind == "last"}
+        return {"stages": self._placeholders(constants, first), "last": kept}
+
+    def observe(self, constants, now, state):
+        def stage(i):
+            own = self.stages[i].observe(constants[i], now["stages"][i], state["stages"][i])
+            return jnp.zeros(features, own.dtype).at[: own.shape[0]].set(own)
+
+        shapes = [
+            jax.eval_shape(s.observe, constants[i], now["stages"][i], state["stages"][i])
+            for i, s in enumerate(self.stages)
+        ]
+        features = max(shape.shape[0] for shape in shapes)
+        number = now["branch"] // 2
+        seen = jax.lax.switch(number, [lambda i=i: stage(i) for i in range(len(self.stages))])
+        return jnp.concatenate([seen, jax.nn.one_hot(number, len(self.stages), dtype=seen.dtype)])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        def run(i):
+            """One step of stage i: its next state, and its outputs as the chain names them."""
+            simulator = self.stages[i]
+            drawn, chosen = noise[: simulator.noise_size], action[: simulator.action.size]
+            after, outputs = simulator.step(
+                constants[i], now["stages"][i], state["stages"][i], chosen, drawn, smooth
+            )
+            return after, self._named(i, outputs)
+
+        def leave(i):
+            """The last step of stage i: its terminal outputs count, and the next stage begins."""
+            after, outputs = run(i)
+            ends = self._named(i, self.stages[i].terminal(constants[i], after, smooth))
+            return (
+                after,
+                self._joined(outputs, ends),
+                self.maps[i](constants[i], after, constants[i + 1]),
+            )
+
+        def branch(i, leaving):
+            states = list(state["stages"])
+            if leaving:
+                states[i], outputs, states[i + 1] = leave(i)
+            else:
+                states[i], outputs = run(i)
+            states = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), states, was)
+            outputs = {
+                name: jnp.asarray(outputs.get(name, rest), dtype) for name, rest in idle.items()
+            }
+            return tuple(states), outputs
+
+        was = jax.tree.map(jnp.asarray, list(state["stages"]))
+        dtype = jnp.result_type(float)
+        kinds, last = self.totals(), len(self.stages) - 1
+        idle = {}
+        for i in range(len(self.stages)):
+            shapes = jax.eval_shape(lambda i=i: leave(i)[1] if i < last else run(i)[1])
+            for name in shapes:
+                idle[name] = {"sum": 0.0, "max": -jnp.inf, "last": 0.0}[kinds.get(name, "sum")]
+        idle |= state[
+            "last"
+        ]  # an output of which the last counts keeps its value through other stages
+        branches = [
+            lambda i=i, leaving=leaving: branch(i, leaving)
+            for i in range(last + 1)
+            for leaving in (False, True)
+            if i < last or not leaving
+        ]
+        states, outputs = jax.lax.switch(now["branch"], branches)
+        return {"stages": states, "last": {name: outputs[name] for name in state["last"]}}, outputs
+
+    def terminal(self, constants, state, smooth):
+        i = len(self.stages) - 1
+        return self._named(i, self.stages[i].terminal(constants[i], state["stages"][i], smooth))
+
+    def totals(self) -> Mapping[str, Total]:
+        kinds: dict[str, Total] = {}
+        for i, stage in enumerate(self.stages):
+            for name, kind in self._named(i, dict(stage.totals())).items():
+                if kinds.setdefault(name, kind) != kind:
+                    raise ValueError(
+                        f"Chain: {name!r} is totalled by {kinds[name]!r} in one stage and by "
+                        f"{kind!r} in another; give names to the stages, or others to the outputs."
+                    )
+        return kinds
+
+    def control_variates(self) -> tuple[str, ...]:
+        found = [
+            self._prefix(i) + n for i, s in enumerate(self.stages) for n in s.control_variates()
+        ]
+        return tuple(dict.fromkeys(found))
+
+    def state_scale(self, constants):
+        first = jax.eval_shape(lambda: self.initial(constants, jnp.zeros(self.initial_noise_size)))
+        scales = []
+        for i, (stage, shape) in enumerate(zip(self.stages, first["stages"])):
+            own = stage.state_scale(constants[i])
+            scales.append(jax.tree.map(lambda s: jnp.ones(s.shape), shape) if own is None else own)
+        return {"stages": tuple(scales), "last": dict.fromkeys(first["last"], jnp.ones(()))}
+
+    def slack(self, constants, now, state, outputs):
+        def stage(i):
+            prefix = self._prefix(i)
+            own = {name: outputs[prefix + name] for name in _names_of(outputs, prefix)}
+            found = self.stages[i].slack(constants[i], now["stages"][i], state["stages"][i], own)
+            return self._named(i, found)
+
+        def padded(i):
+            found = stage(i)
+            return {
+                name: jnp.asarray(found.get(name, full), full.dtype) for name, full in free.items()
+            }
+
+        free: dict[str, Any] = {}
+        for i in range(len(self.stages)):
+            for name, shape in jax.eval_shape(lambda i=i: stage(i)).items():
+                free[name] = jnp.full(shape.shape, jnp.inf)
+        if not free:
+            return {}
+        return jax.lax.switch(
+            now["branch"] // 2, [lambda i=i: padded(i) for i in range(len(self.stages))]
+        )
+
+    def _inputs(self, inputs) -> Sequence[PyTree]:
+        if isinstance(inputs, Mapping) and self.names:
+            return [inputs[name] for name in self.names]
+        if isinstance(inputs, list | tuple):
+            return inputs
+        return [inputs] * len(self.stages)
+
+    def _placeholders(self, constants, first) -> tuple[PyTree, ...]:
+        """States of all stages: the first, and zeros of the shape that the maps will give."""
+        shapes = [jax.eval_shape(lambda: first)]
+        for i, move in enumerate(self.maps):
+            shapes.append(jax.eval_shape(move, constants[i], shapes[-1], constants[i + 1]))
+        zeros = [jax.tree.map(lambda s: jnp.zeros(s.shape, s.dtype), shape) for shape in shapes[1:]]
+        return (first, *zeros)
+
+    def _prefix(self, i: int) -> str:
+        return self.names[i] + "." if self.names else ""
+
+    def _named(self, i: int, outputs: Mapping[str, Any]) -> dict[str, Any]:
+        return {self._prefix(i) + name: value for name, value in outputs.items()}
+
+    def _joined(self, outputs: dict, ends: dict) -> dict:
+        """The outputs of a last step together with the terminal ones, by the kind of total."""
+        joined, kinds = dict(outputs), self.totals()
+        for name, value in ends.items():
+            kind = kinds.get(name, "sum")
+            if name not in joined or kind == "last":
+                joined[name] = value
+            else:
+                joined[name] = (
+                    jnp.maximum(joined[name], value) if kind == "max" else joined[name] + value
+                )
+        return joined
+
+
+def _names_of(outputs: Mapping[str, Any], prefix: str) -> list[str]:
+    return [name[len(prefix) :] for name in outputs if name.startswith(prefix)]

@@ -1,0 +1,21 @@
+"""From inputs to the schedule, in float64: done once per problem, before anything per path."""
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from . import inputs as inputs_
+from .simulator import Schedule, Simulator
+
+
+def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
+    """The schedule in float64 NumPy."""
+    with jax.enable_x64(True):
+        schedule = _prepare(simulator, inputs, inputs_.values(inputs))
+        return jax.tree.map(np.asarray, schedule)
+
+
+@eqx.filter_jit
+def _prepare(simulator: Simulator, inputs: PyTree, values: list):
+    return simulator.prepare(inputs_.replace(inputs, values))

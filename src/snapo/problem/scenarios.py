@@ -1,0 +1,180 @@
+"""Scenarios: the noise of every path, a function of (seed, path, step, component) alone.
+
+Path p is therefore the same whatever the number of paths, chunks, devices or windows, and
+nothing is stored: an engine draws the numbers where it uses them. `Pseudo` counts with
+threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian bridge, and
+`Supplied` holds numbers of one's own.
+"""
+
+import abc
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+from scipy import special
+from scipy.stats import qmc
+
+from .noise import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
+from .simulator import Simulator
+
+BLOCKS = 32
+SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and Kuo 2008)
+
+
+@dataclass(frozen=True)
+class Scenarios(abc.ABC):
+    """A source of noise. `draws` gives that of chosen paths, `groups` what is independent."""
+
+    @abc.abstractmethod
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
+        """The noise of the paths with these numbers."""
+
+    @abc.abstractmethod
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        """The smallest independent unit that each path belongs to (a pair, a scramble, itself)."""
+
+    def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
+        """Path numbers 0 … paths - 1 in `count` independent blocks of nearly equal size."""
+        return [b for b in np.array_split(np.arange(paths), count) if b.size]
+
+
+@dataclass(frozen=True)
+class Pseudo(Scenarios):
+    """Counter-based pseudo-random normals; antithetic paths 2i and 2i + 1 have opposite signs.
+
+    `stream` separates uses of one seed (training step, validation, evaluation).
+    """
+
+    seed: int = 0
+    antithetic: bool = True
+    stream: int = 0
+
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
+        uses = STEP_STREAM, INITIAL_STREAM
+        keys = np.stack([_key(self.seed, self.stream, use) for use in uses])
+        return Counter(keys, np.asarray(paths, np.uint32), self.antithetic)  # pyright: ignore
+
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        return paths // 2 if self.antithetic else paths
+
+    def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
+        if not self.antithetic:
+            return Scenarios.blocks(self, paths, count)
+        pairs = Scenarios.blocks(self, paths // 2, count)
+        return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
+
+
+@dataclass(frozen=True)
+class Sobol(Scenarios):
+    """Scrambled Sobol points through a Brownian bridge, for evaluation.
+
+    Path p is point p // 32 of scramble p % 32, so standard errors come from 32 independent
+    scrambles. The bridge is built per component over equal steps: its leading coefficients take
+    the leading Sobol dimensions, the rest (past what Sobol offers) is pseudo-random.
+    """
+
+    seed: int = 0
+    scrambles: int = BLOCKS
+
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
+        horizon, size = simulator.horizon, simulator.noise_size
+        width = simulator.initial_noise_size + horizon * size
+        z = np.empty((len(paths), width))
+        for scramble in np.unique(paths % self.scrambles):
+            rows = paths % self.scrambles == scramble
+            z[rows] = self._points(int(scramble), paths[rows] // self.scrambles, width)
+        initial = z[:, : simulator.initial_noise_size]
+        levels = z[:, simulator.initial_noise_size :].reshape(len(paths), horizon, size)
+        return Stored(initial, bridge(levels).transpose(1, 0, 2))  # pyright: ignore
+
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        return paths % self.scrambles
+
+    def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
+        number = np.arange(paths)
+        return [number[number % self.scrambles == s] for s in range(min(self.scrambles, paths))]
+
+    def _points(self, scramble: int, points: np.ndarray, width: int) -> np.ndarray:
+        """Normals [points, width]; `points` ascend."""
+        sobol = qmc.Sobol(
+            min(width, SOBOL_DIMENSIONS), rng=np.random.default_rng([self.seed, scramble])
+        )
+        # Point 0 alone: scipy cannot skip nothing, and warns of a number that is no power of 2.
+        zeroth, start = sobol.random(1), max(1, int(points[0]))
+        if start > 1:
+            sobol.fast_forward(start - 1)
+        later = sobol.random(max(1, int(points[-1]) - start + 1))
+        drawn = np.concatenate([zeroth, later])[np.where(points == 0, 0, points - start + 1)]
+        # Points lie on a grid of 2^-30 that holds 0: the middle of a cell stands for the cell.
+        z = special.ndtri(drawn + 2.0**-31)
+        if width == z.shape[1]:
+            return z
+        rest = Pseudo(self.seed, antithetic=False, stream=1 + scramble)
+        counter = rest.draws(points, simulator=None)  # pyright: ignore[reportArgumentType]
+        return np.concatenate([z, _stored(counter, width - z.shape[1])], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class Supplied(Scenarios):
+    """Scenarios of one's own in place of normals: `step_noise` [T, paths, K], and optionally
+    `initial_noise` [paths, K0]. The paths are taken to be independent."""
+
+    step_noise: np.ndarray
+    initial_noise: np.ndarray | None = None
+
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
+        steps, available, size = self.step_noise.shape
+        if steps != simulator.horizon or size != simulator.noise_size:
+            raise ValueError(
+                f"Supplied: step_noise has shape {self.step_noise.shape}; this simulator needs "
+                f"({simulator.horizon}, paths, {simulator.noise_size})."
+            )
+        if len(paths) and paths.max() >= available:
+            raise ValueError(
+                f"Supplied: path {paths.max()} was asked for and {available} paths are supplied."
+            )
+        initial = self.initial_noise
+        if initial is None:
+            initial = np.zeros((available, simulator.initial_noise_size))
+        return Stored(initial[paths], self.step_noise[:, paths])  # pyright: ignore
+
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        return paths
+
+
+def _key(seed: int, stream: int, use: int) -> np.ndarray:
+    """Two words that separate seeds, streams and uses (numpy's SeedSequence hash)."""
+    return np.random.SeedSequence([seed, stream, use]).generate_state(2, np.uint32)
+
+
+def bridge(levels: Float[np.ndarray, "paths steps k"]) -> Float[np.ndarray, "paths steps k"]:
+    """Unit normals per step from normals in order of importance, by a Brownian bridge.
+
+    The first number is the whole displacement, the next the midpoint given both ends, and so
+    on (Caflisch, Morokoff and Owen 1997). The map is orthogonal: normals in, normals out.
+    """
+    steps = levels.shape[1]
+    walk = np.zeros((levels.shape[0], steps + 1, levels.shape[2]))
+    walk[:, steps] = np.sqrt(steps) * levels[:, 0]
+    intervals, used = [(0, steps)], 1
+    while intervals:
+        left, right = intervals.pop(0)
+        if right - left < 2:
+            continue
+        middle = (left + right) // 2
+        weight = (middle - left) / (right - left)
+        deviation = np.sqrt((middle - left) * (right - middle) / (right - left))
+        walk[:, middle] = (
+            (1 - weight) * walk[:, left] + weight * walk[:, right] + deviation * levels[:, used]
+        )
+        used += 1
+        intervals += [(left, middle), (middle, right)]
+    return np.diff(walk, axis=1)
+
+
+def _stored(counter: Counter, size: int) -> np.ndarray:
+    with jax.enable_x64(True):
+        drawn = jax.vmap(lambda c: c.initial(size, jnp.float64), in_axes=(counter.axes(),))(counter)
+        return np.asarray(drawn)

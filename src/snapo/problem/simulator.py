@@ -1,0 +1,107 @@
+"""What a user writes: ONE path of a decision problem, in plain ``jax.numpy``.
+
+No batch dimension, no random keys and no loop over time: the engines add those. A
+simulator says how the inputs become a schedule (`prepare`), where a path starts
+(`initial`), what the policy sees (`observe`) and what one decision does (`step`).
+"""
+
+import abc
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .actions import Box, Simplex
+
+State = PyTree
+Outputs = dict[str, Float[Array, ""]]
+Total = Literal["sum", "max", "last"]
+
+
+class Schedule(eqx.Module):
+    """The numbers that all paths share, made once per call by `Simulator.prepare`.
+
+    **Arguments:**
+
+    - `constants`: any tree of arrays that holds for the whole horizon.
+    - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
+    """
+
+    constants: PyTree
+    steps: PyTree
+
+
+class Simulator(eqx.Module):
+    """One path of a sequential decision problem. Subclass it and fill in the five methods.
+
+    **Attributes:**
+
+    - `horizon`: the number of decisions T.
+    - `action`: the FIXED set of actions, a `Box` or a `Simplex`. Limits that depend on inputs
+      or on the state act inside `step`.
+    - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
+    """
+
+    horizon: eqx.AbstractVar[int]
+    action: eqx.AbstractVar[Box | Simplex]
+    noise_size: eqx.AbstractVar[int]
+    initial_noise_size: ClassVar[int] = 0
+
+    @abc.abstractmethod
+    def prepare(self, inputs: PyTree) -> Schedule:
+        """Turns inputs into the schedule. `inputs` holds plain arrays in place of every `Input`."""
+
+    @abc.abstractmethod
+    def initial(self, constants: PyTree, noise: Float[Array, " initial_noise"]) -> State:
+        """The state before the first decision: a tree of small arrays (integers allowed)."""
+
+    @abc.abstractmethod
+    def observe(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, " features"]:
+        """What the policy sees, of order one; `now` is `schedule.steps` at this step."""
+
+    @abc.abstractmethod
+    def step(self, constants, now, state, action, noise, smooth) -> tuple[State, Outputs]:
+        """One decision: the next state, and named scalars that are totalled over the path.
+
+        `action` lies in `self.action`, `noise` has `noise_size` numbers, and `smooth` is
+        `snapo.Exact()` or `snapo.Smooth(temperature)`.
+        """
+
+    def terminal(self, constants: PyTree, state: State, smooth) -> Outputs:
+        """Outputs of the final state; their names may be those of `step` or new ones."""
+        return {}
+
+    def totals(self) -> Mapping[str, Total]:
+        """How an output's path total is made, by name: "sum" (where not named), "max" or "last"."""
+        return {}
+
+    def control_variates(self) -> tuple[str, ...]:
+        """Names of outputs whose total has expectation zero under EVERY policy (martingales)."""
+        return ()
+
+    def state_scale(self, constants: PyTree) -> State | None:
+        """The typical size of each number in the state, for clipping adjoints; None means one."""
+        return None
+
+    def slack(self, constants, now, state, outputs) -> Mapping[str, Any]:
+        """Named distances to the limits after a step, negative where one is violated."""
+        return {}
+
+
+def at(steps: PyTree, t: int) -> PyTree:
+    """The schedule's step `t` (a view of every leaf)."""
+    return jax.tree.map(lambda leaf: leaf[t], steps)
+
+
+def probe(simulator: Simulator, schedule: Schedule) -> tuple[State, Float[Array, " features"]]:
+    """Shapes of one state and one observation; nothing is computed."""
+
+    def first(schedule):
+        noise = jnp.zeros(simulator.initial_noise_size)
+        state = simulator.initial(schedule.constants, noise)
+        return state, simulator.observe(schedule.constants, at(schedule.steps, 0), state)
+
+    return jax.eval_shape(first, schedule)

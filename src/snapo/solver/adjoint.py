@@ -1,0 +1,156 @@
+"""The one adjoint pass: from weights on path totals back to the policy and to every input.
+
+    inputs → prepare → schedule → rollout → totals → objective
+    inputs ← prepare's transpose ← d schedule ← engine.adjoint ← weights
+
+Training and sensitivities both read what this file gives.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.engine import Adjoint, Engine, Xla
+from snapo.problem import inputs as inputs_
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Objective, Weights
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
+
+class Gradient(NamedTuple):
+    """Derivatives of one value: `policy` shaped like the policy, `inputs` {name: array}."""
+
+    policy: PyTree
+    inputs: dict[str, np.ndarray]
+
+
+def pull_back(
+    simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
+) -> dict[str, np.ndarray]:
+    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}."""
+    with jax.enable_x64(True):
+        stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
+        moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
+        return {entry.name: np.asarray(leaf) for entry, leaf in zip(inputs_.named(inputs), moved)}
+
+
+def value_and_gradient(
+    simulator: Simulator,
+    inputs: PyTree,
+    policy: Policy,
+    *,
+    objective: Objective,
+    scenarios: Scenarios,
+    paths: int = 4096,
+    smooth: Any = None,
+    held: bool = False,
+    engine: Engine | None = None,
+) -> tuple[float, Gradient]:
+    """The objective and its exact gradient for the policy and every input, on these paths.
+
+    **Arguments:**
+
+    - `smooth`: `Exact()` by default. Through a hard decision the pathwise derivative is blind, so
+      use `Smooth(temperature)` for derivatives through the policy's reaction, or
+    - `held`: the decisions are recorded first and then replayed; the policy's gradient is zero.
+    """
+    engine = engine or Xla(precision="float64")
+    smooth = Exact() if smooth is None else smooth
+    schedule = prepare(simulator, inputs)
+    draws = scenarios.draws(np.arange(paths), simulator)
+    value, result = weighted_adjoint(
+        engine, simulator, policy, schedule, draws, smooth, objective, held=held
+    )
+    moved = pull_back(simulator, inputs, [result.schedule])
+    gradient = {name: array[0] for name, array in moved.items()}
+    nothing = jax.tree.map(np.zeros_like, eqx.filter(policy, eqx.is_inexact_array))
+    return value, Gradient(nothing if held else result.policy, gradient)
+
+
+def weighted_adjoint(
+    engine: Engine,
+    simulator: Simulator,
+    policy: Policy,
+    schedule: Schedule,
+    draws: Draws,
+    smooth,
+    objective: Objective,
+    *,
+    held: bool = False,
+    **options,
+) -> tuple[float, Adjoint]:
+    """The objective on these paths, and the adjoint of its weights.
+
+    A linear objective knows its weights beforehand; any other costs one more forward sweep.
+    """
+    actions = None
+    if held or not objective.linear:
+        record = ("action",) if held else ()
+        window = {key: options[key] for key in ("window", "start") if key in options}
+        first = engine.values(simulator, policy, schedule, draws, smooth, record=record, **window)
+        actions = first.record.get("action")
+        weights = objective.weights(float64(first.totals))
+    else:
+        weights = flat_weights(objective, draws.size)
+    result = engine.adjoint(
+        simulator,
+        None if held else policy,
+        schedule,
+        draws,
+        smooth,
+        weights,
+        actions=actions,
+        **options,
+    )
+    return objective.value(float64(result.totals)), result
+
+
+def adjoint_jacobian(
+    function: Callable, argnums: int | Sequence[int] = 0, has_aux: bool = False
+) -> Callable:
+    """The derivatives of a traceable function without paths: one adjoint pass for each number that
+    it returns, all of them side by side.
+
+    The result takes the function's arguments and gives [*output, *argument] for every argument of
+    `argnums` (of a number: its gradient); with `has_aux` also the second thing that the function
+    returns. It can be traced and differentiated forward, for second derivatives.
+    """
+    return jax.jacrev(function, argnums=argnums, has_aux=has_aux)
+
+
+def adjoint_gradient(function: Callable) -> Callable:
+    """The gradient of a traceable function of one tree that returns one number, shaped like it."""
+    return jax.grad(function)
+
+
+def flat_weights(objective: Objective, paths: int) -> Weights:
+    """The weights of a linear objective, which any totals give."""
+    return objective.weights({name: np.zeros(paths) for name in objective.outputs})
+
+
+def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
+    """Path totals as float64 NumPy, so that sums over paths lose nothing."""
+    return {name: np.asarray(total, np.float64) for name, total in totals.items()}
+
+
+@eqx.filter_jit
+def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
+    def schedule(values):
+        made = simulator.prepare(inputs_.replace(inputs, values))
+        return eqx.filter(made, eqx.is_inexact_array)
+
+    made, pull = jax.vjp(schedule, values)
+
+    def carry(cotangent):
+        # A leaf that the author made in float32 takes its cotangent in float32.
+        return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]
+
+    return jax.vmap(carry)(cotangents)

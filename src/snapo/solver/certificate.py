@@ -1,0 +1,267 @@
+"""Why believe the number: the adjoint against bumps on the same paths, and every limit kept."""
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.engine import Engine, Xla
+from snapo.problem import inputs as inputs_
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Objective, Weights
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Simulator
+from snapo.problem.smooth import Exact
+
+from .adjoint import float64, pull_back
+
+TOLERANCE = 1e-6  # of the family's largest derivative
+ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step
+NUDGE = 1e-3  # of each number: larger than any step, small against the number itself
+
+
+class Bump(NamedTuple):
+    """One derivative by the adjoint and by differences on the same paths.
+
+    - `direction`: the label bumped, or "random direction" over all of the input's entries.
+    - `adjoint`; `central`, `up`, `down`: the derivative and three differences.
+    - `allowed`: 1e-6 of the family's scale, plus the round-off of a difference.
+    - `kink`: the two one-sided differences disagree, and the adjoint is one of them.
+    - `crossing`: the share of paths that meet a kink within the step; where the adjoint is
+      neither side, it and the differences are those of the other paths alone.
+    """
+
+    input: str
+    direction: str
+    adjoint: float
+    central: float
+    up: float
+    down: float
+    allowed: float
+    kink: bool
+    crossing: float = 0.0
+
+    @property
+    def error(self) -> float:
+        """The distance to the central difference, at a kink to the nearer one-sided one."""
+        sides = (self.up, self.down) if self.kink else (self.central,)
+        return min(abs(self.adjoint - side) for side in sides)
+
+    @property
+    def passed(self) -> bool:
+        return self.error <= self.allowed
+
+    def row(self) -> dict[str, Any]:
+        """The bump as a row of a table."""
+        return {
+            "family": self.input,
+            "inputs": self.direction,
+            "worst_error": self.error,
+            "allowed": self.allowed,
+            "passed": self.passed,
+            "kink": self.kink,
+            "crossing": self.crossing,
+        }
+
+
+class Feasibility(NamedTuple):
+    """The smallest slack of one limit over all paths and steps, and where it was."""
+
+    limit: str
+    worst: float
+    path: int
+    step: int
+
+    def row(self, round_off: float) -> dict[str, Any]:
+        """The limit as a row of a table; kept, where it is violated by no more than round-off."""
+        return self._asdict() | {"passed": self.worst > -round_off}
+
+
+def nudged(inputs: PyTree, zeros: Mapping[str, float] | None = None, seed: int = 0) -> PyTree:
+    """The inputs, each number moved by a random thousandth of itself at most.
+
+    Round numbers tie: a store that fills in exactly eight days stands on a kink of its limits,
+    where every path has two derivatives. Nearby, hardly any path has. `zeros` says by how much an
+    input that is zero may be moved, upwards; one not named stays zero.
+    """
+    random, given = np.random.default_rng(seed), inputs_.named(inputs)
+    moved = []
+    for name, entry in given:
+        size = np.where(entry.value == 0, (zeros or {}).get(name, 0.0), NUDGE * entry.value)
+        low = np.where(entry.value == 0, 0.5, -1.0)
+        moved.append(entry.value + size * random.uniform(low, 1.0, entry.value.shape))
+    return _with_values(inputs, moved)
+
+
+def bump_check(
+    simulator: Simulator,
+    inputs: PyTree,
+    policy: Policy,
+    objective: Objective,
+    scenarios: Scenarios,
+    paths: int = 512,
+    *,
+    smooth: Any = None,
+    every: bool = False,
+    engine: Engine | None = None,
+) -> list[Bump]:
+    """The adjoint against differences in float64, on the same paths.
+
+    With `smooth` the policy reacts; without, the exact simulator replays its recorded decisions.
+    Every input is bumped along one random direction of signs, or with `every` entry by entry.
+    Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
+    difference; along a direction in which different paths take different sides, it is neither,
+    and only the paths without a kink within the step are compared (see `Bump.crossing`).
+    """
+    engine = engine or Xla(precision="float64")
+    draws = scenarios.draws(np.arange(paths), simulator)
+    replay = _Replay.of(engine, simulator, inputs, policy, objective, draws, smooth)
+    gradient, random = replay.gradient(), np.random.default_rng(1)
+    centre = replay.paths({})
+    found = []
+    for name, given in inputs_.named(inputs):
+        directions = _directions(given, every, random)
+        scale = float(np.max(np.abs(gradient[name]), initial=0.0))
+        if not every:
+            scale = float(np.sum(np.abs(gradient[name])))
+        for label, direction in directions:
+            along = _Along(replay, name, direction, given.step(), centre)
+            found.append(along.compare(label, gradient, scale))
+    return found
+
+
+class _Replay(NamedTuple):
+    """The paths of one check: same noise, same weights, and same decisions or same policy."""
+
+    engine: Engine
+    simulator: Simulator
+    inputs: PyTree
+    policy: Policy | None
+    draws: Draws
+    smooth: Any
+    actions: Any
+    weights: Weights
+
+    @classmethod
+    def of(cls, engine, simulator, inputs, policy, objective: Objective, draws, smooth):
+        schedule, held = prepare(simulator, inputs), smooth is None
+        smooth = Exact() if held else smooth
+        first = engine.values(
+            simulator, policy, schedule, draws, smooth, record=("action",) if held else ()
+        )
+        decider, actions = (None, first.record["action"]) if held else (policy, None)
+        weights = objective.weights(float64(first.totals))
+        return cls(engine, simulator, inputs, decider, draws, smooth, actions, weights)
+
+    def paths(self, bumps: dict[str, np.ndarray]) -> np.ndarray:
+        """What each path adds to the weighted value, [paths], with these inputs shifted."""
+        named = inputs_.named(self.inputs)
+        moved = [entry.input.value + bumps.get(entry.name, 0.0) for entry in named]
+        schedule = prepare(self.simulator, _with_values(self.inputs, moved))
+        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
+        totals = float64(self.engine.values(*given, actions=self.actions).totals)
+        return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
+
+    def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
+        """The adjoint by every input, of all paths or of those to `keep`."""
+        schedule = prepare(self.simulator, self.inputs)
+        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
+        weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
+        passed = self.engine.adjoint(*given, weights, actions=self.actions, wrt=("schedule",))
+        moved = pull_back(self.simulator, self.inputs, [passed.schedule])
+        return {name: found[0] for name, found in moved.items()}
+
+
+class _Along:
+    """One input bumped along one direction, path by path."""
+
+    def __init__(self, replay: _Replay, name: str, direction, step: float, centre: np.ndarray):
+        self.replay, self.name, self.direction = replay, name, direction
+        self.step, self.centre = step, centre
+        self.low, self.high = self._at(-step), self._at(step)
+
+    def _at(self, step: float) -> np.ndarray:
+        return self.replay.paths({self.name: step * self.direction})
+
+    def compare(self, label: str, gradient: dict[str, np.ndarray], scale: float) -> Bump:
+        found = self._bump(label, gradient, scale, np.ones(len(self.centre), bool))
+        if found.passed:
+            return found
+        smooth = ~self._crossing(scale)
+        if smooth.all() or not smooth.any():
+            return found._replace(crossing=1.0 - float(smooth.all()))
+        rest = self._bump(label, self.replay.gradient(smooth), scale, smooth)
+        return rest._replace(crossing=float(np.mean(~smooth)))
+
+    def _bump(self, label: str, gradient, scale: float, keep: np.ndarray) -> Bump:
+        low, centre, high = (float(x[keep].sum()) for x in (self.low, self.centre, self.high))
+        adjoint = float(np.sum(gradient[self.name] * self.direction))
+        step = self.step
+        up, down, central = (high - centre) / step, (centre - low) / step, (high - low) / (2 * step)
+        size = max(float(np.abs(x[keep]).sum()) for x in (self.low, self.centre, self.high))
+        allowed = TOLERANCE * max(scale, abs(adjoint)) + ROUND_OFF * size / step
+        # Differences of a smooth function disagree by its curvature; the adjoint is then central.
+        one_sided = min(abs(adjoint - up), abs(adjoint - down)) <= allowed
+        kink = abs(adjoint - central) > allowed and one_sided
+        return Bump(self.name, label, adjoint, central, up, down, allowed, kink)
+
+    def _crossing(self, scale: float) -> np.ndarray:
+        """The paths with a kink within the step: [paths] booleans.
+
+        A second difference shrinks by four when the step is halved, and at a kink it does not.
+        """
+        half = [self._at(sign * self.step / 2) for sign in (-1, 1)]
+        wide = self.high - 2 * self.centre + self.low
+        narrow = half[1] - 2 * self.centre + half[0]
+        # What goes unnoticed on every path together stays well below what is allowed.
+        noise = ROUND_OFF * np.abs(self.centre)
+        limit = 0.01 * TOLERANCE * scale * self.step / len(self.centre) + noise
+        return np.abs(wide - 4 * narrow) > limit
+
+
+def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np.ndarray]]:
+    shape = given.value.shape
+    if not every and given.value.size > 1:
+        return [("random direction", random.choice([-1.0, 1.0], shape))]
+    units = np.eye(given.value.size).reshape(-1, *shape)
+    return list(zip(given.names(), units))
+
+
+def _with_values(inputs: PyTree, values: list) -> PyTree:
+    """The same inputs with other values."""
+    remaining = iter(values)
+
+    def put(leaf):
+        if not inputs_.is_input(leaf):
+            return leaf
+        return eqx.tree_at(lambda i: i.value, leaf, np.asarray(next(remaining), np.float64))
+
+    return jax.tree.map(put, inputs, is_leaf=inputs_.is_input)
+
+
+def feasibility(
+    simulator: Simulator,
+    schedule,
+    policy: Policy,
+    scenarios: Scenarios,
+    paths: int = 4096,
+    engine: Engine | None = None,
+) -> list[Feasibility]:
+    """The smallest slack of every limit that the simulator declares, in the exact simulator."""
+    engine = engine or Xla(precision="float64")
+    worst: dict[str, Feasibility] = {}
+    for block in scenarios.blocks(paths):
+        draws = scenarios.draws(block, simulator)
+        rolled = engine.values(simulator, policy, schedule, draws, Exact(), record=("slack",))
+        for name, slack in rolled.record["slack"].items():
+            slack = np.asarray(slack)
+            step, path = np.unravel_index(np.argmin(slack), slack.shape)
+            entry = Feasibility(name, float(slack[step, path]), int(block[path]), int(step))
+            if name not in worst or entry.worst < worst[name].worst:
+                worst[name] = entry
+    return list(worst.values())

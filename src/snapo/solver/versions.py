@@ -1,0 +1,15 @@
+"""The versions that decide the numbers."""
+
+import platform
+from importlib.metadata import PackageNotFoundError, version
+
+
+def versions() -> dict[str, str]:
+    """What decides the numbers besides the inputs: this package, its libraries and the machine."""
+    found = {"python": platform.python_version(), "machine": platform.machine()}
+    for name in ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

@@ -1,0 +1,96 @@
+"""Noise drawn inside the kernel against `scenarios`: the same words, normals to rounding."""
+
+from typing import ClassVar
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from snapo.engine.native import Native
+from snapo.problem import scenarios
+from snapo.problem.actions import Box
+from snapo.problem.policy import Constant
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
+
+class Echo(Simulator):
+    """Keeps its noise, so that a record of the state shows it."""
+
+    noise_size: int = eqx.field(static=True)
+    initial_noise_size: ClassVar[int] = 3
+    horizon: int = eqx.field(static=True, default=7)
+    action: Box = eqx.field(default=Box(1))
+
+    def prepare(self, inputs):
+        return Schedule({}, {"day": jnp.arange(self.horizon, dtype=jnp.float32)})
+
+    def initial(self, constants, noise):
+        return {"first": noise, "noise": jnp.zeros(self.noise_size)}
+
+    def observe(self, constants, now, state):
+        return state["noise"]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return {"first": state["first"], "noise": noise}, {"sum": jnp.sum(noise)}
+
+
+def words(key, size: int, paths, steps, antithetic: bool) -> np.ndarray:
+    """The words that `scenarios` draws, [steps, paths, size]."""
+    pairs = (size + 1) // 2
+    numbers = paths >> 1 if antithetic else paths
+    counters = steps[:, None, None] * np.uint32(pairs) + np.arange(pairs, dtype=np.uint32)
+    shape = (len(steps), len(paths), pairs)
+    first = jnp.broadcast_to(jnp.asarray(numbers)[:, None], shape)
+    pair = scenarios.threefry(key, first, jnp.broadcast_to(counters, shape))
+    return np.stack(pair, -1).reshape(len(steps), len(paths), -1)[..., :size]
+
+
+def exact(words: np.ndarray, dtype) -> np.ndarray:
+    """The formula of `scenarios.normal` in extended precision, with its rounded coefficients."""
+    wide = np.longdouble
+    tables = scenarios._PPND16 if dtype == np.float64 else scenarios._PPND7
+    m = (words & 0x7FFFFFFF).astype(wide)
+    tail, q = (m + wide(0.5)) * wide(2) ** -32, (0x7FFFFFFF - m) * wide(2) ** -32 + wide(2) ** -33
+
+    def ratio(table, x):
+        top, bottom = (sum(wide(dtype(c)) * x**i for i, c in enumerate(part)) for part in table)
+        return top / bottom
+
+    centre = q * ratio(tables[0], wide(dtype(0.180625)) - q * q)
+    outer = ratio(tables[1], np.sqrt(-np.log(tail)) - wide(dtype(1.6)))
+    z = np.where(q <= wide(dtype(0.425)), centre, outer)
+    return np.where(words >> 31 == 1, -z, z)
+
+
+# float32 within 4 units in the last place of the formula, float64 within 5; XLA's own evaluation
+# is within 6, so a wrong word could not hide.
+BOUND = {"float32": 4, "float64": 5}
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+@pytest.mark.parametrize(("size", "antithetic"), [(1, True), (3, False), (4, True), (31, False)])
+def test_the_same_normals(precision, size, antithetic):
+    simulator, dtype = Echo(size), np.dtype(precision).type
+    paths = np.arange(1000, 1045, dtype=np.uint32)
+    draws = Pseudo(5, antithetic).draws(paths, simulator)
+    steps, start = words(draws.keys[0], size, paths, np.arange(7, dtype=np.uint32), antithetic), 3
+    first = words(draws.keys[1], start, paths, np.zeros(1, np.uint32), antithetic)[0]
+    sign = np.where((paths & 1 == 1) & antithetic, -1, 1)[:, None]
+    engine = Native(precision)
+    with engine.numbers():
+        schedule = simulator.prepare(None)
+    rollout = engine.values(simulator, Constant(0.0), schedule, draws, Exact(), record=("state",))
+    found = np.concatenate(
+        [np.asarray(rollout.record["state"]["noise"])[1:], np.asarray(rollout.state["noise"])[None]]
+    )
+    assert ulps(found, sign * exact(steps, dtype)) <= BOUND[precision]
+    assert ulps(np.asarray(rollout.state["first"]), sign * exact(first, dtype)) <= BOUND[precision]
+
+
+def ulps(found: np.ndarray, expected: np.ndarray) -> float:
+    assert found.shape == expected.shape
+    unit = np.spacing(np.abs(expected.astype(found.dtype))).astype(np.longdouble)
+    return float(np.max(np.abs(found - expected) / unit))

@@ -1,0 +1,139 @@
+"""Objectives: weights are derivatives, and standard errors cover."""
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from snapo.problem.objective import (
+    CRRA,
+    CVaR,
+    Entropic,
+    ExpectedUtility,
+    Mean,
+    MeanVariance,
+    Probability,
+    Target,
+)
+
+RNG = np.random.default_rng(0)
+X = RNG.normal(1.5, 0.4, size=41)
+Y = RNG.normal(size=41)
+
+SMOOTH = {
+    "mean": Mean("x"),
+    "cvar": CVaR("x", 0.9),
+    "cvar of whole paths": CVaR("x", 1 - 4 / 41),
+    "mean-variance": MeanVariance("x", 3.0),
+    "entropic": Entropic("x", 2.0),
+    "crra": ExpectedUtility("x", CRRA(5.0)),
+    "log": ExpectedUtility("x", CRRA(1.0)),
+    "target": Target("x", 1.0),
+    "mixture": Mean("x") * 2 + 0.5 * CVaR("y", 0.8) - Target("x", 1.0),
+    "negative": -Mean("y"),
+}
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_weights_are_derivatives(name):
+    """Step 1e-6: truncation 1e-12 times a third derivative below 1e3, round-off 1e-16 / 1e-6."""
+    objective, totals = SMOOTH[name], {"x": X, "y": Y}
+    weights = objective.weights(totals)
+    assert set(weights) == set(objective.outputs)
+    for output, weight in weights.items():
+        for i in range(41):
+            e = np.zeros(41)
+            e[i] = 1e-6
+            up, down = (objective.value(totals | {output: totals[output] + s * e}) for s in (1, -1))
+            assert weight[i] == pytest.approx((up - down) / 2e-6, abs=5e-9)
+
+
+@pytest.mark.parametrize("name", SMOOTH)
+def test_influence_has_the_value_as_its_mean(name):
+    totals = {"x": X, "y": Y}
+    influence = SMOOTH[name].influence(totals)
+    assert influence.shape == (41,)
+    assert influence.mean() == pytest.approx(SMOOTH[name].value(totals), rel=1e-12)
+
+
+def test_linear_objectives_know_their_weights_beforehand():
+    assert (2 * Mean("x") - Mean("y")).linear and not (Mean("x") + CVaR("y", 0.9)).linear
+
+
+def test_cvar_is_the_mean_of_the_tail():
+    x = np.arange(10.0)
+    assert CVaR("x", 0.8).value({"x": x}) == pytest.approx(0.5)  # the mean of 0 and 1
+    assert CVaR("x", 0.75).value({"x": x}) == pytest.approx(
+        (0 + 1 + 0.5 * 2) / 2.5
+    )  # half of the third
+    weights = CVaR("x", 0.75).weights({"x": x})["x"]
+    np.testing.assert_allclose(weights[:4], [0.4, 0.4, 0.2, 0.0], atol=1e-15)
+    # Ties and a tail below one path keep the weights' sum at one.
+    for level, x in ((0.9, np.zeros(7)), (0.99, np.arange(7.0))):
+        assert CVaR("x", level).weights({"x": x})["x"].sum() == pytest.approx(1.0)
+
+
+def test_cvar_and_entropic_of_normals():
+    """N(0, 1): CVaR is -phi(z) / (1 - level), the entropic value -a / 2; on a fine quantile grid
+    the mean of a tail is off by less than 1e-3 and the exponential moment by less than 1e-4."""
+    x = stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)
+    z = stats.norm.ppf(0.95)
+    assert CVaR("x", 0.95).value({"x": x}) == pytest.approx(-stats.norm.pdf(z) / 0.05, abs=1e-3)
+    assert Entropic("x", 1.0).value({"x": x}) == pytest.approx(-0.5, abs=1e-4)
+
+
+def test_entropic_does_not_overflow():
+    x = np.array([-1e6, 0.0, 1e6])
+    objective = Entropic("x", 1.0)
+    assert objective.value({"x": x}) == pytest.approx(-1e6 + np.log(3))
+    np.testing.assert_allclose(objective.weights({"x": x})["x"], [1.0, 0.0, 0.0])
+
+
+def test_utility_and_its_certainty_equivalent():
+    for aversion in (0.5, 1.0, 5.0):
+        utility = CRRA(aversion)
+        assert utility.certainty_equivalent(float(utility(np.array([1.7]))[0])) == pytest.approx(
+            1.7
+        )
+        assert utility(np.array([0.0]))[0] == -np.inf
+
+
+def test_probability_counts_and_its_weights_are_a_density():
+    x = RNG.normal(size=100_000)
+    objective = Probability("x", threshold=0.3, width=0.05)
+    assert objective.value({"x": x}) == np.mean(x > 0.3)
+    # Moving all paths by dx moves the probability by the density: smoothing 0.05 wide changes it by
+    # about width^2 pi^2 / 6 * density'' / density, 0.4 %; sampling 100,000 paths by 1 %.
+    total = objective.weights({"x": x})["x"].sum()
+    assert total == pytest.approx(stats.norm.pdf(0.3), rel=0.04)
+
+
+@pytest.mark.parametrize(
+    "objective, truth",
+    [
+        (Mean("x"), 0.0),
+        (CVaR("x", 0.9), -stats.norm.pdf(stats.norm.ppf(0.9)) / 0.1),
+        (MeanVariance("x", 2.0), -1.0),
+        (Entropic("x", 1.0), -0.5),
+        (Target("x", 1.0), -2.0),
+        (Mean("x") + CVaR("x", 0.9), -stats.norm.pdf(stats.norm.ppf(0.9)) / 0.1),
+        (Probability("x", 0.5), stats.norm.sf(0.5)),
+    ],
+    ids=["mean", "cvar", "mean-variance", "entropic", "target", "mixture", "probability"],
+)
+def test_standard_errors_cover(objective, truth):
+    """400 samples of 2,000 normals, 95 % intervals: coverage 0.95 with a standard error of 0.011;
+    within three of them and half a point for bias."""
+    rng = np.random.default_rng(1)
+    hits = 0
+    for _ in range(400):
+        totals = {"x": rng.normal(size=2000)}
+        error = objective.influence(totals).std(ddof=1) / np.sqrt(2000)
+        hits += abs(objective.value(totals) - truth) < 1.96 * error
+    assert 0.91 <= hits / 400 <= 0.985
+
+
+def test_an_unknown_output_is_named():
+    with pytest.raises(KeyError, match="no output 'z'"):
+        Mean("z").value({"x": X})
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        CVaR("x", 95.0)

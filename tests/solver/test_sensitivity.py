@@ -1,0 +1,119 @@
+"""Tables with standard errors, and second derivatives against differences of first ones."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import snapo
+from snapo.engine import Xla
+from snapo.problem.prepare import prepare
+from snapo.solver.sensitivity import Estimate
+
+
+class Sale(snapo.Simulator):
+    """Sell a stock over three days at a noisy price, as much as the policy says."""
+
+    horizon: int = 3
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+
+    def prepare(self, inputs):
+        return snapo.Schedule(inputs, {"price": inputs["price"]})
+
+    def initial(self, constants, noise):
+        return {"stock": constants["stock"], "level": jnp.ones(())}
+
+    def observe(self, constants, now, state):
+        return jnp.stack([state["stock"] - 1.0, now["price"] * state["level"] - 2.0])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        sold = action[0] * state["stock"]
+        level = state["level"] * jnp.exp(constants["volatility"] * noise[0])
+        cash = sold * now["price"] * state["level"]
+        return {"stock": state["stock"] - sold, "level": level}, {"cash": cash}
+
+
+INPUTS = {
+    "price": snapo.Input([2.0, 2.1, 1.9], "EUR", ("Mon", "Tue", "Wed")),
+    "stock": snapo.Input(1.5, "t"),
+    "volatility": snapo.Input(0.2),
+}
+
+
+def problem():
+    simulator = Sale()
+    policy = snapo.Threshold(2.0, jnp.array([0.1]), jnp.array([0.9]), feature=1, scale=0.5)
+    return simulator, policy, snapo.Mean("cash"), snapo.Pseudo(3)
+
+
+def test_held_rows_name_every_entry_and_add_up_to_the_value():
+    simulator, policy, objective, source = problem()
+    table = snapo.sensitivities(simulator, INPUTS, policy, objective, source, 256)
+    rows = list(table.rows())
+    assert [(row.input, row.label) for row in rows][:3] == [
+        ("price", d) for d in ("Mon", "Tue", "Wed")
+    ]
+    # Cash is linear in the prices once the decisions are held: price x delta adds up to the value.
+    draws = source.draws(np.arange(256), simulator)
+    schedule = prepare(simulator, INPUTS)
+    totals = Xla("float64").values(simulator, policy, schedule, draws, snapo.Exact()).totals
+    total = sum(row.value * p for row, p in zip(rows, INPUTS["price"].value))
+    assert total == pytest.approx(totals["cash"].mean(), rel=1e-12)
+    assert all(row.standard_error >= 0 for row in rows)
+
+
+def test_the_error_along_a_direction_is_that_of_the_sum():
+    blocks = np.random.default_rng(0).normal(size=(32, 4))
+    value, error = Estimate(blocks).along(np.ones(4))
+    sums = blocks.sum(1)
+    assert value == pytest.approx(sums.mean())
+    assert error == pytest.approx(sums.std(ddof=1) / np.sqrt(32))
+
+
+def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_respond():
+    simulator, policy, objective, source = problem()
+    smooth = snapo.Smooth(np.float64(1.0))
+    direction = {"price": np.array([1.0, 0.5, 0.0])}
+    (found,) = snapo.second_order(
+        simulator, INPUTS, policy, objective, source, 64, [direction], smooth
+    )
+    step = 1e-5  # central differences of a smooth function: error of order step^2 and eps / step
+
+    def held(sign):
+        bumped = INPUTS["price"].value + sign * step * direction["price"]
+        inputs = INPUTS | {"price": snapo.Input(bumped)}
+        engine, draws = Xla("float64"), source.draws(np.arange(64), simulator)
+        schedule = prepare(simulator, inputs)
+        rolled = engine.values(simulator, policy, schedule, draws, smooth, record=("action",))
+        weights = {"cash": np.full(64, 1 / 64)}
+        result = engine.adjoint(
+            simulator, None, schedule, draws, smooth, weights, actions=rolled.record["action"]
+        )
+        return result.schedule.constants
+
+    up, down = held(1), held(-1)
+    for name in ("stock", "volatility"):
+        difference = (up[name] - down[name]) / (2 * step)
+        np.testing.assert_allclose(found[name], difference, rtol=1e-6, atol=1e-8)
+
+
+def test_an_unknown_direction_is_named():
+    simulator, policy, objective, source = problem()
+    with pytest.raises(KeyError, match="prise"):
+        directions = [{"prise": np.ones(3)}]
+        snapo.second_order(
+            simulator, INPUTS, policy, objective, source, 8, directions, snapo.Smooth(np.float64(1))
+        )
+
+
+def test_value_and_gradient_agree_with_the_table():
+    simulator, policy, objective, source = problem()
+    value, gradient = snapo.value_and_gradient(
+        simulator, INPUTS, policy, objective=objective, scenarios=source, paths=256, held=True
+    )
+    table = snapo.sensitivities(simulator, INPUTS, policy, objective, source, 256)
+    for name, array in gradient.inputs.items():
+        np.testing.assert_allclose(array, table.held[name].value, rtol=1e-12)
+    assert np.isfinite(value)
+    assert all(np.all(leaf == 0) for leaf in jax.tree.leaves(gradient.policy))
