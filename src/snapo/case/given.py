@@ -4,6 +4,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from snapo.problem.inputs import Input
+
+SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
+
 
 @dataclass(frozen=True, eq=False)
 class Given:
@@ -20,6 +24,7 @@ class Given:
     - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
+    - `bump`, `move`, `trade_unit`, `trade_factor`, `group`, `words`: as in `Input`.
     """
 
     name: str
@@ -27,6 +32,12 @@ class Given:
     labels: tuple[str, ...]
     unit: str
     index: np.ndarray
+    bump: float | None = None
+    move: float | None = None
+    trade_unit: str = ""
+    trade_factor: float = 1.0
+    group: str = ""
+    words: str = ""
 
     def __post_init__(self):
         if len(self.labels) != len(self.values):
@@ -35,3 +46,8 @@ class Given:
     def used(self) -> np.ndarray:
         """`values[index]`, the numbers where they are used."""
         return self.values[self.index]
+
+    def input(self) -> Input:
+        """The numbers as a differentiable input, with all that is said about them."""
+        said = {name: getattr(self, name) for name in SAID}
+        return Input(self.values, self.unit, self.labels, **said)

@@ -29,6 +29,11 @@ class Input(eqx.Module):
     - `labels`: one per entry, in C order (dates, tenors, species); numbered when not given.
     - `bump`: the step of a finite difference that checks the gradient; by default 1e-5 times the
       largest entry (at least 1e-5).
+    - `move`: by how much reports and sliders move it, in `unit`; None: by a share of itself.
+    - `trade_unit`, `trade_factor`: the unit in which its owner thinks, and how many of them make
+      one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
+    - `group`: the family of risk it belongs to, such as "price", "volatility" or "contract".
+    - `words`: one phrase that says its meaning.
 
     A correlation matrix enters as its strict lower triangle.
     """
@@ -39,6 +44,11 @@ class Input(eqx.Module):
         static=True, default=(), converter=lambda x: tuple(map(str, x))
     )
     bump: float | None = eqx.field(static=True, default=None)
+    move: float | None = eqx.field(static=True, default=None)
+    trade_unit: str = eqx.field(static=True, default="")
+    trade_factor: float = eqx.field(static=True, default=1.0)
+    group: str = eqx.field(static=True, default="")
+    words: str = eqx.field(static=True, default="")
 
     def __check_init__(self):
         if self.labels and len(self.labels) != self.value.size:
