@@ -10,8 +10,8 @@ import numpy as np
 
 import snapo
 from snapo.domains.pharma.case import resolve
-from snapo.domains.pharma.inputs import pharma_inputs
-from snapo.domains.pharma.records import PharmaCase
+from snapo.domains.pharma.flowsheet.case import PharmaCase
+from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 
 TEMPLATE = Path(snapo.__file__).parent / "domains" / "pharma" / "template" / "case.toml"
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from scipy.special import ndtri
 from tests.domains.pharma.process_cases import (
     Connection,
     Numerics,
@@ -20,15 +19,14 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
-from snapo.domains.pharma import attribution
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.convergence import convergence
-from snapo.domains.pharma.jacobian import matrix, second
-from snapo.domains.pharma.local import local
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.recipe import best_recipe
-from snapo.domains.pharma.records import Distribution, Uncertainty
-from snapo.domains.pharma.records_units import Splitter, Tank
+from snapo.domains.pharma.derivatives import attribution
+from snapo.domains.pharma.derivatives.convergence import convergence
+from snapo.domains.pharma.derivatives.jacobian import matrix, second
+from snapo.domains.pharma.derivatives.local import local
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.units.splitter import Splitter
+from snapo.domains.pharma.units.tank import Tank
 
 K, T = 1e-3, 2000.0  # 1/s, s
 DURATION, PREFACTOR = ("reactor.duration", 0), ("kinetics.prefactor", 0)
@@ -82,23 +80,6 @@ def test_what_has_not_converged_says_so():
     value = coarse.rows[0]
     left = abs(value.finer - value.adaptive) / abs(value.mesh - value.finer)
     assert left == pytest.approx(1 / 15, rel=0.2)
-
-
-def test_the_best_recipe_under_uncertainty():
-    """A within [0.1, 0.2] with a lognormal rate: the best time is the middle of both in logarithms.
-
-    ln t = (ln a + ln b) / 2 - ln K + s^2 / 2, a and b being the logarithms of 1/0.1 and 1/0.2.
-    """
-    spread = 0.3
-    known = Uncertainty(
-        ("kinetics.prefactor",), (0,), (Distribution("lognormal", spread),), np.eye(1), ("batch",)
-    )
-    limits = (attribute("A", "reactor.concentration.A", low=0.1, high=0.2, margin=0.002),)
-    process = Process(replace(tank(uncertainty=known), attributes=limits))
-    draws = K * np.exp(spread * ndtri((np.arange(400) + 0.5) / 400) - spread**2 / 2)[:, None]
-    found = best_recipe(process, [DURATION], [500.0], [4000.0], draws, starts=[np.array([900.0])])
-    best = np.sqrt(np.log(10) * np.log(5)) / K * np.exp(spread**2 / 2)
-    assert found.converged and found.x[0] == pytest.approx(best, rel=0.01)
 
 
 def branched():

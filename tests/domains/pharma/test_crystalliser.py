@@ -19,13 +19,13 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
-from snapo.domains.pharma import integrate
-from snapo.domains.pharma import mesh as meshes
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.event import saturation_share
-from snapo.domains.pharma.filter import displacement, scaled_erfc
-from snapo.domains.pharma.jacobian import matrix
-from snapo.domains.pharma.process import Process
+from snapo.domains.pharma.derivatives.jacobian import matrix
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.time import integrate
+from snapo.domains.pharma.time import mesh as meshes
+from snapo.domains.pharma.time.event import saturation_share
+from snapo.domains.pharma.units.filter import displacement, scaled_erfc
 
 
 def test_potassium_nitrate():

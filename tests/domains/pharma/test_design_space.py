@@ -5,8 +5,9 @@ import pytest
 from scipy.special import ndtr
 from tests.domains.pharma.pharma_cases import Polynomial, template
 
-from snapo.domains.pharma import capability, design_space, draws, ranges, sensitivities
-from snapo.domains.pharma.jacobian import Matrix
+from snapo.domains.pharma.derivatives import sensitivities
+from snapo.domains.pharma.derivatives.jacobian import Matrix
+from snapo.domains.pharma.quality import capability, design_space, draws, ranges
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),

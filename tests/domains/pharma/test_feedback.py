@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tests.domains.pharma.process_cases import temperature_profile
 
-from snapo.domains.pharma.records import Control, Manipulated, Measurement
-from snapo.domains.pharma.simulator import closed_loop
+from snapo.domains.pharma.control.loop import closed_loop
+from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
 from snapo.engine import Xla
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP

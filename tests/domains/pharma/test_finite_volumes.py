@@ -18,13 +18,14 @@ from tests.domains.pharma.process_cases import (
     number,
 )
 
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.finite_volumes import by_finite_volumes, limited_steps, quantiles
-from snapo.domains.pharma.jacobian import matrix
-from snapo.domains.pharma.population import NUMBER, SIZE
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.records import Numerics
-from snapo.domains.pharma.records_units import Seed
+from snapo.domains.pharma.derivatives.jacobian import matrix
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.units.crystals.finite_volumes import by_finite_volumes, limited_steps
+from snapo.domains.pharma.units.crystals.population import NUMBER, SIZE
+from snapo.domains.pharma.units.crystals.quantiles import quantiles
+from snapo.domains.pharma.units.crystals.seed import Seed, seed_numbers
 
 SPREAD, MEAN = 0.3, 60e-6
 
@@ -41,8 +42,8 @@ def seeded(size=MEAN, loading=1.0):
 
 def population(edges, seed=None):
     with jax.enable_x64(True):
-        unit = crystalliser(seed=seed or seeded(), edges=edges)
-        return by_finite_volumes(unit, {}, 0.5236, 1200.0)
+        numbers = seed_numbers(seed or seeded(), {}, 0.5236, 1200.0, edges / SIZE)
+        return by_finite_volumes(edges, numbers)
 
 
 def after(crystals, growth, born, seconds, steps):

@@ -4,12 +4,12 @@ import numpy as np
 import pytest
 from tests.domains.pharma.process_cases import Numerics, flagship, reactor_alone
 
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.convergence import convergence
-from snapo.domains.pharma.jacobian import gradient, matrix, second
-from snapo.domains.pharma.local import local
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.profile import with_nodes
+from snapo.domains.pharma.derivatives.convergence import convergence
+from snapo.domains.pharma.derivatives.jacobian import gradient, matrix, second
+from snapo.domains.pharma.derivatives.local import local
+from snapo.domains.pharma.derivatives.nodes import with_nodes
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
 
 # Computed independently to tight tolerances (SUNDIALS and LSODA).
 VALUES = [27.870059, 87.956431, 0.0465257, 504.75205, 81.223311, 194.163947]

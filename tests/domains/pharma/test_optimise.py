@@ -12,9 +12,9 @@ from tests.domains.pharma.test_pharma_run import CASE
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.case import read_case, resolve
-from snapo.domains.pharma.optimise import optimise
-from snapo.domains.pharma.optimum import Traced, best, optimum
-from snapo.domains.pharma.process import Process
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.recipe.optimise import optimise
+from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
 
 EXAMPLE = Path(__file__).parents[3] / "examples" / "plug_flow"
 

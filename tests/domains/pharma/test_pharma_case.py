@@ -4,9 +4,9 @@ import pytest
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.domains.pharma.case import read_case
-from snapo.domains.pharma.inputs import pharma_inputs
-from snapo.domains.pharma.statement import statement
-from snapo.domains.pharma.units_of_measure import UnitError, conversion, split
+from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
+from snapo.domains.pharma.read.quantities import UnitError, conversion, split
+from snapo.domains.pharma.results.statement import statement
 
 
 @pytest.mark.parametrize(

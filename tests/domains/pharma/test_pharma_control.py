@@ -10,7 +10,7 @@ from tests.domains.pharma.test_pharma_run import CASE
 from snapo.case.error import CaseError
 from snapo.domains.pharma import run
 from snapo.domains.pharma.case import resolve
-from snapo.domains.pharma.stages import decided, staged
+from snapo.domains.pharma.control.stages import decided, staged
 
 LOOP = """
 [control]

@@ -12,11 +12,13 @@ import pytest
 from tests.domains.pharma.pharma_cases import FirstOrder, template
 
 from snapo.cli.main import main
-from snapo.domains.pharma import details, estimation, run
+from snapo.domains.pharma import run
 from snapo.domains.pharma.case import read_case
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.records import Estimation, Experiment
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.quality import estimation
+from snapo.domains.pharma.quality.records import Estimation, Experiment
 from snapo.domains.pharma.report import SECTIONS
+from snapo.domains.pharma.results import derivatives, quality
 
 # Concentrations of an isothermal batch at 313.15 K with the kinetics published with PharmaPy, from
 # a multistep solution at a relative tolerance of 1e-11: at 600, 1800 and 3600 s, kmol/m3.
@@ -213,9 +215,10 @@ def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     def broken(*_):
         raise FloatingPointError("made to fail")
 
-    for name in ("convergence_rows", "certificate_rows", "range_rows", "map_tables",
-                 "estimation_rows", "second_rows", "attribution_rows"):  # fmt: skip
-        monkeypatch.setattr(details, name, broken)
+    for name in ("convergence_rows", "certificate_rows", "second_rows", "attribution_rows"):
+        monkeypatch.setattr(derivatives, name, broken)
+    for name in ("range_rows", "map_tables", "estimation_rows"):
+        monkeypatch.setattr(quality, name, broken)
     result = run.solve(read_case(folder), out=tmp_path / "run", seed=3, progress=lambda t: None)
     assert "design space" in result["status"] and result["status"].endswith("failed")
     assert 0 < result["value"] < 1

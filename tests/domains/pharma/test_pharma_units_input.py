@@ -8,11 +8,12 @@ import pytest
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.ports import measures, states
-from snapo.domains.pharma.records_units import Crystalliser, Reactor, TrayDryer
 from snapo.domains.pharma.sections.batch import drying
 from snapo.domains.pharma.sections.model import given
 from snapo.domains.pharma.sections.run import Run
+from snapo.domains.pharma.units.crystalliser import Crystalliser
+from snapo.domains.pharma.units.reactor import Reactor
+from snapo.domains.pharma.units.tray_dryer import TrayDryer
 from snapo.report.page import Chart
 
 SIZES = {"smallest": "1 um", "largest": "400 um", "cells": 100, "spacing": "geometric"}
@@ -60,7 +61,7 @@ def test_a_grid_of_sizes():
     assert unit.edges is not None
     np.testing.assert_allclose(unit.edges, np.geomspace(1e-6, 4e-4, 101))
     assert case.numerics.method == "adaptive"
-    assert measures(unit, ("A",))["span"] == "1" and states(unit, ("A",))["d50"] == "m"
+    assert unit.measures(("A",))["span"] == "1" and unit.states(("A",))["d50"] == "m"
     equal = with_crystalliser(sizes={"smallest": "0 um", "largest": "0.3 mm", "cells": 60})
     unit = next(each for each in equal.units if isinstance(each, Crystalliser))
     assert unit.edges is not None

@@ -18,11 +18,11 @@ from tests.domains.pharma.process_cases import (
     temperature_profile,
 )
 
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.optimum import best
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.records import Connection
-from snapo.domains.pharma.records_units import Jacket
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.case import Connection
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.recipe.optimum import best
+from snapo.domains.pharma.units.reactor import Jacket
 
 END = {"A": 0.002312084, "B": 0.103639153, "C": 0.125033777, "D": 0.101327069}
 MIDDLE = {"A": 0.022330171, "B": 0.113279266, "C": 0.125771639, "D": 0.090949095}

@@ -5,7 +5,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.pharma.runge_kutta import last_state, runge_kutta
+from snapo.domains.pharma.time.runge_kutta import last_state, runge_kutta
 from snapo.solver.adjoint import adjoint_jacobian
 
 STEPS = 11  # fills no whole number of blocks

@@ -16,18 +16,25 @@ from tests.domains.pharma.process_cases import (
     crystalliser,
     feed,
     linear,
+    network,
     number,
     series,
 )
 
-from snapo.domains.pharma.balances import balances
-from snapo.domains.pharma.integrate import integrate
-from snapo.domains.pharma.jacobian import matrix
-from snapo.domains.pharma.process import Process
-from snapo.domains.pharma.records import Numerics, Parameter
-from snapo.domains.pharma.records_units import Liquid, TrayDryer
-from snapo.domains.pharma.stream import clear
-from snapo.domains.pharma.tray import evaporating, tray, vapour_pressure, wetness
+from snapo.domains.pharma.derivatives.jacobian import matrix
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.flowsheet.stream import clear
+from snapo.domains.pharma.quality.records import Parameter
+from snapo.domains.pharma.time.integrate import integrate
+from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.units.tray_dryer import (
+    Liquid,
+    TrayDryer,
+    evaporating,
+    vapour_pressure,
+    wetness,
+)
 
 LATENT, CAPACITY = 4.48e5, 1720.0  # tetrahydrofuran
 
@@ -59,7 +66,7 @@ def cake(moisture=0.1, crystals=1.0, size=80e-6, temperature=300.0):
     """`crystals` kg of one size with `moisture` kg/kg of solvent."""
     number_of = crystals / (1200 * 0.5236 * size**3)
     liquid = clear(jnp.zeros(1), moisture * crystals, jnp.asarray(1e-3), jnp.asarray(temperature))
-    return liquid._replace(
+    return liquid.replace(
         moments=jnp.asarray(number_of * size ** np.arange(6)),
         density=jnp.asarray(1200.0),
         shape=jnp.asarray(0.5236),
@@ -69,7 +76,7 @@ def cake(moisture=0.1, crystals=1.0, size=80e-6, temperature=300.0):
 def dried(unit, wet=None, steps=3000):
     """{state: [n + 1]} over time, and the times."""
     with jax.enable_x64(True):
-        problem = tray(unit, wet or cake(), {})
+        problem = unit.dynamics(network(), (wet or cake(),), {})
         track = integrate(problem, Numerics("mesh", steps, 1e-8, 10_000, True), True).track
         assert track is not None
         rows = jax.vmap(lambda y, c: problem.states(y, *c))(track.state, track.controls)

@@ -13,15 +13,15 @@ from snapo.solver.solution import RESULT
 from snapo.solver.versions import versions
 from snapo.study.run_folder import check_folder, copy_case, plain_json
 
-from . import details
-from .capability import Capability, capability
-from .closed_loop import train
-from .inputs import pharma_inputs
-from .process import Process
-from .records import PharmaCase
+from .control.closed_loop import train
+from .flowsheet.case import PharmaCase
+from .flowsheet.inputs import pharma_inputs
+from .flowsheet.process import Process
+from .quality.capability import Capability, capability
+from .quality.sampling import sampler
 from .report import write_report
-from .sampling import sampler
-from .statement import statement
+from .results import batch, derivatives, quality
+from .results.statement import statement
 
 DETAILS, PROFILE, SPACE = "details.json", "profile.csv", "design_space.csv"
 SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
@@ -118,20 +118,20 @@ def _open_loop(process: Process, work: Parts, found: dict, seed: int) -> Capabil
     """The parts of the recipe as it stands; `found` gains their tables."""
     case = process.case
     run = work("one batch", process.run)
-    found["run"] = details.one_batch(case, run)
+    found["run"] = batch.one_batch(case, run)
     if run is None or run.status != "ok":
         return None
-    found["balances"] = work("balances", lambda: details.balance_rows(process))
+    found["balances"] = work("balances", lambda: batch.balance_rows(process))
     if case.numerics.refine:
-        found["convergence"] = work("convergence", lambda: details.convergence_rows(process))
-    found["matrix"] = work("sensitivity matrix", lambda: details.matrix_tables(process))
-    found["certificate"] = work("certificate", lambda: details.certificate_rows(process, seed))
+        found["convergence"] = work("convergence", lambda: derivatives.convergence_rows(process))
+    found["matrix"] = work("sensitivity matrix", lambda: derivatives.matrix_tables(process))
+    found["certificate"] = work("certificate", lambda: derivatives.certificate_rows(process, seed))
     found["attribution"] = work(
-        "attribution", lambda: details.attribution_rows(process, found["matrix"])
+        "attribution", lambda: derivatives.attribution_rows(process, found["matrix"])
     )
-    found["profiles"] = work("profile sensitivities", lambda: details.profile_gradients(case))
+    found["profiles"] = work("profile sensitivities", lambda: derivatives.profile_gradients(case))
     if case.pairs:
-        found["second"] = work("second derivatives", lambda: details.second_rows(process))
+        found["second"] = work("second derivatives", lambda: derivatives.second_rows(process))
     coarse = work("mesh of the statistics", lambda: sampler(process))
     sampled, found["sampling"] = coarse or (process, None)
     if sampled is not process:
@@ -139,16 +139,16 @@ def _open_loop(process: Process, work: Parts, found: dict, seed: int) -> Capabil
             f"Statistics of many batches use {sampled.case.numerics.steps} steps per piece, which "
             f"moves no attribute by more than {coarse[1]['gap']:.1g} of its margin."
         )
-    capable = work("capability", lambda: capability(sampled, details.batch_count(case), seed + 1))
-    found["capability"] = details.capability_rows(case, capable)
-    found["spread"] = work("spread", lambda: details.spread_rows(case, found["matrix"]))
+    capable = work("capability", lambda: capability(sampled, quality.batch_count(case), seed + 1))
+    found["capability"] = quality.capability_rows(case, capable)
+    found["spread"] = work("spread", lambda: quality.spread_rows(case, found["matrix"]))
     if case.optimise is not None:
-        found["optimise"] = work("best recipe", lambda: details.best_recipe(process, sampled, seed))
+        found["optimise"] = work("best recipe", lambda: quality.best_recipe(process, sampled, seed))
     if case.design_space is not None:
-        found["design_space"] = work("design space", lambda: details.map_tables(sampled, seed))
-        found["ranges"] = work("proven ranges", lambda: details.range_rows(sampled, seed))
+        found["design_space"] = work("design space", lambda: quality.map_tables(sampled, seed))
+        found["ranges"] = work("proven ranges", lambda: quality.range_rows(sampled, seed))
     if case.estimation is not None:
-        found["estimation"] = work("estimation", lambda: details.estimation_rows(process))
+        found["estimation"] = work("estimation", lambda: quality.estimation_rows(process))
     return capable
 
 
@@ -204,12 +204,12 @@ def _write(out: Path, result, found, process: Process, work: Parts, progress: Te
         write_text(out / DETAILS, json.dumps(plain_json(found)))
         if (found.get("run") or {}).get("status") == "ok":
             header = ("attribute", "input", "label", "value", "unit")
-            rows = work("all sensitivities", lambda: list(details.every_sensitivity(process)))
+            rows = work("all sensitivities", lambda: list(derivatives.every_sensitivity(process)))
             write_csv(out / SLOPES, header, rows or [])
             header = ("unit", "time_s", "state", "value", "state_unit")
-            write_csv(out / PROFILE, header, details.profile_rows(process.case, found["run"]))
+            write_csv(out / PROFILE, header, batch.profile_rows(process.case, found["run"]))
         if found.get("design_space"):
-            write_csv(out / SPACE, *details.space_rows(found["design_space"]))
+            write_csv(out / SPACE, *quality.space_rows(found["design_space"]))
         write_report(out)
     except OSError as error:
         progress(f"could not write: {error.filename or out}: {error.strerror}")

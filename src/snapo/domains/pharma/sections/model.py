@@ -4,13 +4,6 @@ from snapo.report.page import Block, Missing, Section, Table, Text
 
 from .run import Run
 
-SYMBOLS = (
-    "Symbols: c concentration, c* solubility, S supersaturation, L size and n its density by "
-    "number, μₖ moments of the size, kᵥ shape, ρₛ density of crystals, d₃₂ mean size by "
-    "surface; ε porosity, s saturation, W wash ratio, α specific resistance, cₛ crystals per "
-    "volume of filtrate V_f, R_m resistance of the medium, μ viscosity, Δp pressure, A area; X "
-    "solvent per crystals; D diffusivity, Cₛ solubility and h film of the dissolution test."
-)
 POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
@@ -27,7 +20,10 @@ def model(run: Run) -> Section:
     flow = [f"{c['from']} → {c['to']}" for c in run.get("connections", [])]
     if flow:
         blocks.append(Text("Flowsheet: " + "; ".join(flow) + "."))
-    blocks += [_reactions(run), _equations(units), Text(SYMBOLS), _parameters(run)]
+    blocks += [_reactions(run), _equations(units)]
+    if run.get("symbols"):
+        blocks.append(Text(f"Symbols: {run.get('symbols')}."))
+    blocks.append(_parameters(run))
     blocks.append(_uncertainty(run))
     blocks.append(_numbers(run))
     return Section("model", "Purpose, model and equations", "Model", blocks)
