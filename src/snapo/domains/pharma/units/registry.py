@@ -13,13 +13,26 @@ from .crystalliser import Crystalliser
 from .dissolution import Dissolution
 from .dryer import Dryer
 from .filter import Filter
+from .msmpr import Msmpr
 from .operation import Unit
 from .reactor import Reactor
 from .splitter import Splitter
 from .tank import Tank
 from .tray_dryer import TrayDryer
+from .wet_mill import WetMill
 
-OPERATIONS = (Reactor, Crystalliser, Filter, Dryer, TrayDryer, Dissolution, Tank, Splitter)
+OPERATIONS = (
+    Reactor,
+    Crystalliser,
+    Msmpr,
+    WetMill,
+    Filter,
+    Dryer,
+    TrayDryer,
+    Dissolution,
+    Tank,
+    Splitter,
+)
 
 SAID = ("type", "variant", "title", "table", "reacts", "symbols", "assumptions")
 Variants = dict[str, type[Unit]]
