@@ -129,9 +129,7 @@ class OpenLoop:
             ),
         ]  # fmt: skip
         if self.case.pairs:
-            second = self.of(
-                "second derivatives", "second", lambda p: derivatives.second_rows(p)
-            )
+            second = self.of("second derivatives", "second", lambda p: derivatives.second_rows(p))
             found.append(second)
         return found
 

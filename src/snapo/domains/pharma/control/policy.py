@@ -44,6 +44,10 @@ class Feedback(Policy):
         """The same recipe with feedback."""
         return eqx.tree_at(lambda policy: policy.gain, self, Frozen(np.ones((), np.float32)))
 
+    def on(self, table: np.ndarray) -> "Feedback":
+        """The same policy about another recipe, [T, size] logits."""
+        return eqx.tree_at(lambda policy: policy.table, self, jnp.asarray(table, jnp.float32))
+
     def actions(self) -> np.ndarray:
         """[T, size] what it decides without feedback."""
         return np.asarray(jax.nn.sigmoid(self.table))
@@ -51,4 +55,4 @@ class Feedback(Policy):
     def moved(self, spread: float, seed: int) -> "Feedback":
         """Another recipe to start from: logits moved by normal numbers of this deviation."""
         noise = np.random.default_rng(seed).normal(size=self.table.shape).astype(np.float32)
-        return eqx.tree_at(lambda policy: policy.table, self, self.table + spread * noise)
+        return self.on(np.asarray(self.table) + spread * noise)

@@ -11,6 +11,16 @@ from . import batches
 COARSER, ENOUGH = 4, 0.01  # times larger steps, where attributes move by less than this in margins
 
 
+def on_steps(process: Process, steps: int) -> Process:
+    """The same process with as many steps per piece."""
+    case = process.case
+    if steps == case.numerics.steps:
+        return process
+    found = Process(replace(case, numerics=replace(case.numerics, steps=steps)))
+    found.inputs = process.inputs
+    return found
+
+
 def sampler(process: Process) -> tuple[Process, dict[str, Any]]:
     """The process for statistics, and what its mesh costs in accuracy.
 
@@ -20,8 +30,7 @@ def sampler(process: Process) -> tuple[Process, dict[str, Any]]:
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)
     if case.numerics.method == "mesh" and steps < case.numerics.steps:
-        coarse = Process(replace(case, numerics=replace(case.numerics, steps=steps)))
-        coarse.inputs = process.inputs
+        coarse = on_steps(process, steps)
         moved = np.subtract(
             *(
                 batches.attributes(each, batches.nominally(each, {}))[0]

@@ -13,10 +13,8 @@ from ..quality.limits import Limits
 SHOWN = 240  # points of a trajectory that a report shows
 
 
-def one_batch(case: PharmaCase, run: Run | None) -> dict[str, Any] | None:
+def one_batch(case: PharmaCase, run: Run) -> dict[str, Any]:
     """Attributes with their limits, measures, and thinned trajectories."""
-    if run is None:
-        return None
     limits = Limits.of(case)
     values = np.array([run.attributes.get(each.name, np.nan) for each in case.attributes])
     room = limits.distance(values)

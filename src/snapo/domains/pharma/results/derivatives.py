@@ -67,12 +67,10 @@ def certificate_rows(process: Process, seed: int) -> list[dict[str, Any]]:
     return rows
 
 
-def attribution_rows(process: Process, found: dict[str, Any] | None) -> dict[str, Any] | None:
-    """Every sensitivity by path, and the check that the paths add up."""
-    if found is None:
-        return None
+def attribution_rows(process: Process, matrix: dict[str, Any]) -> dict[str, Any]:
+    """Every sensitivity of the `matrix` by path, and the check that the paths add up."""
     case = process.case
-    split = attribution.split(case, local(process), np.asarray(found["raw"]))
+    split = attribution.split(case, local(process), np.asarray(matrix["raw"]))
     return {
         "closure": float(split.closure.max()),
         "paths": [

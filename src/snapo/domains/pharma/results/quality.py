@@ -9,29 +9,21 @@ from ..derivatives import sensitivities
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
 from ..quality import design_space, estimation, ranges
-from ..quality.capability import Capability
+from ..quality.capability import capability
 from ..recipe import optimise
 
 BATCHES, RANGE_SAMPLES = 4096, 128
 
 
-def batch_count(case: PharmaCase) -> int:
-    """Fresh batches for capability."""
-    return min(case.evaluation.paths, BATCHES)
+def capability_rows(process: Process, seed: int) -> dict[str, Any]:
+    """Spread, Cpk and shares out of specification, over fresh batches."""
+    count = min(process.case.evaluation.paths, BATCHES)
+    return capability(process, count, seed)._asdict()
 
 
-def capability_rows(case: PharmaCase, found: Capability | None) -> dict[str, Any] | None:
-    if found is None:
-        return None
-    table = found._asdict()
-    return {key: table.pop(key) for key in ("joint", "joint_error", "batches", "failed")} | table
-
-
-def spread_rows(case: PharmaCase, found: dict[str, Any] | None) -> dict[str, Any] | None:
+def spread_rows(case: PharmaCase, matrix: dict[str, Any]) -> dict[str, Any]:
     """Where the spread comes from, to first order, to stand beside what was drawn."""
-    if found is None:
-        return None
-    return sensitivities.spread(case, np.asarray(found["varied"]))._asdict()
+    return sensitivities.spread(case, np.asarray(matrix["varied"]))._asdict()
 
 
 def best_recipe(process: Process, sampled: Process, seed: int) -> dict[str, Any]:
