@@ -1,1 +1,1 @@
-"""The `snapo` command: `main` reads the arguments and answers at once, `commands` prints results."""
+"""The `snapo` command: `main` reads the arguments, `commands` prints the answers."""

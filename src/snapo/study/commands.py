@@ -134,7 +134,7 @@ def solve(
 
     options = {"engine": engine}
     if isinstance(loaded.domain, RunsCode):
-        options |= loaded.domain.decides()
+        options |= loaded.domain.decides(loaded.case)
     study = loaded.domain.study(loaded.case, Options(engine, reference))
     decides = run_folder.decisive(loaded.file, loaded.data, options)
     if resume:

@@ -105,11 +105,8 @@ class RunsCode(Protocol):
         """The same domain with the simulator `name` of `module`."""
         ...
 
-    def decides(self) -> Mapping[str, Any]:
-        """The code as far as it decides the numbers of a run: its name and the bytes of its file.
-
-        Called after `read`.
-        """
+    def decides(self, case: Any) -> Mapping[str, Any]:
+        """The code as far as it decides the numbers of a run: its name and the hash of its file."""
         ...
 
 
