@@ -161,7 +161,7 @@ class _Replay(NamedTuple):
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
         given = (self.policy, self.draws, self.smooth, weights)
         passed = bound.adjoint(*given, actions=self.actions, wrt=("schedule",))
-        moved = pull_back(self.problem, [passed.schedule])
+        moved = pull_back(self.problem.simulator, self.problem.inputs, [passed.schedule])
         return {name: found[0] for name, found in moved.items()}
 
 
