@@ -58,7 +58,7 @@ def _put(data: dict[str, Any], path: str, value: Any) -> None:
     place[_index(place, last, path)] = value
 
 
-def _index(place: dict | list, key: str, path: str) -> str | int:
+def _index(place: dict | list, key: str, path: str) -> Any:
     """The key of a table; of an array the number of the element that `key` means."""
     if isinstance(place, dict):
         return key

@@ -117,14 +117,14 @@ def compare(first: Path, second: Path) -> Comparison:
     values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
     groups, why = _groups(first, second)
     error = _difference_error(groups, errors)
-    known = None not in values
+    difference = _less(values[1], values[0])
     return Comparison(
         kinds[0],
         (first, second),
         (values[0], values[1]),
         (errors[0], errors[1]),
-        values[1] - values[0] if known else None,
-        error if known else None,
+        difference,
+        None if difference is None else error,
         groups is not None,
         why,
         tuple(differences(records[0]["decides"], records[1]["decides"])),
@@ -133,6 +133,10 @@ def compare(first: Path, second: Path) -> Comparison:
 
 
 STANDARD_ERROR = "standard_error"
+
+
+def _less(value: float | None, other: float | None) -> float | None:
+    return None if value is None or other is None else value - other
 
 
 def _result(run: Path) -> dict[str, Any]:
@@ -169,12 +173,11 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
     """Held derivatives that differ, by the difference that they make for the input's own move."""
     try:
-        tables = [Solution.load(run).sensitivities for run in (first, second)]
+        one, other = (Solution.load(run).sensitivities for run in (first, second))
     except checkpoint.CheckpointError:
         return []
-    if tables[0] is None or tables[1] is None:
+    if one is None or other is None:
         return []
-    one, other = tables
     found: list[Moved] = []
     for name in one.held:
         if name in other.held:

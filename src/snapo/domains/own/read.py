@@ -84,7 +84,7 @@ def _made(
         raise CaseError(str(file), "simulator", table.simulator, what)
     place = code or Path(found.__name__)
     with beside(place.parent), readable(place):
-        made = found() if maker is None else maker(data, file.parent)
+        made: Any = maker(data, file.parent) if maker else found()  # pyright: ignore
     if not isinstance(made, Simulator):
         what = f"from_case must return a simulator, and returns a {type(made).__name__}"
         raise CaseError(str(place), "", None, what)

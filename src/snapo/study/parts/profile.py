@@ -74,8 +74,8 @@ def leaves(tree: Any) -> dict[str, Any]:
 def bands(values: np.ndarray) -> dict[str, list[float]]:
     """Mean and quantiles over paths of numbers [T, paths]; what is not finite is left out."""
     kept = np.where(np.isfinite(values), values, np.nan)
-    known = np.isfinite(kept).any(1)
-    filled = np.where(known[:, None], kept, 0.0)
+    known = np.asarray(np.isfinite(kept).any(1))
+    filled = np.where(known.reshape(-1, 1), kept, 0.0)
     quantiles = np.nanquantile(filled, list(QUANTILES.values()), axis=1)
     rows = {"mean": np.nanmean(filled, axis=1), **dict(zip(QUANTILES, quantiles))}
     return {name: np.where(known, row, np.nan).tolist() for name, row in rows.items()}
