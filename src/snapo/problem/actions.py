@@ -16,13 +16,15 @@ Bound = float | tuple[float, ...]
 def _bound(name: str, given: Any, size: int) -> Bound:
     """One number where all components share it, else a tuple with one for each."""
     each = np.asarray(given, np.float64)
-    if each.ndim > 0 and each.shape != (size,):
+    if each.ndim == 0:
+        return float(each)
+    if each.shape != (size,):
         raise ValueError(
             f"Box: {name} has shape {each.shape} and size is {size}; give one number for all "
             "components, or one for each."
         )
     # Equal sets compare equal, however they were written.
-    numbers = tuple(np.broadcast_to(each, (size,)).tolist())
+    numbers = tuple(each.tolist())
     return numbers[0] if len(set(numbers)) == 1 else numbers
 
 
