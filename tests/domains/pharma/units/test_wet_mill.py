@@ -15,7 +15,7 @@ from tests.domains.pharma.process_cases import (
     number,
     parameter,
 )
-from tests.domains.pharma.units.test_finite_volumes import seeded
+from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.balances import balances

@@ -9,10 +9,10 @@ from snapo.domains.pharma.control.loop import closed_loop
 from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.engine import Engines, Xla
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Pseudo
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
-from snapo.solver.train import EVALUATE_STREAM, Training, begin, train
+from snapo.solver.train import Training, begin, train
 
 CONTROL = Control(
     (
@@ -39,8 +39,8 @@ def test_open_loop_is_the_process():
     case = flagship(control=CONTROL)
     loop = closed_loop(case)
     draws = Pseudo(0).draws(np.arange(2), loop.simulator)
-    schedule = prepare(loop.simulator, loop.inputs)
-    totals = Xla("float64").values(loop.simulator, loop.baseline, schedule, draws, Exact()).totals
+    problem = Problem(loop.simulator, loop.inputs, objective(case))
+    totals = Xla("float64").bind(problem).values(loop.baseline, draws, Exact()).totals
     values = Process(case).values()
     for each, name, value in zip(case.attributes, loop.outputs, values):
         distance = min(abs(value - limit) for limit in (each.low, each.high) if limit is not None)
@@ -58,18 +58,18 @@ def test_feedback_beats_the_best_fixed_recipe():
     """
     case = flagship(control=CONTROL, uncertainty=spread())
     loop = closed_loop(case)
-    schedule, goal = prepare(loop.simulator, loop.inputs), objective(case)
+    problem = Problem(loop.simulator, loop.inputs, objective(case), Sources.of(None, 0))
     plan = Training(
         steps=80, paths=64, learning_rate=0.05, warmup=5, temperature_start=1.0,
         temperature_end=0.1, validation_paths=1024, validation_every=20,
     )  # fmt: skip
     engines = Engines(Xla("float32"), Xla("float64"), "xla", "as the test says")
-    first, recipe = best_recipe(loop, schedule, goal, plan, engines, print)
-    engine = engines.train
-    climbed = train(loop.simulator, schedule, begin(first.closed(), plan), goal, plan, engine)
-    fresh = Pseudo(1, stream=EVALUATE_STREAM << 32).draws(np.arange(10_000), loop.simulator)
+    first, recipe = best_recipe(problem, loop.baseline, plan, engines, print)
+    climbed = train(problem, begin(first.closed(), plan), plan, engines.train)
+    bound = engines.train.bind(problem)
+    fresh = Pseudo(1, stream=stream(EVALUATE)).draws(np.arange(10_000), loop.simulator)
     met = [
-        engine.values(loop.simulator, each, schedule, fresh, Exact()).totals["success"]
+        bound.values(each, fresh, Exact()).totals["success"]
         for each in (first, recipe, climbed.best)
     ]
     start, fixed, policy = (np.asarray(each, float) for each in met)

@@ -7,8 +7,7 @@ from pathlib import Path
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.pharma.test_pharma_control import LOOP, SMALLER
-from tests.domains.pharma.test_pharma_run import CASE
+from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.case import read_case, resolve
@@ -16,7 +15,7 @@ from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.recipe.optimise import optimise
 from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
 
-EXAMPLE = Path(__file__).parents[3] / "examples" / "plug_flow"
+EXAMPLE = Path(__file__).parents[4] / "examples" / "plug_flow"
 
 
 def test_a_quadratic_with_its_multipliers():
@@ -49,7 +48,7 @@ def test_an_equality_may_pull_either_way():
 
 def test_what_is_no_optimum_does_not_count_as_one(monkeypatch):
     """A solver that stops at once leaves its gradient unexplained, and the residual says so."""
-    monkeypatch.setattr("snapo.domains.pharma.optimum._solve", lambda problem, u: (u, 0))
+    monkeypatch.setattr("snapo.domains.pharma.recipe.optimum._solve", lambda problem, u: (u, 0))
     found = best(lambda x: -jnp.sum((x - 0.5) ** 2), np.array([0.2]), np.zeros(1), np.ones(1))
     assert not found.converged and found.residual == pytest.approx(0.6)
     # At a bound that it could leave for the better, the multiplier has the wrong sign.

@@ -1,63 +1,10 @@
 """A closed loop and a best recipe from the case file to the report, on a reactor alone."""
 
-import json
-import tomllib
-
 import pytest
-from tests.domains.pharma.pharma_cases import template
-from tests.domains.pharma.test_pharma_run import CASE
+from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma import run
-from snapo.domains.pharma.case import resolve
 from snapo.domains.pharma.control.stages import decided, staged
-
-LOOP = """
-[control]
-steps = { reactor = 3 }
-substeps = 16
-[[control.manipulated]]
-of = "reactor.temperature"
-low = "30 degC"
-high = "50 degC"
-[[control.measurements]]
-state = "reactor.concentration.C"
-error = "0.001 mol/L"
-centre = "0.1 mol/L"
-width = "0.05 mol/L"
-[optimise]
-[[optimise.terms]]
-of = "reactor.concentration.C"
-unit = "mol/L"
-[[optimise.per]]
-of = "reactor.duration"
-unit = "h"
-[[optimise.decisions]]
-of = "reactor.temperature"
-low = "30 degC"
-high = "50 degC"
-[[optimise.decisions]]
-of = "reactor.duration"
-low = "15 min"
-high = "90 min"
-[goal]
-kind = "mean"
-attribute = "product"
-[training]
-steps = 6
-paths = 16
-validation_paths = 64
-validation_every = 3
-"""
-SMALLER = ("design_space", "estimation", "pairs", "evaluation")
-
-
-def small(path):
-    """The case of the other tests, its parts that are tested there left out."""
-    data = tomllib.loads(CASE) | tomllib.loads(LOOP)
-    data = {key: value for key, value in data.items() if key not in SMALLER}
-    data |= {"evaluation": {"paths": 128, "sensitivity_paths": 64}, "numerics": {"refine": False}}
-    return resolve(path / "case.toml", data)
 
 
 def control(held=(), **changes):
@@ -110,16 +57,16 @@ def test_what_is_held_cannot_be_decided():
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("control")
-    (folder / "case.toml").write_text(CASE + LOOP)
+    (folder / "case.toml").write_text(small(CASE + LOOP))
     out = folder / "run"
-    result = run.solve(small(folder), out=out, seed=3, progress=lambda text: None)
-    return result, json.loads((out / "details.json").read_text()), out
+    result, found = solve(folder, out, "training.seed=3")
+    return result, found.details, out
 
 
 @pytest.mark.slow
 def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     result, found, out = whole
-    assert result["status"] == "trained", found["failures"]
+    assert result["status"] == "trained", result["failures"]
     loop = found["closed_loop"]
     assert result["value"] == loop["value"] and 0 < loop["value"] < 1
     assert result["references"]["best_fixed_recipe"] == loop["baseline"]

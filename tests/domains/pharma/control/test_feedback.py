@@ -12,9 +12,8 @@ from snapo.domains.pharma.control.records import Control, Manipulated, Measureme
 from snapo.engine import Xla
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.simulator import probe
 from snapo.problem.smooth import Exact
 from snapo.solver.train import Training, begin, train
 
@@ -38,14 +37,13 @@ def test_feedback_on_measured_states_is_as_good_as_the_best_profile():
         None,
     )
     loop = closed_loop(replace(temperature_profile(1), control=control))
-    schedule, engine = prepare(loop.simulator, loop.inputs), Xla("float32")
-    features = probe(loop.simulator, schedule)[1].shape[0]
-    policy = MLP(loop.simulator.action, features, key=jax.random.key(0))
+    problem = Problem(loop.simulator, loop.inputs, Mean("attribute.x2"))
+    policy = MLP(problem.action, problem.features, key=jax.random.key(0))
     plan = Training(
         steps=400, paths=2, learning_rate=0.02, validation_paths=2, validation_every=100
     )
-    found = train(loop.simulator, schedule, begin(policy, plan), Mean("attribute.x2"), plan, engine)
+    found = train(problem, begin(policy, plan), plan, Xla("float32"))
     draws = Pseudo(0).draws(np.arange(2), loop.simulator)
-    given = (loop.simulator, found.best, schedule, draws, Exact())
-    value = float(Xla("float64").values(*given).totals["attribute.x2"][0])
+    bound = Xla("float64").bind(problem)
+    value = float(bound.values(found.best, draws, Exact()).totals["attribute.x2"][0])
     assert 0.999 * BEST <= value < BEST + 5e-5

@@ -16,7 +16,7 @@ from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
 from snapo.engine import Unsupported
 
-PLUG_FLOW = Path(__file__).parents[3] / "examples" / "plug_flow" / "case.toml"
+PLUG_FLOW = Path(__file__).parents[4] / "examples" / "plug_flow" / "case.toml"
 CRYSTALS = {
     "method": "finite-volumes",
     "sizes": {"smallest": "0 um", "largest": "300 um", "cells": 40, "spacing": "equal"},
