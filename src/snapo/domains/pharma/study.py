@@ -23,7 +23,7 @@ from .results.statement import statement
 PROFILE, SPACE = "profile.csv", "design_space.csv"
 SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
 
-BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "statistics' mesh"
+BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "mesh of statistics"
 
 
 def study(case: PharmaCase, options: Options) -> Study:

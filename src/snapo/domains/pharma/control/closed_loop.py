@@ -1,4 +1,4 @@
-"""The best fixed recipe with which a policy is compared, and what both are worth.
+"""The best fixed recipe with which a policy is compared, and the objective of both.
 
 The recipe is tuned at least as hard as the policy: both are one `Feedback`, trained by the same
 steps. From several starts the best recipe is kept; from there recipe and policy go on side by
@@ -22,7 +22,7 @@ STARTS, SPREAD = 3, 0.3  # recipes that tuning starts from: the case's own, and 
 
 
 def objective(case: PharmaCase) -> Objective:
-    """What `[goal]` makes large, of the totals "success", "violation" and "attribute.NAME"."""
+    """The objective of `[goal]`, of the totals "success", "violation" and "attribute.NAME"."""
     goal: Goal = case.goal
     if goal.kind == "probability":
         return Mean("success") - SHORTFALL * Mean("violation")
@@ -33,7 +33,7 @@ def objective(case: PharmaCase) -> Objective:
 
 
 def in_words(goal: Goal) -> str:
-    """What `objective` is, in the unit of the goal's attribute where it has one."""
+    """The objective in words, in the unit of the goal's attribute where it has one."""
     if goal.kind == "probability":
         return "probability of all limits"
     which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"

@@ -1,4 +1,4 @@
-"""The process in closed loop: a policy decides temperatures and ratios on what is measured."""
+"""The process in closed loop: a policy decides temperatures and ratios on measurements."""
 
 from itertools import pairwise
 from typing import Any, NamedTuple

@@ -49,7 +49,7 @@ class Feedback(Policy):
         return eqx.tree_at(lambda policy: policy.table, self, jnp.asarray(table, jnp.float32))
 
     def actions(self) -> np.ndarray:
-        """[T, size] what it decides without feedback."""
+        """[T, size] its decisions without feedback."""
         return np.asarray(jax.nn.sigmoid(self.table))
 
     def moved(self, spread: float, seed: int) -> "Feedback":

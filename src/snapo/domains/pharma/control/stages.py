@@ -1,7 +1,7 @@
 """One batch of the process as stages of decisions: each unit on which something is decided or
 measured over time, and at the end, where there is something to decide there, the others.
 
-All other units run between the stages, in one go. A stage's state holds what the batch is: its
+All other units run between the stages, in one go. A stage's state holds the whole batch: its
 drawn numbers, the streams made so far, the last value of every control and the last reading of
 every sensor.
 """
@@ -59,7 +59,7 @@ def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
 
 
 class Varied(NamedTuple):
-    """[V] what differs from batch to batch: the uncertain numbers, and after them the process
+    """[V] the differences from batch to batch: the uncertain numbers, and after them the process
     parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
 
     inputs: tuple[str, ...]
@@ -202,7 +202,7 @@ class Stage(Simulator):
         return self.delivered(self.unit, problem.finish(state["y"], *ends), state)
 
     def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
-        """The state with what a timed unit delivered."""
+        """The state with the delivery of a timed unit."""
         wanted = asked(self.case)
         streams = {
             f"{unit.name}.{port}": flat(stream)
@@ -258,7 +258,7 @@ class Stage(Simulator):
         return self.unit.dynamics(self.case.network, inlets, inputs)
 
     def read(self, problem: Dynamics, y, controls, state: State) -> Float[Array, " M"]:
-        """What the sensors say: this unit's anew, with their errors, of order one."""
+        """The readings of the sensors, this unit's new ones with their errors, of order one."""
         assert self.unit is not None
         states, seen = problem.states(y, *controls), []
         for i, sensor in enumerate(self.control.measurements):

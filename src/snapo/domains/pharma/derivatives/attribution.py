@@ -17,7 +17,7 @@ from .local import Block, Local
 
 class Path(NamedTuple):
     """A way through the flowsheet, from the unit that the parameter acts in to the one where the
-    attribute is measured, and what it contributes, in the owner's units."""
+    attribute is measured, and its contribution, in the owner's units."""
 
     units: tuple[str, ...]
     value: float

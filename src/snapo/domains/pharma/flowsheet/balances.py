@@ -1,4 +1,4 @@
-"""What went in, what came out, what stayed: mass, every species, solvent and energy, per unit."""
+"""Inflow, outflow and accumulation of mass, every species, solvent and energy, per unit."""
 
 from collections.abc import Iterable
 from typing import NamedTuple

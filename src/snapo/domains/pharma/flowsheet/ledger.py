@@ -1,4 +1,4 @@
-"""What a unit delivers, and what its balance needs beside its streams."""
+"""The delivery of a unit, and the terms of its balance beside its streams."""
 
 from typing import Any, NamedTuple
 
@@ -9,7 +9,7 @@ from .stream import Stream
 
 
 class Ledger(NamedTuple):
-    """What a unit's balance needs beside its streams, all of one batch.
+    """The terms of a unit's balance beside its streams, all of one batch.
 
     - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
       the end than at the start, or not taken in. `solvent_added`, `solvent_held`: kg.
@@ -25,13 +25,13 @@ class Ledger(NamedTuple):
 
 
 def ledger(species: int, **entries: Any) -> Ledger:
-    """A ledger in which all is zero but what is named."""
+    """A ledger in which all is zero but these entries."""
     none, zero = jnp.zeros(species), jnp.zeros(())
     return Ledger(none, none, none, zero, zero)._replace(**entries)
 
 
 class Finish(NamedTuple):
-    """What a unit delivers: its outlets in order, its measures and ledger."""
+    """The delivery of a unit: its outlets in order, its measures and ledger."""
 
     outlets: tuple[Stream, ...]
     measures: dict[str, Array]

@@ -67,7 +67,7 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
 
 
 def _power(c: Array, order: float) -> Array:
-    """c^order; a fractional power of what round-off made negative is 0."""
+    """c^order; a fractional power of a number that round-off made negative is 0."""
     if order.is_integer():
         return c ** int(order)
     present = c > 0

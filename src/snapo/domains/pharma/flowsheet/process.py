@@ -183,7 +183,7 @@ class Process:
         return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
 
     def _native(self, key: _Key) -> Callable:
-        """Many batches by the native engine, or by what took its place."""
+        """Many batches by the native engine, or by its substitute."""
         if key not in self._natives:
             if self.case.numerics.method != "mesh":
                 raise Unsupported("The native engine steps on a mesh; these steps are free.")

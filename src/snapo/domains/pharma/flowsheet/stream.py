@@ -1,4 +1,4 @@
-"""What flows between units: the material of one batch, in amounts."""
+"""Streams between units: the material of one batch, in amounts."""
 
 from dataclasses import replace
 from typing import Any
@@ -42,7 +42,7 @@ class Stream(eqx.Module):
     grid: Sizes = eqx.field(static=True)
 
     def concentration(self) -> Float[Array, " S"]:
-        """kmol/m3 of what is dissolved."""
+        """kmol/m3 of the dissolved species."""
         return self.species / self.volume
 
     def crystals(self) -> Float[Array, ""]:

@@ -91,7 +91,7 @@ def _variables(values: np.ndarray, log: np.ndarray) -> np.ndarray:
 
 
 def _model(process: "Process", estimation: Estimation):
-    """[P] fitted numbers -> [n] what the model says was measured, experiment by experiment."""
+    """[P] fitted numbers -> [n] the model's values of the measurements, by experiment."""
     fitted = tuple(zip(estimation.inputs, estimation.entries))
 
     def run(numbers):

@@ -1,4 +1,4 @@
-"""What is asked of a process: parameters, attributes, what is uncertain, experiments."""
+"""The questions to a process: parameters, attributes, uncertain numbers, experiments."""
 
 from dataclasses import dataclass
 from typing import Literal
@@ -106,7 +106,7 @@ class DesignSpace:
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """One measured batch: its settings, and what was measured when.
+    """One measured batch: its settings, and its measurements with their times.
 
     - `settings`: ((`Given` name, entry, value in the domain's unit), …) other than the case's.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the

@@ -22,7 +22,7 @@ def on_steps(process: Process, steps: int) -> Process:
 
 
 def sampler(process: Process) -> tuple[Process, dict[str, Any]]:
-    """The process for statistics, and what its mesh costs in accuracy.
+    """The process for statistics, and the accuracy that its mesh costs.
 
     On a quarter of the steps, if the nominal attributes then move by at most a hundredth of their
     margins; the process as it is where they move by more, and where it has no mesh.

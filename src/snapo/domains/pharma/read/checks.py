@@ -1,4 +1,4 @@
-"""Checks of a whole case: what is decided, held, varied and dosed fits the flowsheet."""
+"""Checks of a whole case: decisions, held and varied numbers, and doses fit the flowsheet."""
 
 from collections.abc import Sequence
 
@@ -71,7 +71,7 @@ def check_amounts(
     connections: Sequence[Connection],
     notes: list[str],
 ) -> None:
-    """Continuous units need a feed with a duration; what is dosed is what the feed holds."""
+    """Continuous units need a feed with a duration; a dose adds up to its feed."""
     by_name = {feed.name: feed for feed in feeds}
     for unit in units:
         fed = {c.inlet: by_name.get(c.source) for c in connections if c.target == unit.name}

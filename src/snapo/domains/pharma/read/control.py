@@ -111,7 +111,7 @@ def read_goal(file, raw: dict, attributes: Sequence[Attribute]) -> Goal:
 def read_design_space(
     file, raw: dict | None, parameters: Sequence[Parameter], attributes: Sequence[Attribute]
 ) -> DesignSpace | None:
-    """`[design_space]`: over which parameters, how fine, and what it must keep."""
+    """`[design_space]`: its parameters, its points, and the probability it must keep."""
     if raw is None:
         return None
     section = Section(file, "design_space", [])

@@ -1,4 +1,4 @@
-"""From what stands under a key to numbers in the domain's units: quantities, lists, profiles."""
+"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles."""
 
 import math
 from collections.abc import Sequence
@@ -23,7 +23,7 @@ class Place(Protocol):
     """Where a quantity stands: a key of a table, or a cell of a file."""
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
-        """The mistake in what stands there."""
+        """The mistake at this place."""
         ...
 
 

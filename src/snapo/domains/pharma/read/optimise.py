@@ -1,4 +1,4 @@
-"""Reads `[optimise]`: what is chosen within which bounds, and what is made large or small."""
+"""Reads `[optimise]`: decisions within their bounds, and the goal."""
 
 from collections.abc import Mapping
 from typing import Any

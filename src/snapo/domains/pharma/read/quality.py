@@ -1,4 +1,4 @@
-"""Reads what is asked of a process: parameters, attributes with limits, and what is uncertain."""
+"""Reads parameters, attributes with limits, and uncertain numbers."""
 
 from collections.abc import Sequence
 
@@ -23,7 +23,7 @@ from .tables import (
     UncertaintyTable,
 )
 
-SMALL = 0.02  # of the room between limits, or of a limit: what counts as a small difference
+SMALL = 0.02  # of the room between limits, or of a limit: a small difference
 
 
 def read_distribution(section: Section, raw, unit: str) -> Distribution:

@@ -1,4 +1,4 @@
-"""Quantities with units: what an owner writes, "40 degC", becomes a number in the domain's unit.
+"""Quantities with units: an owner's text, "40 degC", becomes a number in the domain's unit.
 
 A text is taken apart here and only the name of its unit goes to pint, so nothing that stands in a
 case is ever evaluated. The domain's own units are written as in `records`: "kmol/m3", "1/s", "1".
@@ -15,7 +15,7 @@ QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.ASCII | re.DOTALL)
 UNIT = re.compile(
     r"[A-Za-zµμ°Ω%_][A-Za-zµμ°Ω%_0-9*/^.() ·-]{0,60}|1(?:/[A-Za-z0-9*/^.() -]{1,60})?"
 )
-# Shares say what they are shares of; as numbers they are all the same.
+# Shares name their basis; as numbers they are all the same.
 BASIS = re.compile(r"\s+(w/w|v/v|m/m|n/n)$")
 PURE = ("", "1")
 

@@ -162,7 +162,7 @@ def ramps(case: PharmaCase) -> tuple[Ramp, ...]:
 
 
 def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
-    """What the run folder keeps: decisions, limits and ramps with their multipliers, the chance
+    """The tables of a run: decisions, limits and ramps with their multipliers, the chance
     to keep all limits before and after, and how the answer was found. Owners' units."""
     ask, recipe = process.case.optimise, found.recipe
     assert ask is not None
@@ -221,7 +221,7 @@ def _at(process: Process, ask: Optimise, x: np.ndarray, seed: int):
 
 
 def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> list[dict[str, Any]]:
-    """One row for each limit; "worth": what one unit more room does for the goal."""
+    """One row for each limit; "worth": the gain of the goal by one unit more room."""
     rows = []
     for i, each in enumerate(found.bounds):
         rows.append(

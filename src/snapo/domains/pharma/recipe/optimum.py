@@ -1,8 +1,8 @@
 """Optimisation of a traceable function, with its first-order conditions shown.
 
 Sequential quadratic programming (SciPy's SLSQP) on exact derivatives of one compiled function
-that has the goal and all constraints; without constraints L-BFGS-B. What it found is judged apart
-from it: multipliers are fitted anew to the gradients at the solution.
+that has the goal and all constraints; without constraints L-BFGS-B. Its result is judged apart
+from it: multipliers are fitted to the gradients at the solution.
 """
 
 import time

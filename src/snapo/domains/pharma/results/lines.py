@@ -5,7 +5,7 @@ from ..flowsheet.inputs import pharma_inputs
 
 
 def lines(case: PharmaCase) -> list[str]:
-    """What the case says."""
+    """One line for each side of the case."""
     inputs = pharma_inputs(case)
     numbers = sum(entry.value.size for entry in inputs.values())
     found = [

@@ -22,12 +22,12 @@ def capability_rows(process: Process, seed: int) -> dict[str, Any]:
 
 
 def spread_rows(case: PharmaCase, matrix: dict[str, Any]) -> dict[str, Any]:
-    """Where the spread comes from, to first order, to stand beside what was drawn."""
+    """Where the spread comes from, to first order, to stand beside the drawn batches."""
     return sensitivities.spread(case, np.asarray(matrix["varied"]))._asdict()
 
 
 def best_recipe(process: Process, sampled: Process, seed: int) -> dict[str, Any]:
-    """The recipe that `[optimise]` asks for; `sampled` measures what it promises."""
+    """The recipe that `[optimise]` asks for; `sampled` measures its chance to keep all limits."""
     return optimise.table(sampled, optimise.optimise(process, seed), seed + 2)
 
 

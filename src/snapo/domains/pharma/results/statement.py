@@ -1,4 +1,4 @@
-"""What a case says, as plain data: model and equations, parameters, limits, assumptions."""
+"""The statement of a case, as plain data: model and equations, parameters, limits, assumptions."""
 
 from typing import Any
 
@@ -61,7 +61,7 @@ def _of_units(case: PharmaCase) -> list[str]:
 
 
 def _symbols(case: PharmaCase) -> str:
-    """What the symbols of all equations stand for, each once."""
+    """The meaning of the symbols of all equations, each once."""
     known = dict(pair for unit in case.units for pair in unit.symbols)
     return "; ".join(f"{symbol}: {words}" for symbol, words in known.items())
 

@@ -7,10 +7,10 @@ from .run import Run
 
 
 def assumptions(run: Run) -> Section:
-    """What the model takes for granted, what was remarked, and what made the numbers."""
+    """Assumptions of the model, remarks, and the versions behind the numbers."""
     blocks: list[Block] = [Text(str(text)) for text in run.get("assumptions", [])]
     if not blocks:
-        blocks.append(Missing("The assumptions are not in details.json."))
+        blocks.append(Missing("The assumptions are not in this run."))
     blocks += [Text(str(note), caveat=True) for note in [*run.get("notes", []), *_notes(run)]]
     times = run.result.get("seconds") or {}
     if times.get("total") is not None:

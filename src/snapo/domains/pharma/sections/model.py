@@ -8,7 +8,7 @@ POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def model(run: Run) -> Section:
-    """Purpose, flowsheet, equations, parameters with their sources, and what is uncertain."""
+    """Purpose, flowsheet, equations, parameters with their sources, and uncertain numbers."""
     blocks: list[Block] = []
     if run.get("purpose"):
         blocks.append(Text(str(run.get("purpose"))))
@@ -16,7 +16,7 @@ def model(run: Run) -> Section:
         blocks.append(Text(str(run.get("scope")), caveat=True))
     units = run.get("units", [])
     if not units:
-        blocks.append(Missing("details.json does not say what the flowsheet is."))
+        blocks.append(Missing("This run does not say what the flowsheet is."))
     flow = [f"{c['from']} → {c['to']}" for c in run.get("connections", [])]
     if flow:
         blocks.append(Text("Flowsheet: " + "; ".join(flow) + "."))

@@ -1,4 +1,4 @@
-"""What a unit that works over time is to the integrator: an initial value problem."""
+"""A unit over its time as the integrator sees it: an initial value problem."""
 
 from collections.abc import Callable
 from typing import NamedTuple

@@ -45,7 +45,7 @@ def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> So
 
 
 def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
-    """What `integrate` gives where the final y is known already."""
+    """The result of `integrate` where the final y is known already."""
     return Solved(final, [value[-1] for _, value in problem.controls], problem.duration, None)
 
 

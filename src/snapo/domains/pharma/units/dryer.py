@@ -107,7 +107,7 @@ class Dryer(Unit):
         return Outcome(finish, zero, zero, track, of_track)
 
     def dry(self, cake: Stream, inputs: dict[str, Any]) -> tuple[Finish, Track]:
-        """X = X0 exp(-integral of k), and what the dryer delivers; the track's state is X."""
+        """X = X0 exp(-integral of k) at the end, and over time: the track's state is X."""
         profile, value = self.temperature, use(inputs, self.temperature.value)
         mesh = make_mesh(edges_of((profile,)), STEPS, None)
         duration = use(inputs, self.duration)

@@ -1,7 +1,7 @@
-"""Filter and wash at constant pressure: how long it takes, and what stays in the cake.
+"""Filter and wash at constant pressure: its time, and the liquor in the cake.
 
 The cake keeps a share of the liquor in its voids; of what was dissolved in it the wash leaves a
-share, and wash liquid takes the place of the liquor. The filtrate is what is left of the slurry.
+share, and wash liquid takes the place of the liquor. The filtrate is the rest of the slurry.
 """
 
 from dataclasses import dataclass

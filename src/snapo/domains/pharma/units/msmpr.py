@@ -200,7 +200,7 @@ class Msmpr(Instant):
             return growth, born * denser ** use(inputs, self.suspension_power), crystals
 
         def gap(level):
-            """The logarithm of what grows over what the mass balance says; it rises."""
+            """The logarithm of the crystals that grow over those of the mass balance; it rises."""
             growth, born, crystals = rates(level)
             weight = 6 * use(inputs, self.density) * use(inputs, self.shape)
             return jnp.log(weight * born * growth**3 * residence**4) - jnp.log(crystals)
@@ -224,7 +224,7 @@ class Msmpr(Instant):
         return jnp.stack([factorial(k) * first * scale**k for k in range(MOMENTS)])
 
     def counted(self, found: Steady, moments, residence) -> Float[Array, " N"]:
-        """Crystals in each cell per m3; together they weigh what the moments say."""
+        """Crystals in each cell per m3, with the third moment of all of them."""
         if self.edges is None:
             return jnp.zeros(0)
         scale = found.growth * residence

@@ -1,4 +1,4 @@
-"""A unit operation: one object that knows all about it, from its table to what the report says.
+"""A unit operation: one object with its whole behaviour, from its table to the report's words.
 
 A new one is one file with one class, of which `registry` has the list. Every `Given` of a unit is
 named "unit.field" ("reactor.temperature"), the unit being the object's own `name`; labels say
@@ -34,7 +34,7 @@ class Inlet(NamedTuple):
 
     - `crystals`: "refused" where the unit takes liquids alone; "needed"; "counted" where they are
       needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
-    - `dosed`: m3/s at which the unit takes in what is there, None for all at the start or evenly.
+    - `dosed`: m3/s at which the unit takes its inlet in, None for all at the start or evenly.
     - `lasting`: whether the unit runs continuously, over its feed's duration.
     """
 
@@ -46,7 +46,7 @@ class Inlet(NamedTuple):
 
 
 class Outcome(NamedTuple):
-    """What a unit delivered; `reached` of `duration` s (equal where all went well; both 0 for a
+    """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
     unit without time), its `track`, and from the track's rows to states."""
 
     finish: Finish
@@ -58,7 +58,7 @@ class Outcome(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Unit(ABC):
-    """What the flowsheet, the reading, the balances and the report ask of a unit operation.
+    """The contract of a unit operation with reading, flowsheet, balances and report.
 
     - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
       classes of one type, else "". `title`: its name in the report.
@@ -149,7 +149,7 @@ class Timed(Unit):
     def dynamics(
         self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
     ) -> Dynamics:
-        """The unit with what flows into it, as an initial value problem."""
+        """The unit with its inlets, as an initial value problem."""
 
     def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:
         problem = self.dynamics(network, inlets, inputs)
@@ -173,7 +173,7 @@ class Instant(Unit):
     def deliver(
         self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
     ) -> Finish:
-        """What the unit makes of its inlets."""
+        """Outlets, measures and ledger from the inlets."""
 
     def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:
         zero = jnp.zeros(())

@@ -25,7 +25,7 @@ class TankTable(Table):
 
 @dataclass(frozen=True, eq=False)
 class Tank(Instant):
-    """Holds and mixes what comes by `ports`, one for each name."""
+    """Holds and mixes its inlets, one for each name of `ports`."""
 
     ports: tuple[str, ...]
 

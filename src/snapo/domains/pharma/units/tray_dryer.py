@@ -5,10 +5,10 @@ d32) is the crystals' surface in m2/kg, p_v the liquid's vapour pressure and p t
 the cake. Wet, f = 1: the rate is constant once the cake has warmed to where the shelf's heat, U A
 (T_shelf - T), is what evaporation takes. Below the critical moisture X_c the surface dries out
 and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within 0.1 % of either
-branch outside 0.6 < r < 1.7. What is left in the end is X_c p / p_v, in equilibrium.
+branch outside 0.6 < r < 1.7. In the end X_c p / p_v is left, in equilibrium.
 
-Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. It is integrated as what the cake
-holds, what the shelf gave and what the vapour took, so that energy closes to rounding.
+Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. It is integrated as heat in the
+cake, from the shelf and into the vapour, so that energy closes to rounding.
 """
 
 from dataclasses import dataclass
@@ -64,7 +64,7 @@ class Liquid:
 
 
 def read_liquid(read: Reader) -> Liquid:
-    """Antoine's numbers for Pa and K, whatever the case gives them for."""
+    """Antoine's numbers for Pa and K, from those of the case's units."""
     table = read.table
     try:
         scale = conversion(table.unit, "Pa").scale
@@ -171,7 +171,7 @@ class TrayDryer(Timed):
         return {"solvent": "1", "temperature": "K"}
 
     def states(self, species):
-        """ "solvent" is kg per kg of crystals, and "rate" what leaves of it."""
+        """ "solvent" is kg per kg of crystals, and "rate" its loss."""
         found = {"solvent": "1", "temperature": "K", "rate": "1/s"}
         return found | {"shelf": "K", "pressure": "Pa"}
 
@@ -184,7 +184,7 @@ class TrayDryer(Timed):
 
     def dynamics(self, network, inlets, inputs):
         """y: X in kg per kg of crystals; then, per heat capacity of the crystals and so in K, the
-        heat the cake holds, what the shelf gave and what the vapour took."""
+        heat in the cake, from the shelf and into the vapour."""
         cake = inlets[0]
         crystals = cake.crystals()
         liquid, critical = self.liquid, use(inputs, self.critical)

@@ -34,7 +34,7 @@ def by_finite_volumes(
 
     def slope(y, growth, born):
         n = y / width
-        # The limiter bounds what too long a time step makes grow: waves about zero, no overflow.
+        # The limiter bounds waves that grow by too long a time step: they stay about zero.
         n = jnp.where(jnp.min(n) > -NEGATIVE * jnp.max(n), n, jnp.nan)
         step = limited_steps(n, edges) / 2
         larger = jnp.where(growth > 0, growth, 0.0)

@@ -51,7 +51,7 @@ class SolubilityTable(Table):
 
 
 def read_solubility(read: Reader) -> Solubility:
-    """Coefficients in kg/m3, whatever unit the case gives them in."""
+    """Coefficients for kg/m3, from those of the case's unit."""
     table = read.table
     try:
         scale = conversion(table.unit, "kg/m3").scale
