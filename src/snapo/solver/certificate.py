@@ -118,10 +118,14 @@ def bump_check(
     for name, given in problem.named.items():
         directions = _directions(given, every, random)
         scale = float(np.max(np.abs(gradient[name]), initial=0.0))
-        if not every:
-            scale = float(np.sum(np.abs(gradient[name])))
         for label, direction in directions:
-            along = _Along(replay, name, direction, given.step(), centre)
+            # Each number moves by its own step; `part` is relative to the largest of them.
+            moved = given.step() * direction
+            step = float(np.max(np.abs(moved)))
+            part = moved / step
+            if not every:
+                scale = float(np.sum(np.abs(gradient[name] * part)))
+            along = _Along(replay, name, part, step, centre)
             found.append(along.compare(label, gradient, scale))
     return found
 
