@@ -412,7 +412,7 @@ class Indices(Good):
     [
         ("noise", "step, ", "noise[1]"),
         ("action", "step, ", "action[1]"),
-        ("negative", "step, ", "noise[-1]"),
+        ("negative", "step, ", "noise[-2]"),
         ("branch", "step, ", "[3]"),
         ("write", "step, ", "[2]"),
         ("gather", "observe, ", "[2]"),

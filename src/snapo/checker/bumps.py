@@ -38,9 +38,12 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
 
     rng = np.random.default_rng(seed + 2)
     for entry in inputs_.named(inputs):
-        alive = [k for k in range(len(runs)) if np.any(gradient(k, entry.name))]
-        k = alive[0] if alive else 0
-        found = gradient(k, entry.name)
+        if not entry.input.value.size:
+            continue
+        alive = (k for k in range(len(runs)) if np.any(gradient(k, entry.name)))
+        k = next(alive, None)
+        judged = runs if k is None else [runs[k]]
+        found = gradient(k or 0, entry.name)
         if not np.all(np.isfinite(found)):
             notes.error(
                 f"{notes.method('prepare')}: input {entry.name}",
@@ -49,12 +52,8 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
             )
             continue
         for label, direction in _directions(entry, rng):
-            pairs = [_Comparison(simulator, inputs, runs[k], entry, direction, found)]
-            if not alive:
-                pairs += [
-                    _Comparison(simulator, inputs, run, entry, direction, found) for run in runs[1:]
-                ]
-            if _judge(notes, pairs, list(runs[k].totals), f"input {entry.name}{label}"):
+            pairs = [_Comparison(simulator, inputs, run, entry, direction, found) for run in judged]
+            if _judge(notes, pairs, list(judged[0].totals), f"input {entry.name}{label}"):
                 break
 
 

@@ -53,10 +53,12 @@ def within(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
             with notes.during(name):
                 closed = jax.make_jaxpr(function)(*given.values())
             for found in dict.fromkeys(_beyond(closed.jaxpr, closed.consts, _labels(given))):
+                # A negative index was written before JAX added the length to it.
+                index = found.index - found.length * (found.index < 0)
                 notes.error(
-                    f"{notes.method(name)}: {found.label or 'an array'}[{found.index}]",
-                    f"It has {found.length} entries, so the last one is read in its place. "
-                    f"In: {found.line}",
+                    f"{notes.method(name)}: {found.label or 'an array'}[{index}]",
+                    f"It has {found.length} entries; JAX reads the nearest one, or drops a write, "
+                    f"without an error. In: {found.line}",
                     "Correct the index, or the size that is declared.",
                 )
 

@@ -69,21 +69,27 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _by_mass(objective, totals, size: int) -> np.ndarray | None:
     """Derivatives by the paths' masses, times N; None where masses do not stand for paths."""
-    closed = jax.make_jaxpr(objective.formula)(totals)
-    leaves = jax.tree.leaves(totals)
-
-    @jax.jit
-    def weighted(mass, leaves):
-        return _evaluate(closed.jaxpr, closed.consts, leaves, mass, size)[0]
-
+    weighted, slopes = _massed_formula(objective, tuple(totals), size)
     # A mass of two must be the same as a path twice.
     chosen = np.random.default_rng(0).integers(0, size, size)
-    twice = {name: total[chosen] for name, total in totals.items()}
     mass = np.bincount(chosen, minlength=size).astype(np.float64)
-    found, expected = weighted(mass, leaves), value(objective, twice)
-    if not np.isclose(found, expected, rtol=AGREEMENT, atol=0.0, equal_nan=True):
+    expected = value(objective, {name: total[chosen] for name, total in totals.items()})
+    if not np.isclose(weighted(mass, totals), expected, rtol=AGREEMENT, atol=0.0, equal_nan=True):
         return None
-    return size * np.asarray(jax.jit(jax.grad(weighted))(np.ones(size), leaves))
+    return size * np.asarray(slopes(np.ones(size), totals))
+
+
+@lru_cache(maxsize=64)
+def _massed_formula(objective, names: tuple[str, ...], size: int) -> tuple[Callable, Callable]:
+    """The compiled formula of masses and totals, and its derivative by the masses."""
+    shape = jax.ShapeDtypeStruct((size,), np.float64)
+    closed = jax.make_jaxpr(objective.formula)(dict.fromkeys(names, shape))
+
+    def weighted(mass, totals):
+        leaves = jax.tree.leaves(totals)
+        return _evaluate(closed.jaxpr, closed.consts, leaves, mass, size)[0]
+
+    return jax.jit(weighted), jax.jit(jax.grad(weighted))
 
 
 def _evaluate(jaxpr, consts, values, mass, size: int):
