@@ -55,7 +55,11 @@ def _tables(simulator: Simulator, run: Run, dtype) -> Iterator[tuple[tuple[int, 
     )
     state = jax.tree.map(lambda leaf: leaf[0, 0], states)
     given = (schedule.constants, at(schedule.steps, 0), state, actions[0, 0], noise[0, 0])
-    closed = jax.make_jaxpr(lambda *xs: simulator.step(*xs, Exact()))(*given)
+
+    def step(constants, now, state, action, drawn):
+        return simulator.step(constants, now, state, action, drawn, Exact())
+
+    closed = jax.make_jaxpr(step)(*given)
     programs = [closed]
     while programs:
         program = programs.pop()
