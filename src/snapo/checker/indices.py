@@ -111,7 +111,7 @@ def _name_of(atom, names: dict) -> str:
 def _outside(eqn, values) -> Iterator[tuple[int, int]]:
     """(index, length) of every known index of an equation that lies outside."""
     kind = eqn.primitive.name
-    shape: tuple[int, ...] = getattr(eqn.invars[0].aval, "shape", ()) if eqn.invars else ()
+    shape = [int(n) for n in getattr(eqn.invars[0].aval, "shape", ())] if eqn.invars else []
     if kind == "dynamic_slice":
         for start, length, size in zip(values[1:], shape, eqn.params["slice_sizes"]):
             if start is not None and not 0 <= int(start) <= length - size:
