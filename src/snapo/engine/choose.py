@@ -10,7 +10,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Smooth
 
 from .base import Engine
-from .native import Native, unsupported
+from .native import Native, unavailable, unsupported
 from .xla import Xla
 
 NAMES = ("auto", "xla", "native")
@@ -28,7 +28,8 @@ class Engines(NamedTuple):
 def choose(name: str, simulator: Simulator, policy: Policy, schedule: Schedule) -> Engines:
     """The engine called `name`; "auto" takes the fastest that can run this simulator.
 
-    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this simulator.
+    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this simulator, or
+    nothing at all where llvmlite is not installed.
     """
     if name not in NAMES:
         raise ValueError(f"engine: got {name!r}; allowed is one of {', '.join(NAMES)}.")
@@ -38,6 +39,11 @@ def choose(name: str, simulator: Simulator, policy: Policy, schedule: Schedule) 
         return _xla(devices, "it was asked for")
     if name == "auto" and kind != "cpu":
         return _xla(devices, f"there is a {kind.upper()}")
+    missing = unavailable()
+    if missing is not None:
+        if name == "native":
+            raise ValueError(f"engine: native cannot run here, as {missing}")
+        return _xla(devices, missing)
     reason = unsupported(simulator, schedule, policy, Smooth(np.float32(0.1)))
     if reason is None:
         why = "it was asked for" if name == "native" else "it can compile this simulator"

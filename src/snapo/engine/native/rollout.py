@@ -18,13 +18,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from . import trace
-from .trace import CALL, PATH, STEP, Cut, Leaf
+from snapo.lanes.program.cut import CALL, PATH, STEP, Cut, Leaf, cut, evaluate, inlined
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What a kernel is compiled for, besides the simulator, the policy and the types of arrays."""
+    """The purpose of a kernel, beside the simulator, the policy and the types of arrays."""
 
     dtype: str
     adjoint: bool
@@ -134,14 +133,14 @@ def traced(
     for name, function, inputs, outputs, with_now in builder.phases():
         path_avals = [aval for _, aval in inputs]
         avals = [*call_avals, *(now_avals if with_now else []), *path_avals]
-        closed = trace.inlined(function, avals)
+        closed = inlined(function, avals)
         levels = (
             [CALL] * len(call) + [STEP] * (len(now) if with_now else 0) + [PATH] * len(path_avals)
         )
         known = [*call, *(now if with_now else []), *[None] * len(path_avals)]
         keys = [*outputs, *[("scale", i) for i in range(len(closed.jaxpr.outvars) - len(outputs))]]
         labelled = [(key, v.aval) for key, v in zip(keys, closed.jaxpr.outvars)]
-        phases[name] = Phase(name, trace.cut(closed, levels, known), inputs, labelled)
+        phases[name] = Phase(name, cut(closed, levels, known), inputs, labelled)
     return Traced(
         setup, call, now, builder.state, builder.state_tree, builder.names, builder.final_names,
         builder.record_tree, phases, builder.bound(),
@@ -250,7 +249,7 @@ class _Functions:
         leaves, totals, own = own[:n], own[n : n + len(self.names)], own[n + len(self.names) :]
         noise = own[0]
         action = own[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
-        found = trace.evaluate(self.once, [*call, *now, *leaves, noise, action])
+        found = evaluate(self.once, [*call, *now, *leaves, noise, action])
         after, outputs, kept = jax.tree.unflatten(self.after, found)
         kinds = self.pieces(call)[3].totals()
         totals = [_add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
