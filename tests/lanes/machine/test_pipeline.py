@@ -22,7 +22,7 @@ def sections(data: bytes) -> dict[str, bytes]:
     found = {}
     with binding().ObjectFileRef.from_data(data) as whole:
         for each in whole.sections():
-            name = each.name()
+            name = each.name() or b""
             name = name.decode() if isinstance(name, bytes) else name
             if name.startswith((".text", ".ltext", ".rodata", ".lrodata")):
                 found[name] = each.data()

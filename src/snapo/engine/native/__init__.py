@@ -3,7 +3,8 @@
 The compiler is `snapo.lanes`; here is the part that knows a rollout. In the order in which a
 simulator passes through it:
 
-    rollout             the phases as functions of arrays, traced and cut
+    given, functions    trees that paths share; the phases as functions of arrays
+    rollout             the phases traced and cut
     kernel/             rows of memory, and all functions of a kernel:
       layouts, context    the rows; the kernel under construction
       phases, sweep, forward, reverse    the two sweeps of each phase

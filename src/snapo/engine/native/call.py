@@ -19,9 +19,11 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..base import Engine, Window, checked
 from .available import unavailable
+from .functions import Setup
+from .given import Given, cast
 from .kernel.context import Stages
 from .kernel.kernel import Kernel, emit
-from .rollout import Given, Setup, cast, traced
+from .rollout import traced
 from .runtime import Inputs, Runner
 
 KEPT = 64  # compiled kernels in memory

@@ -16,9 +16,9 @@ from snapo.problem.smooth import Smooth
 from ..base import Window
 from .call import Call
 from .engine import Native
+from .functions import Setup
 from .kernel.context import Stages
 from .kernel.kernel import Kernel
-from .rollout import Setup
 
 
 @dataclass(frozen=True)
