@@ -9,7 +9,7 @@ which a function passes through them (imports go from the later to the earlier):
     curves      exp, tanh, erf, sin … as polynomials on vectors
     rules       one rule per kind of primitive: elementwise, rearranging, dot products, gathers
     body        the order of a program's operations, and the loops that they share
-    gradients   sums over paths and steps of what all paths share
+    gradients   sums over paths and steps, for arrays that all paths share
     machine     this processor, machine code and its cache on disk, aligned memory, threads
 
 Without llvmlite all rooms but `machine` can be imported and used as far as they need no processor.

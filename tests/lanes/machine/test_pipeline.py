@@ -31,10 +31,11 @@ def sections(data: bytes) -> dict[str, bytes]:
 
 def assembled(instructions: str) -> bytes:
     """The object code of a text of instructions."""
-    llvm = binding()
-    llvm.initialize_native_asmparser()
+    binding().initialize_native_asmparser()
+    target = PIPELINE.target()
     escaped = instructions.replace("\\", "\\5C").replace('"', "\\22").replace("\n", "\\0A")
-    return PIPELINE.target().emit_object(llvm.parse_assembly(f'module asm "{escaped}"'))
+    module = f'target triple = "{target.triple}"\nmodule asm "{escaped}"'
+    return target.emit_object(binding().parse_assembly(module))
 
 
 def test_the_instructions_shown_are_those_that_run():

@@ -133,7 +133,7 @@ class Call:
             for key, array in arrays.items():
                 view = layouts[name].view(rows, key)
                 view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
-                if name == "weights":  # what fills the last block counts for nothing
+                if name == "weights":  # paths that fill the last block count for nothing
                     view[-1, lanes - (path.size - self.paths) :] = 0
         return Inputs(self.paths, length, first, memory, records)
 

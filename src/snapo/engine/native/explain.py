@@ -52,7 +52,7 @@ def explain(
 
     **Arguments:**
 
-    - `schedule`: what `prepare` gave; without it `simulator.prepare(None)` is asked.
+    - `schedule`: the result of `prepare`; without it `simulator.prepare(None)` is asked.
     - `policy`: a small network where none is given.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
@@ -70,7 +70,7 @@ def explain(
     target = (
         f"{processor.name}: registers of {processor.register} bytes, blocks of {kernel.lanes} paths"
     )
-    # Emitted last, but what the paths share comes first in time.
+    # Emitted last, but everything that the paths share comes first in time.
     programs = sorted(stages, key=lambda stage: "computed once" not in stage[0])
     return Explanation(tuple(programs), "\n".join(rows), kernel.text, target)
 

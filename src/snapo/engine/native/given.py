@@ -9,7 +9,7 @@ from jaxtyping import PyTree
 
 
 class Given:
-    """A tree that all paths share, taken apart once per call: flattening is what a call pays for.
+    """A tree that all paths share, taken apart once per call, as flattening takes time.
 
     Arrays, as NumPy with floating ones in the call's precision, are read anew at every call;
     everything else is compiled in.

@@ -26,7 +26,7 @@ class Phase:
 
 @dataclass(eq=False)
 class Traced:
-    """Everything that the emitter needs, and how the caller's trees map to it."""
+    """Everything that the writer of a kernel needs, and the way back to the caller's trees."""
 
     setup: Setup
     call: list[Leaf]

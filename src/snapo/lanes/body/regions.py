@@ -1,7 +1,7 @@
 """Regions and order: which operations share one loop over an array's elements.
 
 Arrays of up to `BIG` numbers live in registers and need no loop. Elementwise work on larger ones
-is gathered into loops, so that only what another region reads goes through memory.
+is gathered into loops, so that only the arrays that another region reads go through memory.
 """
 
 from dataclasses import dataclass, field
@@ -24,7 +24,7 @@ class Region:
 
 
 def loops(op: Op) -> tuple[int, ...] | None:
-    """The shape an elementwise operation loops over; None for what is not such a loop."""
+    """The shape an elementwise operation loops over; None for other operations."""
     shape = op.outputs[0].shape
     if op.outputs[0].size <= BIG or not elementwise.supported(op.name):
         return None
@@ -85,7 +85,7 @@ def regions(ops: list[Op], wanted: set[Value]) -> list[Region]:
 
 
 def sink(order: list[Region], readers, wanted: set[Value]) -> None:
-    """Moves what only a later loop reads into that loop, so that it need not go through memory."""
+    """Moves an operation that only a later loop reads into that loop, past memory."""
     home = {op: region for region in order for op in region.ops}
     for region in reversed(order):
         if region.shape is None:

@@ -65,7 +65,7 @@ class Arithmetic:
         return self.code.convert("bitcast", bits, self.format.dtype)
 
     def power_of_two(self, shifted: Ref, less: int = 0) -> Ref:
-        """2^(n - less), from n + magic: the shift drops what the magic number put above n."""
+        """2^(n - less), from n + magic: the shift drops the magic number's bits above n."""
         biased = self.code.add(self.bits(shifted), self.whole(self.format.bias - less))
         return self.value(self.code.op("shl", biased, self.whole(self.format.mantissa)))
 

@@ -34,13 +34,13 @@ def growth(a: Arithmetic, r: Ref) -> Ref:
 
 
 def exp(a: Arithmetic, x: Ref) -> Ref:
-    """1 + growth, with n added to its exponent; what would be denormal is zero."""
+    """1 + growth, with n added to its exponent; zero in place of denormals."""
     code, f = a.code, a.format
     if f.dtype == "float32":
         shifted, r = a.octaves(x)
         risen = growth(a, r)
     else:
-        # Twice p / (q - p), with p / q the tangent of half of what remains.
+        # Twice p / (q - p), with p / q the hyperbolic tangent of half of the remainder.
         shifted, y = a.octaves(code.op("fmul", x, a.real(0.5)), 0.5)
         p, q = tangent(a, y)
         risen = code.div(code.op("fadd", p, p), code.op("fsub", q, p))
@@ -72,7 +72,7 @@ def expm1(a: Arithmetic, x: Ref) -> Ref:
 
 
 def tanh(a: Arithmetic, x: Ref) -> Ref:
-    """A ratio of polynomials: in float32 of x itself, in float64 of what halves of ln 2 leave.
+    """A ratio of polynomials: of x in float32, of the remainder after halves of ln 2 in float64.
 
     With |x| = n ln 2 / 2 + y and tanh(y) = p / q the answer is
     ((2^n - 1) q + (2^n + 1) p) / ((2^n + 1) q + (2^n - 1) p).

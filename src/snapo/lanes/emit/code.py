@@ -38,7 +38,7 @@ class Curve:
 
 
 class Code:
-    """One function's instructions. `lanes` is the width of what differs between paths."""
+    """One function's instructions. `lanes` is the width of a number that differs between paths."""
 
     def __init__(self, lanes: int, module: Module):
         self.lanes = lanes

@@ -26,7 +26,7 @@ def fetch(code: Code, source: Ref | Place, position, width: int = 1) -> Ref:
 
 
 def put(code: Code, target: Place, position, x: Ref, width: int) -> None:
-    """Stores what `fetch` would read."""
+    """Stores one element, or `width` neighbours, as `fetch` reads them."""
     if width == 1:
         target.write(code, position, x)
     else:

@@ -118,7 +118,7 @@ class Values:
         )
 
     def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | Place:
-        """What a loop over `shape` reads: one register for all, or memory."""
+        """The source for a loop over `shape`: one register for all elements, or memory."""
         known = self.get(value)
         if isinstance(known, Small) and known.uniform is not None:
             return known.uniform

@@ -76,7 +76,7 @@ class Helper(threading.Thread):
             self.begin.acquire()
             work, done = self.task
             work()
-            del work, self.task  # what the work held is free before the caller goes on
+            del work, self.task  # memory that the work held is free before the caller goes on
             _idle.append(self)
             done.release()
 

@@ -1,7 +1,7 @@
-"""A function of one path as JAX sees it, cut by what its numbers depend on.
+"""A function of one path as JAX sees it, cut by the inputs that its numbers depend on.
 
-    call   on what the whole call shares               computed once per call
-    step   on what all paths of one step share too     computed once per step, as scalars
+    call   on inputs that the whole call shares        computed once per call
+    step   on those that all paths of a step share     computed once per step, as scalars
     path   on a path's own inputs                      computed for lanes of paths
 
 Every piece is then differentiated on its own (`joint`).
@@ -37,7 +37,7 @@ class Leaf:
 
 @dataclass(eq=False)
 class Piece:
-    """Equations with what they read (`inputs`) and give (`outputs`), before differentiation.
+    """Equations with their `inputs` and `outputs`, before differentiation.
 
     `reads` are leaves of earlier pieces, one for each of the first inputs; the remaining inputs
     belong to the path.
@@ -126,7 +126,7 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
     consts = dict(zip(jaxpr.constvars, closed.consts))
 
     def piece(own: int, outputs) -> Piece:
-        """The equations of one level that these outputs need, and what they read from below."""
+        """The equations of one level that these outputs need, and their reads from below."""
         eqns, boundary = _closure(
             jaxpr, outputs, own, level, maker, set(jaxpr.invars) | set(consts)
         )

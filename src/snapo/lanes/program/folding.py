@@ -1,6 +1,6 @@
-"""Arithmetic on what is known while compiling: loop counters, static indices, masks, zeros.
+"""Arithmetic on numbers known while compiling: loop counters, static indices, masks, zeros.
 
-Only small arrays are folded; everything here must give what XLA would have given.
+Only small arrays are folded; every result must be XLA's.
 """
 
 import math
@@ -53,7 +53,7 @@ def _size(aval) -> int:
 def _evaluate(name, params, inputs, aval):
     if name in _DIRECT:
         return _DIRECT[name](*inputs)
-    if name in ("empty", "empty2"):  # what nobody reads
+    if name in ("empty", "empty2"):  # an array that nobody reads
         return np.zeros(aval.shape)
     if name == "convert_element_type":
         return inputs[0].astype(params["new_dtype"])

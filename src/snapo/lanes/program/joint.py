@@ -1,7 +1,7 @@
 """A piece alone, and a piece with its transpose, as one program each.
 
-The joint trace of a piece and its transpose is one jaxpr, so nothing is decided by JAX about what
-to keep and what to compute again.
+The joint trace of a piece and its transpose is one jaxpr, so that the choice
+between keeping a number and computing it again is not JAX's.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,7 +19,7 @@ from .program import Program
 class Joint:
     """A piece and its transpose as one program.
 
-    Inputs: what the piece reads, then the path's own, then the cotangents of the `moving`
+    Inputs: the piece's reads, then the path's own, then the cotangents of the `moving`
     outputs. Outputs: the piece's, then the cotangents of active reads, then of active path inputs.
     """
 

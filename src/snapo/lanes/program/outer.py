@@ -18,7 +18,7 @@ class Outer:
 def outer_terms(program: Program, gradient: Value) -> tuple[list[Outer], list[Value]]:
     """Splits a gradient that will be summed over paths into outer products and everything else.
 
-    Looks through sums and transpositions; what is left must be computed path by path.
+    Looks through sums and transpositions; the rest must be computed path by path.
     """
     maker = {v: op for op in program.ops for v in op.outputs}
     terms: list[Outer] = []

@@ -14,8 +14,10 @@ from ..unsupported import Unsupported
 Rule = Callable[[Values, Op], None]
 
 
-def rearranged(small, strided):
-    """A rule from a function of NumPy arrays and one of places."""
+def rearranged(
+    small: Callable[[Op, np.ndarray], np.ndarray], strided: Callable[[Op, Place], Place | None]
+) -> Rule:
+    """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
 
     def rule(values: Values, op: Op) -> None:
         known = values.get(op.inputs[0])
@@ -26,7 +28,9 @@ def rearranged(small, strided):
                 return
             moved = values.workspace.allocate(known.shape, known.dtype, known.lanes)
             values.copy(op.inputs[0], moved)
-            values.bind(op.outputs[0], strided(op, moved))
+            view = strided(op, moved)
+            assert view is not None
+            values.bind(op.outputs[0], view)
             return
         assert isinstance(known, Small)
         values.set(op.outputs[0], small(op, known.items))

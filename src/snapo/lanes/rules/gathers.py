@@ -63,7 +63,7 @@ def _read_all(values: Values, op: Op, x: Value, moves, fill=None) -> None:
 
 
 def _filler(code: Code, out: Value, fill) -> Ref:
-    """What XLA puts where an index is out of range: NaN, or the extreme of an integer type."""
+    """XLA's number for an index out of range: NaN, or the extreme of an integer type."""
     if fill is None:
         kind = out.dtype.kind
         fill = np.nan if kind == "f" else True if kind == "b" else None

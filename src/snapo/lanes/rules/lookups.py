@@ -1,7 +1,7 @@
 """One of some numbers that all paths share, chosen by an integer of each path's own.
 
 A register of the processor is a table itself: one instruction rearranges its numbers by a vector
-of positions. Longer tables are several registers, and what each gives is selected.
+of positions. Longer tables are several registers, and one of their results is selected.
 """
 
 import numpy as np

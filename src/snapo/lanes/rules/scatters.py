@@ -66,7 +66,7 @@ def _scatter(values: Values, op: Op) -> None:
 
 
 def _write_all(values: Values, op: Op, x: Value, update: Value, moves, combine: str | None) -> None:
-    """A copy of `x` with elements replaced, or combined with what is written."""
+    """A copy of `x` with elements replaced by the update's, or combined with them."""
     out, code = op.outputs[0], values.code
     known = values.get(x)
     small = out.size <= BIG or (

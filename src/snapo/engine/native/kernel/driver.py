@@ -7,7 +7,7 @@ from .context import Build, field
 
 
 def run(build: Build) -> None:
-    """`run(context, first block, last block)`: every block forward, and in an adjoint back.
+    """`run(context, first block, last block)`: every block forward, and in an adjoint kernel back.
 
     A horizon whose tape would be too long is done in segments: the carry at each segment's start
     is saved on the way forward, and on the way back a segment goes forward again, with a tape.

@@ -20,7 +20,7 @@ def forward(
     outputs: list[Value],
     taped: list[Value],
 ) -> None:
-    """Writes the function: `ops` of the program, for these outputs and what the tape keeps."""
+    """Writes the function: `ops` of the program, for these outputs and those kept on the tape."""
     tape = build.layouts[TAPES[phase.name]]
     for value in taped:
         tape.add(value, value.shape, value.dtype)

@@ -1,7 +1,7 @@
 """The sweeps of one phase.
 
-In an adjoint kernel both come from one joint program: its primal part, with what the tape needs,
-is the forward sweep; the rest, with what is computed again, is the reverse sweep.
+In an adjoint kernel both come from one joint program: its primal part, with the tape,
+is the forward sweep; the rest, with all that is computed again, is the reverse sweep.
 """
 
 import numpy as np

@@ -77,7 +77,7 @@ def _waiting(s: Sweep, rows: Rows) -> str:
 
 
 def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
-    """Binds the cotangents of what this phase gave."""
+    """Binds the cotangents of this phase's outputs."""
     layouts, final = s.build.layouts, s.phase.name == "final"
     layout = layouts["weights" if final else "cotangent"]
     base = s.block_row("weights") if final else field("cotangent")
@@ -91,7 +91,7 @@ def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
 
 
 def _pass_back(s: Sweep, values: Values, transposed: Transposed) -> None:
-    """Writes the cotangents of what this phase was given."""
+    """Writes the cotangents of this phase's inputs."""
     layouts = s.build.layouts
     pairs: list[tuple[Value, Place]] = []
     for value, i in zip(transposed.back, transposed.active):

@@ -74,7 +74,7 @@ def finish(build: Build) -> None:
 def _transposed(
     build: Build, function: Function, piece: Piece, leaves: list[Leaf], tables: Shared, sums: Shared
 ) -> None:
-    """The sums of a piece's outputs taken back to what the piece reads."""
+    """The sums of a piece's outputs taken back to the piece's inputs."""
     moving = [i for i, leaf in enumerate(leaves) if leaf.active]
     if not moving:
         return
