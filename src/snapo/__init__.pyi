@@ -25,8 +25,10 @@ from snapo.problem.policy import Linear as Linear
 from snapo.problem.policy import Policy as Policy
 from snapo.problem.policy import Residual as Residual
 from snapo.problem.policy import Threshold as Threshold
+from snapo.problem.problem import Problem as Problem
 from snapo.problem.scenarios import Pseudo as Pseudo
 from snapo.problem.scenarios import Sobol as Sobol
+from snapo.problem.scenarios import Sources as Sources
 from snapo.problem.scenarios import Supplied as Supplied
 from snapo.problem.simulator import Schedule as Schedule
 from snapo.problem.simulator import Simulator as Simulator
@@ -36,10 +38,10 @@ from snapo.solver.adjoint import Gradient as Gradient
 from snapo.solver.adjoint import value_and_gradient as value_and_gradient
 from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
+from snapo.solver.evaluate import evaluate as evaluate
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution
-from snapo.solver.solution import load_policy as load_policy
 from snapo.solver.solve import Evaluation as Evaluation
 from snapo.solver.solve import solve as solve
 from snapo.solver.train import Training as Training

@@ -1,14 +1,15 @@
 """What a policy is worth: path totals on fresh scenarios, and the value with its standard error."""
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine import Engine
+from snapo.engine import Engine, Xla
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS, Scenarios
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
 
 from .adjoint import float64
 
@@ -24,21 +25,40 @@ class Value(NamedTuple):
     control: float = 0.0
 
 
-def path_totals(
-    engine: Engine,
-    simulator: Simulator,
+def evaluate(
+    problem: Problem,
     policy: Policy,
-    schedule: Schedule,
-    scenarios: Scenarios,
+    paths: int = 65536,
+    *,
+    smooth: Any = None,
+    engine: Engine | None = None,
+) -> Value:
+    """The objective of a policy on the problem's evaluation scenarios, exact unless `smooth`."""
+    totals = path_totals(problem, policy, paths, smooth=smooth, engine=engine)
+    controls = problem.simulator.control_variates()
+    return estimate(problem.objective, totals, problem.sources.evaluation, controls)
+
+
+def path_totals(
+    problem: Problem,
+    policy: Policy,
     paths: int,
-    smooth,
+    *,
+    smooth: Any = None,
+    engine: Engine | None = None,
+    source: Scenarios | None = None,
 ) -> dict[str, np.ndarray]:
-    """{output: [paths]} in the order of the path numbers, in chunks of independent blocks."""
+    """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
+
+    On the scenarios of `source`, by default those of the evaluation; as many as there are.
+    """
+    bound = (engine or Xla(precision="float64")).bind(problem)
+    source, smooth = source or problem.sources.evaluation, smooth or Exact()
+    paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
-    for block in scenarios.blocks(paths, max(BLOCKS, -(-paths // CHUNK))):
-        draws = scenarios.draws(block, simulator)
-        part = float64(engine.values(simulator, policy, schedule, draws, smooth).totals)
-        for name, total in part.items():
+    for block in source.blocks(paths, max(BLOCKS, -(-paths // CHUNK))):
+        draws = source.draws(block, problem.simulator)
+        for name, total in float64(bound.values(policy, draws, smooth).totals).items():
             totals.setdefault(name, np.full(paths, np.nan))[block] = total
     return totals
 
