@@ -42,9 +42,7 @@ class Mistake:
     named: tuple[str, ...] = ()
 
 
-def refusals(
-    read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path
-) -> list[str]:
+def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
     """The mistakes that `read` does not deal with, a line each; none is the right answer.
 
     **Arguments:**
@@ -180,7 +178,9 @@ def spoilt_files(folder: Path) -> Iterator[Mistake]:
     for file in sorted(folder.glob("*.csv")):
         name, lines = file.name, file.read_text(encoding="utf-8-sig").splitlines()
         head, *rows = [row for row, line in enumerate(lines) if line and line[0] != "#"]
-        yield Mistake(f"{name}: missing", lambda where, _, name=name: (where / name).unlink(), (name,))
+        yield Mistake(
+            f"{name}: missing", lambda where, _, name=name: (where / name).unlink(), (name,)
+        )
         yield Mistake(f"{name}: empty", _write(name, b""), (name,))
         yield Mistake(f"{name}: not UTF-8", _write(name, b"\xff\xfe\xe9,\n"), (name,))
         yield Mistake(f"{name}: no rows", _write(name, lines[head].encode()), (name,))
