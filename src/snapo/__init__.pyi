@@ -16,6 +16,7 @@ from snapo.problem.objective import Entropic as Entropic
 from snapo.problem.objective import ExpectedUtility as ExpectedUtility
 from snapo.problem.objective import Mean as Mean
 from snapo.problem.objective import MeanVariance as MeanVariance
+from snapo.problem.objective import Objective as Objective
 from snapo.problem.objective import Probability as Probability
 from snapo.problem.objective import Target as Target
 from snapo.problem.policy import MLP as MLP
@@ -34,6 +35,7 @@ from snapo.problem.simulator import Schedule as Schedule
 from snapo.problem.simulator import Simulator as Simulator
 from snapo.problem.smooth import Exact as Exact
 from snapo.problem.smooth import Smooth as Smooth
+from snapo.problem.stages import Stages as Stages
 from snapo.solver.adjoint import Gradient as Gradient
 from snapo.solver.adjoint import value_and_gradient as value_and_gradient
 from snapo.solver.certificate import bump_check as bump_check

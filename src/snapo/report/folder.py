@@ -96,6 +96,11 @@ class Folder:
     def currency(self) -> str:
         return str(self.get("currency", ""))
 
+    @property
+    def unit(self) -> str:
+        """The unit of the value: its own, else the currency."""
+        return str(self.get("unit", self.currency))
+
     def money(self, value: Any, places: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, places, sign)
 

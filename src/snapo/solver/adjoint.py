@@ -31,9 +31,13 @@ class Gradient(NamedTuple):
     inputs: dict[str, np.ndarray]
 
 
-def pull_back(problem: Problem, schedules: list[PyTree]) -> dict[str, np.ndarray]:
-    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}."""
-    simulator, inputs = problem.simulator, problem.inputs
+def pull_back(
+    simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
+) -> dict[str, np.ndarray]:
+    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}.
+
+    The transpose of `prepare`.
+    """
     with jax.enable_x64(True):
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
         moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
@@ -63,7 +67,7 @@ def value_and_gradient(
     smooth = Exact() if smooth is None else smooth
     draws = problem.sources.evaluation.draws(np.arange(paths), problem.simulator)
     value, result = weighted_adjoint(bound, policy, draws, smooth, problem.objective, held=held)
-    moved = pull_back(problem, [result.schedule])
+    moved = pull_back(problem.simulator, problem.inputs, [result.schedule])
     gradient = {name: array[0] for name, array in moved.items()}
     nothing = jax.tree.map(np.zeros_like, eqx.filter(policy, eqx.is_inexact_array))
     return value, Gradient(nothing if held else result.policy, gradient)

@@ -118,10 +118,14 @@ def bump_check(
     for name, given in problem.named.items():
         directions = _directions(given, every, random)
         scale = float(np.max(np.abs(gradient[name]), initial=0.0))
-        if not every:
-            scale = float(np.sum(np.abs(gradient[name])))
         for label, direction in directions:
-            along = _Along(replay, name, direction, given.step(), centre)
+            # Each number moves by its own step; `part` is relative to the largest of them.
+            moved = given.step() * direction
+            step = float(np.max(np.abs(moved)))
+            part = moved / step
+            if not every:
+                scale = float(np.sum(np.abs(gradient[name] * part)))
+            along = _Along(replay, name, part, step, centre)
             found.append(along.compare(label, gradient, scale))
     return found
 
@@ -161,7 +165,7 @@ class _Replay(NamedTuple):
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
         given = (self.policy, self.draws, self.smooth, weights)
         passed = bound.adjoint(*given, actions=self.actions, wrt=("schedule",))
-        moved = pull_back(self.problem, [passed.schedule])
+        moved = pull_back(self.problem.simulator, self.problem.inputs, [passed.schedule])
         return {name: found[0] for name, found in moved.items()}
 
 

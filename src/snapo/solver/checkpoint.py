@@ -100,7 +100,7 @@ def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any
 def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays in their order and the header, whatever may be wrong with the file."""
     try:
-        with np.load(file, allow_pickle=False) as stored:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
             header = json.loads(stored["header"].tobytes().decode())
             names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
             return {name: stored[name] for name in names}, header

@@ -68,21 +68,31 @@ def estimate(
 ) -> Value:
     """The objective on these totals, with the controls' known mean of zero taken out.
 
-    Errors come from independent groups of paths (antithetic pairs, Sobol scrambles); the controls'
-    coefficients are found by regression on the groups' means.
+    Errors come from independent groups of paths (antithetic pairs, Sobol scrambles).
+    """
+    plain = worth_of_groups(objective, totals, scenarios)
+    mean = worth_of_groups(objective, totals, scenarios, controls)
+    spread = mean.std(ddof=1 + len(controls)) if mean.size > 2 else np.nan
+    total = plain.std(ddof=1)
+    explained = 1 - (spread / total) ** 2 if controls and total > 0 else 0.0
+    return Value(float(mean.mean()), float(spread / np.sqrt(mean.size)), float(explained))
+
+
+def worth_of_groups(
+    objective: Objective, totals: Totals, scenarios: Scenarios, controls: tuple[str, ...] = ()
+) -> np.ndarray:
+    """[groups]: the share of each independent group of paths in the objective; its mean is it.
+
+    The controls' coefficients are found by regression on the groups' means.
     """
     influence = objective.influence(totals)
     groups = scenarios.groups(np.arange(influence.size))
     mean = _group_means(influence, groups)
-    plain = mean.std(ddof=1)
-    if controls:
-        design = np.stack([_group_means(np.asarray(totals[name]), groups) for name in controls], 1)
-        centred = design - design.mean(0)
-        beta = np.linalg.lstsq(centred, mean - mean.mean(), rcond=None)[0]
-        mean = mean - design @ beta
-    spread = mean.std(ddof=1 + len(controls)) if mean.size > 2 else np.nan
-    explained = 1 - (spread / plain) ** 2 if controls and plain > 0 else 0.0
-    return Value(float(mean.mean()), float(spread / np.sqrt(mean.size)), float(explained))
+    if not controls:
+        return mean
+    design = np.stack([_group_means(np.asarray(totals[name]), groups) for name in controls], 1)
+    beta = np.linalg.lstsq(design - design.mean(0), mean - mean.mean(), rcond=None)[0]
+    return mean - design @ beta
 
 
 def _group_means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:

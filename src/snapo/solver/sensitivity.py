@@ -171,7 +171,7 @@ def sensitivities(
     blocks = source.blocks(paths)
 
     def held(policy: Policy) -> dict[str, np.ndarray]:
-        return pull_back(problem, _held(problem, bound, policy, blocks))
+        return pull_back(problem.simulator, problem.inputs, _held(problem, bound, policy, blocks))
 
     found = held(policy)
     moved = None
@@ -183,7 +183,7 @@ def sensitivities(
         return result
     blocks = source.blocks(min(smooth_paths, paths))
     passes, gradients = _smooth(problem, bound, policy, blocks, smooth)
-    through = _estimates(pull_back(problem, passes))
+    through = _estimates(pull_back(problem.simulator, problem.inputs, passes))
     norm = float(np.linalg.norm(gradients.mean(0)))
     noise = float(np.linalg.norm(gradients.std(0, ddof=1)) / np.sqrt(len(gradients)))
     return result._replace(smooth=through, policy_gradient=(norm, noise))

@@ -3,7 +3,6 @@
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
-
 LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "llvmlite", "diffrax")
 
 

@@ -9,13 +9,14 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
-from importlib.resources.abc import Traversable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
 from snapo.case.error import CaseError, nearest
 
 if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
     from snapo.report.folder import Folder
     from snapo.report.page import Section
 
@@ -65,7 +66,7 @@ class Report:
 class Domain(Protocol):
     """A kind of case.
 
-    - `kind`: the word in a case's `kind`; `words`: a phrase for `snapo --help`.
+    - `kind`: the word in a case's `kind`; `words`: a phrase for the list of `snapo new`.
     - `templates`: {size: folder that `snapo new` copies}; the first size is the default.
     """
 
@@ -73,7 +74,7 @@ class Domain(Protocol):
     words: str
 
     @property
-    def templates(self) -> Mapping[str, Traversable]: ...
+    def templates(self) -> "Mapping[str, Traversable]": ...
 
     def read(self, file: Path, data: Mapping[str, Any]) -> Case:
         """From the tables of a case to its records; **raises** `CaseError` for every mistake."""
@@ -96,6 +97,19 @@ class Domain(Protocol):
         ...
 
 
+@runtime_checkable
+class RunsCode(Protocol):
+    """A domain whose cases run code that the command line names, and nothing else names."""
+
+    def with_simulator(self, module: str, name: str) -> Domain:
+        """The same domain with the simulator `name` of `module`."""
+        ...
+
+    def decides(self, case: Any) -> Mapping[str, Any]:
+        """The code as far as it decides the numbers of a run: its name and the hash of its file."""
+        ...
+
+
 @cache
 def installed() -> dict[str, EntryPoint]:
     """{kind: entry point} of all domains; none is imported.
@@ -114,13 +128,20 @@ def installed() -> dict[str, EntryPoint]:
 def find(kind: Any, file: str, where: str = "kind") -> Domain:
     """The domain of a kind, which stands in `file` under the key `where`."""
     known = installed()
+    if not known:
+        what = "no kind of case is installed: install snapo with pip"
+        raise CaseError(file, where, kind, what)
     if not isinstance(kind, str) or kind not in known:
         kinds = ", ".join(f'"{each}"' for each in known)
         if kind is None:
             raise CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
         close = f"; {nearest(kind, known)}" if isinstance(kind, str) else ""
         raise CaseError(file, where, kind, f"allowed is one of {kinds}{close}")
-    domain = known[kind].load()
+    try:
+        domain = known[kind].load()
+    except (ImportError, AttributeError) as error:
+        what = f"{known[kind].value} cannot be loaded ({error})"
+        raise CaseError(file, where, kind, what) from error
     if not isinstance(domain, Domain):
         missing = [name for name in _MEMBERS if not hasattr(domain, name)]
         what = f"{known[kind].value} is not a domain: it has no {', '.join(missing)}"

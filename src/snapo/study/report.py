@@ -6,8 +6,7 @@ from snapo.report.page import Page, render
 from snapo.solver.files import write_text
 
 from .domain import Domain
-
-FILE = "report.html"
+from .run_folder import REPORT
 
 
 def write_report(domain: Domain, folder: Path) -> Path:
@@ -24,8 +23,8 @@ def write_report(domain: Domain, folder: Path) -> Path:
         sections=[section(run) for section in told.sections],
         footer=_footer(run.get("versions.snapo")),
     )
-    write_text(folder / FILE, render(page))
-    return folder / FILE
+    write_text(folder / REPORT, render(page))
+    return folder / REPORT
 
 
 def _footer(version: str | None) -> str:

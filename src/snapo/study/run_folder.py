@@ -5,6 +5,7 @@ result.json         the headline: value, standard error, references, seconds, st
 case/               a copy of the case
 parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
+groups.npz          what independent groups of paths are worth, by which runs are compared
 report.html
 """
 
@@ -13,19 +14,24 @@ import json
 import math
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.solver.files import write_text
+from snapo.solver.solution import HISTORY, POLICY, SENSITIVITIES, SOLUTION
 from snapo.solver.versions import versions
 
 from .study import Part
 
 RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
+CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
+WRITTEN = (
+    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, "profile.csv"
+)  # fmt: skip
 LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
@@ -85,21 +91,37 @@ def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) ->
 def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dict[str, Any]:
     """The record of a run (run.json): that of the run to resume, or a new one.
 
+    A new run removes the files of the one that was there before.
+
     **Raises:** `CaseError` where a run to resume was started with something else.
     """
     (out / PARTS).mkdir(parents=True, exist_ok=True)
-    new = {"layout": LAYOUT, "kind": kind, "decides": dict(decides), "parts": {}}
-    if resume and (out / RUN).exists():
-        old = read(out)
-        if difference := changed(old["decides"], new["decides"]):
-            what = f"this run was started with {difference}; resume with the same, or solve into "
-            raise CaseError(str(out / RUN), "", None, what + "another folder")
+    if resume and (old := check_same(out, decides)):
         return old
-    if not resume:
-        for each in [*(out / PARTS).glob("*.json"), out / RESULT]:
-            each.unlink(missing_ok=True)
+    for each in _written(out):
+        each.unlink(missing_ok=True)
+    new = {"layout": LAYOUT, "kind": kind, "decides": dict(decides), "parts": {}}
     save(out, new)
     return new
+
+
+def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The record of the run to resume in a folder, None where there is none yet.
+
+    **Raises:** `CaseError` where it was started with something else, or by an earlier version.
+    """
+    if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
+        return None
+    old = read(out)
+    if difference := changed(old["decides"], decides):
+        what = f"this run was started with {difference}; resume with the same, or solve into "
+        raise CaseError(str(out / RUN), "", None, what + "another folder")
+    return old
+
+
+def _written(out: Path) -> list[Path]:
+    """The files of an earlier run that a report would read; nothing else is touched."""
+    return [*(out / PARTS).glob("*.json"), *(out / name for name in WRITTEN)]
 
 
 def save(out: Path, record: Mapping[str, Any]) -> None:
@@ -128,7 +150,7 @@ def read(out: Path) -> dict[str, Any]:
 
 
 def _no_run(out: Path) -> CaseError:
-    if (out / RESULT).exists():
+    if (out / RESULT).exists() or (out / CHECKPOINT).exists():
         what = (
             "an earlier version of snapo wrote this run, and its files are laid out in another "
             f"way; solve its case again: snapo solve {out / CASE} --out NEW"
@@ -138,23 +160,36 @@ def _no_run(out: Path) -> CaseError:
     return CaseError(str(out), "", None, what)
 
 
-def changed(old: Any, new: Any, where: str = "") -> str:
-    """The first difference of two tables as a clause, "training.steps = 240, and now it is 300"."""
+class Difference(NamedTuple):
+    """One setting of two runs that is not the same: its name, and its values (None: not given)."""
+
+    name: str
+    first: Any
+    second: Any
+
+
+def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
+    """All settings that differ between two tables of what decides a run."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(key for key in new if key not in old)]:
             name = f"{where}.{key}" if where else key
-            if found := changed(old.get(key), new.get(key), name):
-                return found
-        return ""
-    if old == new:
-        return ""
-    if where.startswith("files."):
-        return f"another {where.removeprefix('files.')}"
-    name = where.removeprefix("case.").removeprefix("options.")
-    return f"{name} = {_word(old)}, and now it is {_word(new)}"
+            yield from differences(old.get(key), new.get(key), name)
+    elif old != new:
+        yield Difference(where.removeprefix("case.").removeprefix("options."), old, new)
 
 
-def _word(value: Any) -> str:
+def changed(old: Any, new: Any) -> str:
+    """The first difference of two tables as a clause, "training.steps = 240, and now it is 300"."""
+    found = next(differences(old, new), None)
+    if found is None:
+        return ""
+    if found.name.startswith("files."):
+        return f"another {found.name.removeprefix('files.')}"
+    return f"{found.name} = {in_words(found.first)}, and now it is {in_words(found.second)}"
+
+
+def in_words(value: Any) -> str:
+    """A setting as it stands in a case, cut short where it is long."""
     text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
@@ -168,8 +203,13 @@ def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, An
 
 def read_part(out: Path, part: Part) -> dict[str, Any] | None:
     """The tables of a part that was done before; None where its file is not there or damaged."""
+    return read_table(out / PARTS / part.file)
+
+
+def read_table(file: Path) -> dict[str, Any] | None:
+    """The object in a JSON file; None where it is not there or damaged."""
     try:
-        found = json.loads((out / PARTS / part.file).read_text(encoding="utf-8"))
+        found = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return None
     return found if isinstance(found, dict) else None

@@ -1,20 +1,22 @@
 """The part of a study that trains: with a checkpoint, so that a killed run goes on."""
 
+import hashlib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
+from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
-from snapo.solver.solution import HISTORY
+from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
 
+from .run_folder import CHECKPOINT, GROUPS
 from .study import Part, StudyRun
-
-CHECKPOINT = "checkpoint.npz"
 
 
 def train(run: StudyRun) -> dict[str, Any]:
@@ -31,6 +33,7 @@ def train(run: StudyRun) -> dict[str, Any]:
     )
     run.trained = solution
     solution.save(run.folder)
+    _keep_groups(run, solution)
     run.tell("\n".join(solution.lines()))
     return {
         "solution": solution.summary(),
@@ -52,6 +55,27 @@ def trained(run: StudyRun, references: Mapping[str, float | None] | None = None)
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
     first = {key: found.pop(key) for key in head}
     return first | {"references": dict(references or {})} | found
+
+
+def _keep_groups(run: StudyRun, solution: Solution) -> None:
+    """What independent groups of paths are worth, and of which scenarios: for comparisons."""
+    problem = run.setup.problem
+    source, simulator = problem.sources.evaluation, problem.simulator
+    controls = simulator.control_variates()
+    worth = worth_of_groups(problem.objective, solution.totals, source, controls)
+    noise = (simulator.horizon, simulator.initial_noise_size, simulator.noise_size)
+    scenarios = {"source": fingerprint(source), "noise": noise, "paths": solution.paths["evaluate"]}
+    checkpoint.save_named(run.folder / GROUPS, {("groups",): worth}, scenarios)
+
+
+def fingerprint(source: Scenarios) -> str:
+    """A text that is the same for the same scenarios: two runs on them can be paired."""
+    if not isinstance(source, Supplied):
+        return repr(source)
+    digest = hashlib.sha256(source.step_noise.tobytes())
+    if source.initial_noise is not None:
+        digest.update(source.initial_noise.tobytes())
+    return f"supplied {source.step_noise.shape} {digest.hexdigest()}"
 
 
 def _state(run: StudyRun, policy: Policy, training: Training) -> Progress:
