@@ -26,7 +26,7 @@ os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 import jax
 import pytest
 from hypothesis import settings
-from tests.miniatures import solve
+from tests.miniatures import MINIATURES
 
 from snapo.testing.miniature import once
 
@@ -62,10 +62,10 @@ def compiled_code_is_given_back():
 
 @pytest.fixture(scope="session")
 def solved(tmp_path_factory):
-    """`solved(kind)`: the run folder of the solved miniature of a domain; tests only read it.
+    """`solved(kind)`: the folder with `case` and `run` of a domain's solved miniature.
 
-    It is solved once in a session, whichever worker asks first.
+    It is solved once in a session, by the worker that asks first. Tests only read it.
     """
     base = tmp_path_factory.getbasetemp()
     shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
-    return lambda kind: once(shared / f"solved-{kind}", lambda out: solve(kind, out))
+    return lambda kind: once(shared / f"solved-{kind}", MINIATURES[kind].solve)

@@ -1,20 +1,20 @@
-"""A case of every domain, small enough to be solved in seconds: the template with less of it."""
+"""A case of every domain, small enough to be solved in seconds: its template with less of it."""
 
-from pathlib import Path
+from snapo.testing.miniature import Miniature
 
-from snapo.study.domain import find
-from snapo.testing.miniature import case_folder, run
+LITTLE = ("training.paths=32", "training.validation_paths=64", "evaluation.sensitivity_paths=64")
 
-# Of each kind: the size of the template, and what is replaced in its case.toml.
-MINIATURES: dict[str, tuple[str, dict[str, str]]] = {}
-
-
-def case(kind: str, folder: Path) -> Path:
-    """The miniature of a domain as a case in `folder`."""
-    size, changes = MINIATURES[kind]
-    return case_folder(find(kind, "tests").templates[size], folder, changes)
-
-
-def solve(kind: str, folder: Path) -> None:
-    """The miniature in `folder`/case, and its run in `folder`/run."""
-    run(case(kind, folder / "case"), folder / "run")
+MINIATURES = {
+    each.kind: each
+    for each in (
+        Miniature("gas-storage"),
+        Miniature("pension"),
+        Miniature("pharma"),
+        Miniature(
+            "own",
+            None,
+            ("training.steps=4", "evaluation.paths=256", *LITTLE),
+            ("simulator", "Reservoir"),
+        ),
+    )
+}

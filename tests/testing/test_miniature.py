@@ -1,8 +1,10 @@
 """A third party's domain, solved small: its case made from a template, its study, its report."""
 
 import json
+import sys
 import time
 from concurrent.futures import ThreadPoolExecutor
+from importlib.metadata import EntryPoint
 from types import SimpleNamespace
 
 import pytest
@@ -10,9 +12,10 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.report.folder import Folder
 from snapo.report.page import Section, Text
-from snapo.study.domain import Domain, Options, Report
+from snapo.study import commands, domain
+from snapo.study.domain import Report
 from snapo.study.study import Part, Study
-from snapo.testing.miniature import case_folder, once, run
+from snapo.testing.miniature import Miniature, once
 
 CASE = 'kind = "doubling"\ntitle = "Two of it"\n[numbers]\nfirst = 21.0\n'
 
@@ -52,45 +55,52 @@ class Doubling:
         return "at once"
 
 
-@pytest.fixture
-def template(tmp_path):
+DOMAIN = Doubling()
+
+
+@pytest.fixture(autouse=True)
+def template(monkeypatch, tmp_path):
+    """The domain is installed, with one template."""
     folder = tmp_path / "template"
     folder.mkdir()
     (folder / "case.toml").write_text(CASE)
     (folder / "curve.csv").write_text("date,price\n")
+    monkeypatch.setattr(DOMAIN, "templates", {"small": folder})
+    here = EntryPoint("doubling", f"{__name__}:DOMAIN", domain.GROUP)
+    monkeypatch.setattr(domain, "installed", lambda: {"doubling": here})
+    monkeypatch.setattr(commands, "installed", lambda: {"doubling": here})
+    monkeypatch.setitem(sys.modules, __name__, sys.modules[__name__])
     return folder
 
 
-def test_a_case_made_from_a_template(template, tmp_path):
-    folder = case_folder(template, tmp_path / "a" / "case", {"21.0": "4.0", "Two": "Twice"})
-    assert (folder / "case.toml").read_text() == CASE.replace("21.0", "4.0").replace("Two", "Twice")
-    assert (folder / "curve.csv").exists() and (template / "case.toml").read_text() == CASE
+def test_a_case_is_written_as_the_template_says(template, tmp_path):
+    asked = Miniature("doubling", "small").write(tmp_path / "a")
+    assert asked.path == tmp_path / "a" / "case"
+    for each in template.iterdir():
+        assert (asked.path / each.name).read_bytes() == each.read_bytes()
 
 
-def test_a_template_that_has_changed_is_named(template, tmp_path):
-    with pytest.raises(ValueError, match=r"template/case\.toml has no 'years = 10'"):
-        case_folder(template, tmp_path / "case", {"years = 10": "years = 1"})
+def test_a_run_is_carried_out_from_the_file_to_the_report(tmp_path):
+    assert isinstance(DOMAIN, domain.Domain)
+    small = Miniature("doubling", None, ("numbers.first=4.0",))
+    result, out = small.solve(tmp_path, engine="xla"), tmp_path / "run"
+    assert (result["value"], result["status"]) == (8.0, "ok")
+    assert json.loads((out / "result.json").read_text())["value"] == 8.0
+    assert json.loads((out / "parts" / "doubling.json").read_text()) == {
+        "twice": 8,
+        "engine": "xla",
+    }
+    assert json.loads((out / "parts" / "halving.json").read_text()) == {"once": 4.0}
+    assert "It is 8.0." in (out / "report.html").read_text()
+    said = []
+    asked = small.asked(tmp_path)
+    again = commands.solve(asked, said.append, out=out, engine="xla", resume=True)
+    assert again["value"] == 8.0 and not said
 
 
-def test_a_run_is_carried_out_from_the_file_to_the_report(template, tmp_path):
-    assert isinstance(Doubling(), Domain)
-    out, said = tmp_path / "run", []
-    result = run(template, out, Options("xla"), domain=Doubling(), tell=said.append)
-    assert (result["value"], result["status"]) == (42.0, "ok")
-    assert said == ["doubling", "halving"]
-    assert json.loads((out / "result.json").read_text())["value"] == 42.0
-    assert json.loads((out / "parts" / "halving.json").read_text()) == {"once": 21.0}
-    assert "It is 42.0." in (out / "report.html").read_text()
-    assert (out / "case" / "case.toml").read_text() == CASE
-    said.clear()
-    again = run(template, out, Options("xla"), domain=Doubling(), resume=True, tell=said.append)
-    assert again["value"] == 42.0 and not said
-
-
-def test_a_mistake_in_the_case_is_told(template, tmp_path):
-    folder = case_folder(template, tmp_path / "case", {"21.0": '"much"'})
+def test_a_mistake_in_the_case_is_told(tmp_path):
     with pytest.raises(CaseError, match=r"numbers\.first"):
-        run(folder, tmp_path / "run", domain=Doubling())
+        Miniature("doubling", None, ('numbers.first="much"',)).solve(tmp_path)
     assert not (tmp_path / "run").exists()
 
 

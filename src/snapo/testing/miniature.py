@@ -1,70 +1,62 @@
 """Small runs of real cases: a template made small, its study carried out, and shared by tests.
 
-    folder = case_folder(domain.templates["small"], scratch / "case", {"years = 10": "years = 2"})
-    result = run(folder, scratch / "run")
+    small = Miniature("pension", "small", ("fund.years=2", "training.steps=4"))
+    run = once(session_folder / "pension", small.solve) / "run"
 
 A solved miniature is what tests of a report, of the commands and of a run folder read; `once`
 makes it a single time for all processes of a test session.
 """
 
-from collections.abc import Callable, Mapping
-from importlib.resources.abc import Traversable
+import shutil
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
-from snapo.case.table import load
-from snapo.study.carry_out import carry_out
-from snapo.study.domain import Domain, Options, find
-from snapo.study.run_folder import copy_case, decisive
+from snapo.study import commands
+
+CASE, RUN = "case", "run"
 
 
-def case_folder(source: Traversable, target: Path, changes: Mapping[str, str]) -> Path:
-    """A copy of the case in the folder `source`, with texts of its case.toml replaced.
+class Miniature(NamedTuple):
+    """A case small enough to be solved in seconds: a template with less of it.
 
-    **Raises:** `ValueError` where a text to replace is not there: the template has changed.
+    - `kind`: of the domain, which must be installed.
+    - `size`: of its template; the default one where it is None.
+    - `assignments`: keys with other values, as `snapo solve --set` takes them.
+    - `simulator`: (module, class) beside the case, for a kind that runs the user's code.
     """
-    target.mkdir(parents=True)
-    for each in source.iterdir():
-        if each.is_file():
-            (target / each.name).write_bytes(each.read_bytes())
-    file = target / "case.toml"
-    text = file.read_text(encoding="utf-8")
-    for old, new in changes.items():
-        if old not in text:
-            raise ValueError(f"{source.name}/case.toml has no {old!r}")
-        text = text.replace(old, new, 1)
-    file.write_text(text, encoding="utf-8")
-    return target
+
+    kind: str
+    size: str | None = None
+    assignments: tuple[str, ...] = ()
+    simulator: tuple[str, str] | None = None
+
+    def asked(self, folder: Path) -> commands.Asked:
+        """What a command is asked for, of the case that lies in `folder`/case."""
+        return commands.Asked(folder / CASE, self.assignments, self.simulator)
+
+    def write(self, folder: Path) -> commands.Asked:
+        """The template in `folder`/case."""
+        commands.new(self.kind, folder / CASE, self.size)
+        return self.asked(folder)
+
+    def solve(self, folder: Path, **options: Any) -> dict[str, Any]:
+        """The template in `folder`/case and its run in `folder`/run; returns the result.
+
+        `options` are those of `snapo.study.commands.solve`: engine, reference.
+        """
+        return commands.solve(self.write(folder), quiet, out=folder / RUN, **options)
 
 
-def run(
-    case: Path,
-    out: Path,
-    options: Options | None = None,
-    *,
-    domain: Domain | None = None,
-    resume: bool = False,
-    tell: Callable[[str], None] = lambda text: None,
-) -> dict[str, Any]:
-    """Reads the case at `case`, carries its study out into `out`, and returns the result.
-
-    `domain` is the one that the case's `kind` names, or one that is not installed yet.
-    """
-    file, data = load(case)
-    domain = domain or find(data.get("kind"), str(file))
-    options = options or Options()
-    study = domain.study(domain.read(file, data), options)
-    out.mkdir(parents=True, exist_ok=True)
-    copy_case(file, out)
-    decides = decisive(file, data, options._asdict())
-    return carry_out(domain, study, out, decides, resume, tell)
+def quiet(text: str) -> None:
+    """Takes a line of progress, and says nothing."""
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
     """The folder, filled by `make(folder)` by the first process that asks; the others wait.
 
-    Where `make` fails, its exception goes to that caller, and the next one tries again. The lock
-    is one of the operating system's, which a killed process gives back (POSIX only).
+    Where `make` fails, what it wrote is removed, and the next caller tries again. The lock is one
+    of the operating system's, which a killed process gives back (POSIX only).
     """
     import fcntl
 
@@ -73,6 +65,10 @@ def once(folder: Path, make: Callable[[Path], Any]) -> Path:
     with folder.with_name(folder.name + ".lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
         if not done.exists():
-            make(folder)
+            try:
+                make(folder)
+            except BaseException:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
             done.touch()
     return folder
