@@ -11,9 +11,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
-from snapo.problem.objective import Mean
 from snapo.problem.prepare import prepare
-from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator
 from snapo.solver.adjoint import pull_back
 
@@ -34,7 +32,7 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, run: Run, seed: i
     per_output = [
         jax.tree.map(lambda leaf, k=k: leaf[k], result.schedule) for k in range(len(outputs))
     ]
-    moved = pull_back(Problem(simulator, inputs, Mean(outputs[0])), per_output)
+    moved = pull_back(simulator, inputs, per_output)
     rng = np.random.default_rng(seed + 2)
     for entry in inputs_.named(inputs):
         gradient = moved[entry.name]

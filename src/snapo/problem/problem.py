@@ -13,7 +13,7 @@ from .actions import Box, Simplex
 from .objective import Objective
 from .prepare import prepare
 from .scenarios import Sources
-from .simulator import Schedule, Simulator, probe
+from .simulator import Interface, Schedule, Simulator
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,9 +38,14 @@ class Problem:
         return prepare(self.simulator, self.inputs)
 
     @cached_property
+    def interface(self) -> Interface:
+        """All that a policy has to fit."""
+        return self.simulator.interface(self.schedule)
+
+    @property
     def features(self) -> int:
         """The number of features that a policy sees."""
-        return probe(self.simulator, self.schedule)[1].shape[0]
+        return self.interface.features
 
     @property
     def action(self) -> Box | Simplex:

@@ -72,7 +72,8 @@ def solve(
     **Arguments:**
 
     - `problem`: a `Problem`; or a simulator, with `inputs`, `objective` and `scenarios` beside it.
-    - `policy`: what is trained; by default an `MLP` with two hidden layers of 32.
+    - `policy`: what is trained, such as `MLP(hidden=(64, 64))`, which finds the problem's features
+      and actions itself; by default an `MLP` with two hidden layers of 32.
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
@@ -87,9 +88,7 @@ def solve(
             problem = Problem(problem, inputs, objective or _only_output(problem, inputs), sources)
         elif any(each is not None for each in (inputs, objective, scenarios)):
             raise ValueError("solve: a Problem has its own inputs, objective and scenarios.")
-        if policy is None:
-            key = jax.random.key(training.seed)
-            policy = MLP(problem.action, problem.features, key=key)
+        policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
         engines = choose(engine, problem, policy)
         progress = progress or begin(policy, training)
         clock.stage("evaluate")
