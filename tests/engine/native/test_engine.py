@@ -50,7 +50,7 @@ def test_values_and_gradients(store, precision, smooth):
     assert difference(results[0][1], results[1][1]) < TOLERANCE[precision]
 
 
-@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.study)])
 def test_windows_starts_actions_and_clipping(store, precision):
     simulator, policy, schedule = store
     noise, smooth = draws(simulator, antithetic=False), Smooth(0.3)
@@ -99,7 +99,7 @@ def test_supplied_noise(store):
     assert difference(Xla().adjoint(*args), Native().adjoint(*args)) < 1e-5
 
 
-@pytest.mark.parametrize("precision", [pytest.param("float32", marks=pytest.mark.slow), "float64"])
+@pytest.mark.parametrize("precision", [pytest.param("float32", marks=pytest.mark.study), "float64"])
 def test_wide_states_and_matrices(precision):
     simulator = Wide()
     schedule, policy = simulator.prepare(None), Tanh((25, 20, 1))
@@ -140,8 +140,8 @@ class Corners(Tanh):
         (Tanh, "float64", (4, 12, 13, 2)),
         (Tanh, "float64", (4, 33, 32, 2)),
         (Corners, "float64", (4, 7, 7, 2)),
-        pytest.param(Tanh, "float32", (4, 96, 98, 2), marks=pytest.mark.slow),
-        pytest.param(Corners, "float32", (4, 97, 97, 2), marks=pytest.mark.slow),
+        pytest.param(Tanh, "float32", (4, 96, 98, 2), marks=pytest.mark.study),
+        pytest.param(Corners, "float32", (4, 97, 97, 2), marks=pytest.mark.study),
     ],
 )
 def test_sizes_that_tiles_do_not_divide(store, kind, precision, widths):

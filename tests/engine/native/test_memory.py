@@ -44,7 +44,7 @@ def caller(native: Native, paths: int = 32):
 
 
 @linux
-@pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.study)])
 def test_calls_leak_nothing(calls):
     """A leak of one kilobyte per call would show."""
     call = caller(Native())
@@ -71,7 +71,7 @@ class Scaled(Store):
 
 
 @linux
-@pytest.mark.slow
+@pytest.mark.study
 def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     """No maps and no objects; 0.6 megabytes per kernel that is COMPILED, at most.
 
@@ -134,7 +134,7 @@ def growth(steps: int, paths: int, tape: int, threads: int) -> float:
 
 
 @linux
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("tape", [8, 32])
 def test_memory_stays_below_the_ceiling(tape):
     """T = 3650 and N = 16384: a tape per thread, the groups' sums, and rows for every path.

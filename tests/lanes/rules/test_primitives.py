@@ -67,8 +67,8 @@ ELEMENTWISE = _elementwise()
     ("precision", "tolerance", "examples"),
     [
         ("float64", 1e-11, 2),
-        pytest.param("float64", 1e-11, 12, marks=pytest.mark.slow),
-        pytest.param("float32", 2e-5, 12, marks=pytest.mark.slow),
+        pytest.param("float64", 1e-11, 12, marks=pytest.mark.study),
+        pytest.param("float32", 2e-5, 12, marks=pytest.mark.study),
     ],
 )
 def test_elementwise(precision, tolerance, examples):
@@ -176,7 +176,7 @@ WHOLE = Probe(
     ("precision", "tolerance"),
     [("float32", 1e-4), ("float64", 1e-10)],
 )
-@pytest.mark.slow
+@pytest.mark.study
 def test_arrays(precision, tolerance):
     """Numbers apart from one another, so that no order is decided by rounding."""
 

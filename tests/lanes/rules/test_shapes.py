@@ -131,7 +131,7 @@ def scattered(x, where, kind: str):
         ("float32", 2e-4, 12),
     ],
 )
-@pytest.mark.slow
+@pytest.mark.study
 def test_shapes(precision, tolerance, examples):
     """Most paths have usual numbers, apart from one another; eleven have a special one or two."""
 
