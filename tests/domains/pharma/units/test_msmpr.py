@@ -1,6 +1,5 @@
 """The continuous crystalliser against the closed form of Randolph and Larson, and in a case."""
 
-import copy
 import tomllib
 
 import numpy as np
@@ -99,14 +98,18 @@ source = "constructed"
 MEASURES = ("d43", "crystals", "supersaturation", "growth", "nucleation")
 
 
-def process(measures=MEASURES, **keys):
-    data = copy.deepcopy(tomllib.loads(CASE))
+UNITS = ("um", "kg/m^3", "1", "um/s", "1/m^3/s")
+
+
+def with_attributes(text):
+    """A case with an attribute for each of `MEASURES`."""
+    table = '[[attributes]]\nname = "{0}"\nmeasure = "cold.{0}"\nunit = "{1}"\n'
+    return text + "".join(table.format(*each) for each in zip(MEASURES, UNITS))
+
+
+def process(**keys):
+    data = tomllib.loads(with_attributes(CASE))
     data["units"]["cold"] |= keys
-    data["attributes"] = [
-        {"name": each, "measure": f"cold.{each}", "unit": unit}
-        for each, unit in zip(MEASURES, ("um", "kg/m^3", "1", "um/s", "1/m^3/s"))
-        if each in measures
-    ]
     return Process(resolve(TEMPLATE, data))
 
 
