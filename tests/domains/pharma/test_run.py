@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import CASE, data, solve
+from tests.domains.pharma.pharma_cases import CASE, data, solve, template
 
 from snapo.cli.main import main
 from snapo.domains.pharma.flowsheet.process import Process
@@ -125,7 +125,7 @@ def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     assert "made to fail" in page
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_the_template_runs(tmp_path):
     assert main(["new", "pharma", str(tmp_path / "case")]) == 0
     smaller = "design_space.points=3", "design_space.samples=32"
@@ -138,7 +138,7 @@ def test_the_template_runs(tmp_path):
     assert zero[0, 4:].all() and zero[2, 1:4].all() and not zero[3, 5]
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_process_is_what_the_template_says():
     """The values of the flagship chain, through the file, at tolerances of the publication."""
     values = Process(template(pairs=None)).values()

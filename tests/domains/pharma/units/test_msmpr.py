@@ -1,6 +1,7 @@
 """The continuous crystalliser against the closed form of Randolph and Larson, and in a case."""
 
 import tomllib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -129,7 +130,7 @@ def exact(power=0.7, nucleation=1e6, growth=2e-7):
         level = (speed(crystals) / growth) ** (1 / 1.3)
         return ENTERING - saturated * (1 + level) - crystals
 
-    crystals = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14, rtol=1e-14)
+    crystals: Any = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14)
     g = speed(crystals)
     return g, constant * g**2 * crystals**power, crystals, (g / growth) ** (1 / 1.3)
 
