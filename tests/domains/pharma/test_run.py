@@ -15,6 +15,8 @@ from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.report import SECTIONS
 from snapo.domains.pharma.results import derivatives, quality
 from snapo.report.folder import Folder
+from snapo.study import commands
+from snapo.testing.miniature import quiet
 
 
 @pytest.fixture(scope="module")
@@ -108,6 +110,19 @@ def test_the_report_says_what_is_there_and_what_is_not(whole, tmp_path, capsys):
     assert len(re.findall(r"<section ", bare)) == len(SECTIONS)
     for words in ("No design space was mapped", "This run has no matrix", "was not computed"):
         assert words in bare
+
+
+def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
+    """Parts whose files are lost are done again, on what the others left."""
+    out = Path(shutil.copytree(whole[1], tmp_path / "run"))
+    lost = {name: (out / "parts" / f"{name}.json") for name in ("capability", "attribution")}
+    before = {name: json.loads(file.read_text()) for name, file in lost.items()}
+    for file in lost.values():
+        file.unlink()
+    asked = commands.Asked(folder, ("training.seed=3",))
+    result = commands.solve(asked, quiet, out=out, resume=True)
+    assert result["status"] == "ok" and result["value"] == whole[0]["value"]
+    assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before
 
 
 def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
