@@ -1,4 +1,4 @@
-"""Noise drawn inside the kernel against `problem.noise`: the same words, normals to rounding."""
+"""Noise drawn inside the kernel against `snapo.problem.noise`: the same words, normals to rounding."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.engine.native import Native
-from snapo.problem import noise as noise_
+from snapo.problem import noise
 from snapo.problem.actions import Box
 from snapo.problem.policy import Constant
 from snapo.problem.scenarios import Pseudo
@@ -44,14 +44,14 @@ def words(key, size: int, paths, steps, antithetic: bool) -> np.ndarray:
     counters = steps[:, None, None] * np.uint32(pairs) + np.arange(pairs, dtype=np.uint32)
     shape = (len(steps), len(paths), pairs)
     first = jnp.broadcast_to(jnp.asarray(numbers)[:, None], shape)
-    pair = noise_.threefry(key, first, jnp.broadcast_to(counters, shape))
+    pair = noise.threefry(key, first, jnp.broadcast_to(counters, shape))
     return np.stack(pair, -1).reshape(len(steps), len(paths), -1)[..., :size]
 
 
 def exact(words: np.ndarray, dtype) -> np.ndarray:
     """The formula of `noise.normal` in extended precision, with its rounded coefficients."""
     wide = np.longdouble
-    tables = noise_._PPND16 if dtype == np.float64 else noise_._PPND7
+    tables = noise._PPND16 if dtype == np.float64 else noise._PPND7
     m = (words & 0x7FFFFFFF).astype(wide)
     tail, q = (m + wide(0.5)) * wide(2) ** -32, (0x7FFFFFFF - m) * wide(2) ** -32 + wide(2) ** -33
 

@@ -22,15 +22,7 @@ from snapo.solver.files import write_text
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import RESULT, Solution
 from snapo.solver.train import EVALUATE_STREAM, Training
-from snapo.study.run_folder import (
-    DETAILS,
-    Pages,
-    Task,
-    check_folder,
-    copy_case,
-    solve_into,
-    write_run,
-)
+from snapo.study.run_folder import DETAILS, Pages, Task, check_folder, copy_case, solve_into, write_run
 
 from . import references
 from .details import details, profile_rows
