@@ -60,6 +60,7 @@ FAST = (*CORE, "own_simulator", "battery")
 SLOW = [pytest.param(n, marks=pytest.mark.study) for n in ("quick", "portfolio", "G1", "G3", "G6")]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("constraints", [Exact(), Smooth(np.float64(0.1))], ids=["exact", "smooth"])
 @pytest.mark.parametrize("name", [*FAST, *SLOW])
 def test_engines_agree(name, constraints):
