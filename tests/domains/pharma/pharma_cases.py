@@ -14,6 +14,7 @@ from snapo.domains.pharma.flowsheet.case import PharmaCase
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.report.folder import Folder
 from snapo.study import commands
+from snapo.testing.miniature import quiet
 
 TEMPLATE = Path(snapo.__file__).parent / "domains" / "pharma" / "template" / "case.toml"
 
@@ -224,5 +225,5 @@ def small(text: str) -> str:
 
 def solve(folder: Path, out: Path, *changes: str) -> tuple[dict[str, Any], Folder]:
     """A run of the case in a folder as the command does it: result.json, and what was found."""
-    result = commands.solve(commands.Asked(folder, changes), lambda text: None, out=out)
+    result = commands.solve(commands.Asked(folder, changes), quiet, out=out)
     return result, Folder.read(out)

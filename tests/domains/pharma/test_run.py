@@ -8,13 +8,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import CASE, data, solve
+from tests.domains.pharma.pharma_cases import CASE, data, solve, template
 
 from snapo.cli.main import main
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.report import SECTIONS
 from snapo.domains.pharma.results import derivatives, quality
 from snapo.report.folder import Folder
+from snapo.study import commands
+from snapo.testing.miniature import quiet
 
 
 @pytest.fixture(scope="module")
@@ -110,6 +112,19 @@ def test_the_report_says_what_is_there_and_what_is_not(whole, tmp_path, capsys):
         assert words in bare
 
 
+def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
+    """Parts whose files are lost are done again, on what the others left."""
+    out = Path(shutil.copytree(whole[1], tmp_path / "run"))
+    lost = {name: (out / "parts" / f"{name}.json") for name in ("capability", "attribution")}
+    before = {name: json.loads(file.read_text()) for name, file in lost.items()}
+    for file in lost.values():
+        file.unlink()
+    asked = commands.Asked(folder, ("training.seed=3",))
+    result = commands.solve(asked, quiet, out=out, resume=True)
+    assert result["status"] == "ok" and result["value"] == whole[0]["value"]
+    assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before
+
+
 def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     def broken(*_):
         raise FloatingPointError("made to fail")
@@ -125,7 +140,7 @@ def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     assert "made to fail" in page
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_the_template_runs(tmp_path):
     assert main(["new", "pharma", str(tmp_path / "case")]) == 0
     smaller = "design_space.points=3", "design_space.samples=32"
@@ -138,7 +153,7 @@ def test_the_template_runs(tmp_path):
     assert zero[0, 4:].all() and zero[2, 1:4].all() and not zero[3, 5]
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_process_is_what_the_template_says():
     """The values of the flagship chain, through the file, at tolerances of the publication."""
     values = Process(template(pairs=None)).values()

@@ -11,6 +11,7 @@ from .sections import (
     optimum,
     sensitivity,
     space,
+    units,
     verification,
 )
 from .sections.run import Run
@@ -24,6 +25,7 @@ SECTIONS = (
     batch.reactor,
     batch.plane,
     batch.drying,
+    units.units,
     batch.profiles,
     space.design_space,
     space.ranges,

@@ -33,7 +33,7 @@ CONTROL = Control(
 )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_open_loop_is_the_process():
     """The stages' coarser steps lose less than 1e-3 of the distance to the nearest limit."""
     case = flagship(control=CONTROL)
@@ -48,7 +48,7 @@ def test_open_loop_is_the_process():
     assert totals["success"][0] == 1.0 and totals["violation"][0] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_feedback_beats_the_best_fixed_recipe():
     """10 % lognormal spread of both rate constants, growth and both nucleation constants; 10,000
     fresh batches, the same for both; the difference is more than 3 of its standard errors.

@@ -20,7 +20,7 @@ from snapo.solver.train import Training, begin, train
 BEST = 0.6108  # with any number of pieces, from the literature
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_feedback_on_measured_states_is_as_good_as_the_best_profile():
     """40 decisions on what is measured, and on the clock, by a network alone: 99.9 % of the best.
 

@@ -63,7 +63,7 @@ def test_second_derivatives():
     assert found[:, 0] == pytest.approx([K**2 * a, (K * T - 1) * a, T**2 * a], rel=1e-8)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_convergence():
     """Halving the mesh and an adaptive solution agree, in values and derivatives."""
     fine = convergence(Process(tank()))
@@ -72,7 +72,7 @@ def test_convergence():
     assert fine.rows[1].finer == pytest.approx(-K * np.exp(-K * T), rel=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_what_has_not_converged_says_so():
     """Eight steps; order four: after halving, a fifteenth of what halving changed is left."""
     coarse = convergence(Process(tank(numerics=Numerics("mesh", 8, 1e-8, 100_000, True))))
@@ -114,7 +114,7 @@ def branched():
     return case((feed((1.0, 0.0)),), units, lines, found, given, network=decay()), times
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_branch_joins_again():
     """A = (s exp(-K t1) + (1 - s) exp(-K t2)) exp(-K t3), its derivatives, paths and balances."""
     given, times = branched()

@@ -51,7 +51,7 @@ def test_adjoint_is_forward(process, forward):
     assert {tuple(each) for each in np.argwhere(adjoint.jacobian == 0.0)} == set(ZEROS)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_one_adjoint_pass_gives_a_row(process, forward):
     whole = gradient(process, "mean size")
     found = [whole[name][entry] for name, entry in process.entries]
@@ -79,7 +79,7 @@ def test_second_call_does_not_trace_again(process):
     assert process.traces == before
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_second_derivatives_against_differences(process):
     pair = (("crystalliser.temperature", 3), ("crystalliser.temperature", 1))
     found = second(process, (pair,))[0]
@@ -122,14 +122,14 @@ def test_observe_interpolates():
     np.testing.assert_allclose(call(process.given()), published, atol=1e-7)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_more_nodes_same_profile(process):
     finer = Process(with_nodes(process.case, "crystalliser.temperature", 10))
     assert len(finer.inputs["crystalliser.temperature"]) == 10
     np.testing.assert_allclose(finer.values(), process.values(), rtol=1e-5)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_paths_add_up_to_the_matrix(process, forward):
     """d43 by reactor temperature: crystalliser's measure by its feed, times the feed by T_R."""
     blocks = local(process).units
@@ -141,7 +141,7 @@ def test_paths_add_up_to_the_matrix(process, forward):
     assert 1e6 * size == pytest.approx(forward.jacobian[1, 0], rel=1e-10)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_matrix_against_differences_of_the_adaptive_solution(forward):
     """1e-5 of the row's largest, every entry, against central differences of a solution to 1e-11:
     of fourth order, since the curvature of those of second order alone is 3e-5 at steps that keep
@@ -162,7 +162,7 @@ def test_matrix_against_differences_of_the_adaptive_solution(forward):
     assert gap.max() < 1e-5
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_convergence_of_values_and_gradients(process):
     found = convergence(process)
     assert found.passed and len(found.rows) == 6 * 7

@@ -64,7 +64,7 @@ def test_uncertain_batches_with_every_sensitivity_wherever_the_event_falls(proce
     assert not found.jacobian[:, names.index("mean size d43"), columns.index("T_d")].any()
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_no_sensitivities_and_sensitivities_by_what_only_later_units_read(process):
     entries = all_entries(process.case)
     draws = all_draws(process.case, 5, 2, process.inputs)
@@ -74,7 +74,7 @@ def test_no_sensitivities_and_sensitivities_by_what_only_later_units_read(proces
     assert found.jacobian[:, process.names.index("residual solvent")].all()
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 @pytest.mark.parametrize("which", ["plug flow", "finite volumes"])
 def test_units_of_many_states(which):
     case = read_case(PLUG_FLOW) if which == "plug flow" else finite_volumes()

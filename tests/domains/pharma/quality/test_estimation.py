@@ -48,7 +48,7 @@ def test_one_temperature_does_not_identify_both():
     assert np.isnan(found.low).any()
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_intervals_cover():
     """200 noisy repeats: a 95 % interval holds the truth in 95 % of them, give or take 3 errors."""
     held = 0

@@ -118,7 +118,7 @@ def test_mistakes_are_named(key, value, words):
     assert words in str(caught.value) and "optimise" in str(caught.value)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_the_example_flowsheet():
     """Six decisions, two starts, one answer; conditions hold and multipliers have their signs."""
     found = optimise(Process(read_case(EXAMPLE)))

@@ -47,7 +47,7 @@ def test_first_derivatives(x, mode):
     np.testing.assert_allclose(found, np.stack(columns, 1), atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_second_derivatives(x):
     """Forward over reverse; reverse over reverse is that of the loop."""
     known = jax.jacfwd(jax.jacfwd(step_by_step))(x)

@@ -65,7 +65,7 @@ def test_event_share_and_its_derivative():
     assert slope[2] == 0.0 and slope[3] == 0.0
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_gradients_need_the_event(monkeypatch):
     """Halving the mesh: with the event as a break the gradient stands, without it it moves."""
 

@@ -1,7 +1,7 @@
 """The continuous crystalliser against the closed form of Randolph and Larson, and in a case."""
 
-import copy
 import tomllib
+from typing import Any
 
 import numpy as np
 import pytest
@@ -99,14 +99,18 @@ source = "constructed"
 MEASURES = ("d43", "crystals", "supersaturation", "growth", "nucleation")
 
 
-def process(measures=MEASURES, **keys):
-    data = copy.deepcopy(tomllib.loads(CASE))
+UNITS = ("um", "kg/m^3", "1", "um/s", "1/m^3/s")
+
+
+def with_attributes(text):
+    """A case with an attribute for each of `MEASURES`."""
+    table = '[[attributes]]\nname = "{0}"\nmeasure = "cold.{0}"\nunit = "{1}"\n'
+    return text + "".join(table.format(*each) for each in zip(MEASURES, UNITS))
+
+
+def process(**keys):
+    data = tomllib.loads(with_attributes(CASE))
     data["units"]["cold"] |= keys
-    data["attributes"] = [
-        {"name": each, "measure": f"cold.{each}", "unit": unit}
-        for each, unit in zip(MEASURES, ("um", "kg/m^3", "1", "um/s", "1/m^3/s"))
-        if each in measures
-    ]
     return Process(resolve(TEMPLATE, data))
 
 
@@ -126,7 +130,7 @@ def exact(power=0.7, nucleation=1e6, growth=2e-7):
         level = (speed(crystals) / growth) ** (1 / 1.3)
         return ENTERING - saturated * (1 + level) - crystals
 
-    crystals = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14, rtol=1e-14)
+    crystals: Any = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14)
     g = speed(crystals)
     return g, constant * g**2 * crystals**power, crystals, (g / growth) ** (1 / 1.3)
 

@@ -91,7 +91,7 @@ def surface_rate(size=80e-6, transfer=2e-11):
     return transfer * 6 / (1200 * size)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_constant_rate_is_the_wet_bulb_balance():
     """Wet cake settles where the shelf's heat is what evaporation takes; then X falls in line."""
     unit = dryer(
@@ -201,7 +201,7 @@ def test_gradients_against_differences():
     assert gap.max() < 1e-6 and np.all(found[0] != 0)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_fast_transfer_needs_the_implicit_solver():
     """Evaporation within seconds over hours: error control reaches the same end as fine steps."""
     quick = dryer(mass_transfer=number("dryer.mass_transfer", 7e-10, "kg/m2/s/Pa"))

@@ -26,7 +26,7 @@ def read_connections(
     sources += [f"{unit.name}.{port}" for unit in units for port in unit.outlets]
     targets = [f"{unit.name}.{port.name}" for unit in units for port in unit.inlets]
     found: list[Connection] = []
-    used: dict[str, str] = {}
+    used: dict[tuple[str, str], str] = {}  # an inlet and an outlet of a unit may share a name
     for i, each in enumerate(raw):
         where = Section(file, f"connections[{i}]", [])
         table = parse(ConnectionTable, each, str(file), where.name)
@@ -35,10 +35,10 @@ def read_connections(
             if port not in known:
                 hint = suggest(port, known, "port")
                 raise where.error(key, port, f"there is no such port; {hint}")
-            if port in used:
-                what = f"this port is connected already, to {used[port]}"
+            if (key, port) in used:
+                what = f"this port is connected already, to {used[key, port]}"
                 raise where.error(key, port, what)
-        used |= {start: end, end: start}
+        used |= {("from", start): end, ("to", end): start}
         source, _, outlet = start.partition(".")
         target, _, inlet = end.partition(".")
         found.append(Connection(source, outlet, target, inlet))
@@ -46,10 +46,12 @@ def read_connections(
     return tuple(found)
 
 
-def _check_fed(file, targets: list[str], sources: list[str], used: dict[str, str]) -> None:
-    open_inlets = [port for port in targets if port not in used]
+def _check_fed(
+    file, targets: list[str], sources: list[str], used: dict[tuple[str, str], str]
+) -> None:
+    open_inlets = [port for port in targets if ("to", port) not in used]
     if open_inlets:
-        free = [port for port in sources if port not in used]
+        free = [port for port in sources if ("from", port) not in used]
         what = f"the inlet {open_inlets[0]} is not fed"
         if free:
             what += f"; free are {', '.join(free)}"

@@ -10,6 +10,7 @@ from ..given import Entry, every_given
 from ..quality.design_space import owners
 from ..quality.draws import entries, nominal
 from ..quality.records import Distribution
+from ..units.operation import Unit
 
 ASSUMPTIONS = (
     "Concentrations refer to the volume of the stream, which mixing, reaction and crystallisation "
@@ -30,10 +31,7 @@ def statement(case: PharmaCase) -> dict[str, Any]:
         "assumptions": [*ASSUMPTIONS, *_of_units(case), *case.assumptions],
         "symbols": _symbols(case),
         "reactions": [_reaction(case.network, i) for i in range(len(case.network.reactions))],
-        "units": [
-            {"name": unit.name, "type": unit.title, "equations": unit.equations()}
-            for unit in case.units
-        ],
+        "units": [_unit(unit, case.network.species) for unit in case.units],
         "connections": [
             {"from": f"{c.source}.{c.outlet}".rstrip("."), "to": f"{c.target}.{c.inlet}"}
             for c in case.connections
@@ -53,6 +51,16 @@ def statement(case: PharmaCase) -> dict[str, Any]:
             "tolerance": case.numerics.tolerance,
         },
     }  # fmt: skip
+
+
+def _unit(unit: Unit, species: tuple[str, ...]) -> dict[str, Any]:
+    return {
+        "name": unit.name,
+        "type": unit.title,
+        "equations": unit.equations(),
+        "measures": unit.measures(species),
+        "states": unit.states(species),
+    }
 
 
 def _of_units(case: PharmaCase) -> list[str]:

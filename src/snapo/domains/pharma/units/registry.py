@@ -68,7 +68,7 @@ def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str])
     check_name(Section(file, "units", notes), name, name)
     section = Section(file, f"units.{name}", notes)
     kind = raw.get("type") if isinstance(raw, dict) else None
-    if kind not in TYPES:
+    if not isinstance(kind, str) or kind not in TYPES:
         words = ", ".join(f'"{each}"' for each in TYPES)
         if kind is None:
             raise section.error("type", None, f"this key is missing; it is one of {words}")
@@ -85,7 +85,7 @@ def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
     if not others:
         return variants[first]
     kind = raw.get("kind", first)
-    if kind not in variants:
+    if not isinstance(kind, str) or kind not in variants:
         words = " or ".join(f'"{each}"' for each in variants)
         raise section.error("kind", kind, f"allowed is {words}")
     chosen = variants[kind]

@@ -124,6 +124,7 @@ class WetMill(Timed):
     def dynamics(self, network, inlets, inputs):
         """y: crystals in each cell, NUMBER per m3 of slurry."""
         slurry = inlets[0]
+        assert slurry.grid is not None  # reading has made sure that crystals are counted
         edges = slurry.grid.array / SIZE
         powers = fixed(cell_powers(edges))
         volumes = powers[3]

@@ -179,14 +179,14 @@ def test_against_moments():
     assert np.all(np.log2(gaps[0] / gaps[1]) > 2)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_too_long_steps_are_a_status():
     """The smallest cells of a geometric grid need short steps; a mesh without them says so."""
     process = Process(alone(np.geomspace(1e-6, 400e-6, 101), MEASURES[:1]))
     assert process.run().status.startswith("crystalliser: did not converge at ")
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_gradients_against_differences():
     """Each attribute by each temperature node: 1e-5 of the largest in its row."""
     process = Process(alone(np.linspace(0, 300e-6, 101)))
@@ -206,7 +206,7 @@ def test_gradients_against_differences():
     assert np.all(near < [0.05, 0.05, 1e-3])
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_error_control_finds_the_steps():
     """On a geometric grid, where the mesh above gives up."""
     edges = np.geomspace(1e-6, 400e-6, 101)

@@ -63,7 +63,7 @@ def whole(tmp_path_factory):
     return result, found.details, out
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     result, found, out = whole
     assert result["status"] == "trained", result["failures"]
@@ -82,7 +82,7 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
         assert (out / name).exists(), sorted(each.name for each in out.iterdir())
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_the_best_recipe_stands_in_the_report(whole):
     _, found, out = whole
     best = found["optimise"]
