@@ -46,7 +46,9 @@ def test_new_lists_the_kinds(capsys):
         assert kind in printed
 
 
-def test_new_writes_the_example(own, capsys):
+def test_new_writes_the_example(tmp_path, capsys):
+    own = tmp_path / "own"
+    assert main(["new", "own", str(own)]) == 0
     assert {"case.toml", "simulator.py", "weeks.csv"} <= {each.name for each in own.iterdir()}
     printed = capsys.readouterr()
     assert str(own / "case.toml") in printed.out and f"snapo check {own}" in printed.err
