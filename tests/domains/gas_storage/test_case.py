@@ -12,7 +12,13 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.case import read_case
 from snapo.domains.gas_storage.expiry import discount, fixed_costs_value, value_without_decisions
-from snapo.domains.gas_storage.records import LevelAtEnd, PriceAtEnd, SeasonalModel, SuppliedModel, ValueAtEnd
+from snapo.domains.gas_storage.records import (
+    LevelAtEnd,
+    PriceAtEnd,
+    SeasonalModel,
+    SuppliedModel,
+    ValueAtEnd,
+)
 
 CASES = Path(__file__).parent / "cases"
 D = datetime.date
