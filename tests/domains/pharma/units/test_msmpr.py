@@ -9,10 +9,10 @@ from scipy.optimize import brentq
 from tests.domains.pharma.pharma_cases import TEMPLATE
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.case import resolve
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.read.case import resolve
 
 CASE = """
 kind = "pharma"
