@@ -7,20 +7,20 @@ from snapo.case.error import CaseError
 from snapo.case.settings import read_evaluation, read_training
 from snapo.case.table import Section, load, parse
 
-from .flowsheet.case import PharmaCase
-from .given import every_given
-from .read.checks import check_amounts, check_decided, check_moved, check_varied_once
-from .read.connections import in_order, read_connections
-from .read.control import read_control, read_design_space, read_goal
-from .read.entries import Numbers
-from .read.estimation import read_estimation
-from .read.network import read_feeds, read_network
-from .read.optimise import read_optimise
-from .read.quality import every_measure, read_attributes, read_parameters, read_uncertainty
-from .read.tables import NumericsTable, PharmaTable
-from .time.numerics import Numerics
-from .units.operation import Unit, timed
-from .units.registry import read_units
+from ..flowsheet.case import PharmaCase
+from ..given import every_given
+from ..time.numerics import Numerics
+from ..units.operation import Unit, timed
+from ..units.registry import read_units
+from .checks import check_amounts, check_decided, check_moved, check_varied_once
+from .connections import in_order, read_connections
+from .control import read_control, read_design_space, read_goal
+from .entries import Numbers
+from .estimation import read_estimation
+from .network import read_feeds, read_network
+from .optimise import read_optimise
+from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
+from .tables import NumericsTable, PharmaTable
 
 # Where a case does not say: limits as soft as their margins at first, so that all of them are felt.
 TRAINING = {
