@@ -18,11 +18,12 @@ import numpy as np
 
 import snapo.domains.gas_storage as domain
 from snapo.domains.gas_storage.case import read_case
-from snapo.domains.gas_storage.guide import Guide
-from snapo.domains.gas_storage.inputs import storage_inputs
-from snapo.domains.gas_storage.policy import StoragePolicy
-from snapo.domains.gas_storage.references import marginal_values
-from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.domains.gas_storage.contract.inputs import storage_inputs
+from snapo.domains.gas_storage.contract.schedule import of_prices
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.policy.value_table import ValueTable
+from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
@@ -44,8 +45,8 @@ PER_DAY = (
     "withdrawal_cost_discount",
     "withdrawal_fuel",
     "next_high",
-    "loading",
-    "variance",
+    "inventory_loss",
+    "inventory_cost",
 )
 
 
@@ -88,7 +89,7 @@ def problem(count: int):
     bare = StorageSimulator(case)
     kind = case.contract.ratchets.interpolation
     schedule = prepare(bare, given)
-    guide = Guide.of(marginal_values(schedule, kind))
+    guide = ValueTable.of(marginal_values(schedule, case.model.factors(of_prices(schedule)), kind))
     fixed = {name: entry.value for name, entry in given.items()}
     simulator = Year(case, guide, fixed=fixed)
     inputs = {"factors": Input(np.ones(count))}

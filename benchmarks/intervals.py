@@ -11,14 +11,14 @@ import numpy as np
 from scipy.stats import t as student
 
 from snapo.domains.gas_storage.case import read_case
-from snapo.domains.gas_storage.run import make_problem, new_policy
+from snapo.domains.gas_storage.problem import make_problem, new_policy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver import solve as solver
 from snapo.solver.evaluate import estimate, path_totals
 from snapo.solver.sensitivity import sensitivities
 
-CASE = Path(__file__).parents[1] / "tests" / "gas_storage" / "cases" / "quick"
+CASE = Path(__file__).parents[1] / "tests" / "domains" / "gas_storage" / "cases" / "quick"
 SEEDS, PATHS, MANY = 100, 4096, 4_194_304
 DAY = 6  # whose forward price the delta belongs to
 BLOCKS = 32

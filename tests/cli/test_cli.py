@@ -151,14 +151,17 @@ def test_new_overwrites_nothing(tmp_path, capsys):
 def test_commented_keys_of_the_new_case_are_right(tmp_path):
     """Every commented-out key exists, and has the default that the comment shows."""
     from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-    from snapo.domains.gas_storage.tables import MODELS, ContractTable, MarketTable
+    from snapo.domains.gas_storage.prices.registry import kinds
+    from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
 
     main(["new", "gas-storage", str(tmp_path)])
     tables = {
         "contract": ContractTable.model_fields,
         "market": MarketTable.model_fields,
         "model": {
-            key: field for kind in MODELS.values() for key, field in kind.model_fields.items()
+            key: field
+            for kind in kinds().values()
+            for key, field in kind.table.model_fields.items()
         },
         "objective": ObjectiveTable.model_fields,
         "training": TrainingTable.model_fields,

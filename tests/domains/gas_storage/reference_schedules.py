@@ -10,7 +10,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-Schedule = namedtuple("Schedule", "constants steps dates")
+from snapo.domains.gas_storage.prices.process import GaussianFactors
+
+Schedule = namedtuple("Schedule", "constants steps dates factors")
 Factor = namedtuple("Factor", "mean_reversion loading")
 
 
@@ -66,7 +68,7 @@ def build(
     for name, values in daily.items():
         setattr(steps, name, np.asarray(values, float) + zero)
     _add_limits(steps, interpolation, limits, end_level)
-    last_price = _add_prices(steps, valuation, [*dates, last], factors, correlation)
+    prices = price_factors(valuation, [*dates, last], factors, correlation)
     table = end_values or ([0.0, 1.0], [0.0, 0.0])
     constants = SimpleNamespace(
         inventory=float(inventory),
@@ -75,11 +77,9 @@ def build(
         end_fraction=float(end_fraction),
         end_forward=float(curve(last)) if end_fraction else 0.0,
         end_discount=discount(last),
-        end_loading=last_price[0],
-        end_variance=last_price[1],
         fixed_costs=0.0,
     )
-    return Schedule(constants, steps, dates)
+    return Schedule(constants, steps, dates, prices)
 
 
 def _add_limits(steps, interpolation, limits, end_level):
@@ -124,7 +124,7 @@ def _edge(good, inside, outside):
     return inside
 
 
-def _add_prices(steps, valuation, dates, factors, correlation):
+def price_factors(valuation, dates, factors, correlation) -> GaussianFactors:
     """Exact covariances of Ornstein-Uhlenbeck factors of unit volatility, and their loadings."""
     years = np.array([(day - date(valuation)).days for day in dates]) / 365
     reversion = np.array([factor.mean_reversion for factor in factors])
@@ -142,10 +142,7 @@ def _add_prices(steps, valuation, dates, factors, correlation):
         [np.linalg.cholesky(covariance(gap)) if gap > 0 else 0 * correlation for gap in gaps]
     )
     variance = np.array([s @ covariance(t) @ s for s, t in zip(loading, years, strict=True)])
-    steps.loading, steps.variance = loading[:-1], variance[:-1]
-    steps.decay, steps.shock = decay[:-1], shock[:-1]
-    steps.next_decay, steps.next_shock = decay[1:], shock[1:]
-    return loading[-1], variance[-1]
+    return GaussianFactors(loading, variance, decay, shock)
 
 
 def flagship(seasonal: bool = True) -> Schedule:

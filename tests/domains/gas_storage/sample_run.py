@@ -114,13 +114,7 @@ def sample_details() -> dict:
             "intrinsic": (np.array(INTRINSIC, float)[month] / length).tolist(),
         },
         "deltas_monthly": [_monthly(i, random) for i in range(12)],
-        "vegas": [
-            _vega("spot_volatility", 42170.0, 310.0),
-            _vega("long_term_volatility", 40.0, 90.0),
-            _vega("seasonal_volatility", 8820.0, 240.0),
-            _vega("spot_mean_reversion", -148.2, 1.6),
-            {**_vega("injection_cost", -16900.0, 30.0), "unit": "EUR/MWh"},
-        ],
+        "inputs": INPUTS,
         "shadow_prices": [
             _shadow("working volume", 0.412, 0.418, "MWh"),
             _shadow("injection capacity", 96.2, 98.8, "MWh/day"),
@@ -152,9 +146,23 @@ def _rung(name, value, error, note):
     return {"name": name, "value": value, "standard_error": error, "note": note}
 
 
-def _vega(name, value, error):
-    row = {"input": name, "label": "", "value": value, "standard_error": error}
-    return row | {"unit": "1/year"}
+def _said(group, unit, move=None, trade_unit="", factor=1.0, words="some words"):
+    said = {"group": group, "unit": unit, "move": move, "words": words}
+    return said | {"trade_unit": trade_unit, "trade_factor": factor}
+
+
+VOLATILITY = _said("volatility", "1/sqrt(year)", 0.01, "volatility point", 100.0)
+INPUTS = {
+    "forward_curve": _said("price", "EUR/MWh"),
+    "interest_rate": _said("interest rate", "1/year", 0.001, "bp", 1e4, "continuous zero rate"),
+    "spot_volatility": VOLATILITY,
+    "long_term_volatility": VOLATILITY,
+    "seasonal_volatility": VOLATILITY,
+    "spot_mean_reversion": _said("price model", "1/year", 1.0),
+    "injection_cost": _said("cost", "EUR/MWh", 0.01, words="per unit injected"),
+    "withdrawal_cost": _said("cost", "EUR/MWh", 0.01, words="per unit withdrawn"),
+    "inventory": _said("contract", "MWh", 1.0),
+}
 
 
 def _shadow(name, up, down, unit):

@@ -8,12 +8,12 @@ import jax
 import numpy as np
 
 from snapo.case.table import load
-from snapo.domains.gas_storage import run
 from snapo.domains.gas_storage.case import resolve
-from snapo.domains.gas_storage.inputs import storage_inputs
-from snapo.domains.gas_storage.policy import StoragePolicy
-from snapo.domains.gas_storage.records import StorageCase
-from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.domains.gas_storage.contract.inputs import storage_inputs
+from snapo.domains.gas_storage.contract.records import StorageCase
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.problem import Problem, make_problem
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import probe
 from snapo.solver import certificate
@@ -47,9 +47,9 @@ def untrained(simulator: StorageSimulator, schedule, seed: int = 0) -> StoragePo
 
 
 @cache
-def problem(name: str) -> run.Problem:
+def problem(name: str) -> Problem:
     """A case made ready for the native engine."""
-    return run.make_problem(read(name), 0, "native")
+    return make_problem(read(name), 0, "native")
 
 
 def off_ties(inputs, **zeros: float):

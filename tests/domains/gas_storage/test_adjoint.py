@@ -14,10 +14,11 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.domains.gas_storage.storage_cases import bare, changed, off_ties, read, untrained
 
-from snapo.domains.gas_storage import references
-from snapo.domains.gas_storage.guide import Guide, Knots, marginal_value
-from snapo.domains.gas_storage.inputs import storage_inputs
-from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.domains.gas_storage.contract.inputs import storage_inputs
+from snapo.domains.gas_storage.contract.schedule import of_prices
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, marginal_value
+from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import CVaR, Mean
@@ -103,7 +104,8 @@ def contract(request, tmp_path_factory):
 def prepared(case, **zeros):
     _, inputs, schedule = bare(case)
     kind = case.contract.ratchets.interpolation
-    simulator = StorageSimulator(case, Guide.of(references.marginal_values(schedule, kind)))
+    found = marginal_values(schedule, case.model.factors(of_prices(schedule)), kind)
+    simulator = StorageSimulator(case, ValueTable.of(found))
     return simulator, off_ties(inputs, **zeros), untrained(simulator, schedule)
 
 

@@ -11,14 +11,18 @@ import pytest
 
 from snapo.case.error import CaseError
 from snapo.domains.gas_storage.case import read_case
-from snapo.domains.gas_storage.expiry import discount, fixed_costs_value, value_without_decisions
-from snapo.domains.gas_storage.records import (
+from snapo.domains.gas_storage.contract.expiry import (
+    discount,
+    fixed_costs_value,
+    value_without_decisions,
+)
+from snapo.domains.gas_storage.contract.records import (
     LevelAtEnd,
     PriceAtEnd,
-    SeasonalModel,
-    SuppliedModel,
     ValueAtEnd,
 )
+from snapo.domains.gas_storage.prices.supplied import SuppliedPrices
+from snapo.domains.gas_storage.prices.three_factor_seasonal import ThreeFactorSeasonal
 
 CASES = Path(__file__).parent / "cases"
 D = datetime.date
@@ -88,7 +92,7 @@ def test_flagship_numbers():
     np.testing.assert_array_equal(rows.withdrawal.used()[-1], [150, 200, 260, 275])
     np.testing.assert_array_equal(rows.injection.used()[7], [250, 175, 155, 132])
     assert rows.inventory.labels[1] == "2021-04-01 at 2000"
-    assert isinstance(case.model, SeasonalModel)
+    assert isinstance(case.model, ThreeFactorSeasonal)
     assert case.model.spot_mean_reversion.used() == 91.0
     # 83 days from 1 February 2021 to 25 April.
     assert case.model.season[0] == math.cos(2 * math.pi * 83 / 365.25)
@@ -341,7 +345,7 @@ def test_supplied_paths_are_rescaled_to_mean_one(folder):
     columns = [f"d{number}" for number in range(30)]
     parquet.write_table(arrow.table(list(2 * paths.T), names=columns), path / "test.parquet")
     model = read_case(path).model
-    assert isinstance(model, SuppliedModel)
+    assert isinstance(model, SuppliedPrices)
     np.testing.assert_allclose(model.training.mean(axis=0), 1, rtol=1e-12)
     np.testing.assert_allclose(model.training, model.evaluation, rtol=1e-12)
 

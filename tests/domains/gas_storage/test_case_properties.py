@@ -13,9 +13,9 @@ from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.table import load
 from snapo.domains.gas_storage.case import read_case, resolve
-from snapo.domains.gas_storage.feasibility import attainable
-from snapo.domains.gas_storage.market import month_days, quotes
-from snapo.domains.gas_storage.settlement import months_after
+from snapo.domains.gas_storage.contract.feasibility import attainable
+from snapo.domains.gas_storage.read.market import month_days, quotes
+from snapo.domains.gas_storage.read.settlement import months_after
 
 D = datetime.date
 FLAGSHIP = Path(__file__).parent / "cases" / "G1"

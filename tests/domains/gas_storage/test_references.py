@@ -12,15 +12,12 @@ from numpy.testing import assert_allclose
 from tests.domains.gas_storage import reference_schedules as cases
 from tests.domains.gas_storage.reference_schedules import Factor
 
-from snapo.domains.gas_storage.references import (
-    black_call,
-    intrinsic,
-    intrinsic_by_linear_program,
-    lattice,
-    marginal_values,
-    perfect_foresight,
-    relevant_factors,
-)
+from snapo.domains.gas_storage.references.black import black_call
+from snapo.domains.gas_storage.references.intrinsic import intrinsic
+from snapo.domains.gas_storage.references.lattice import lattice, relevant_factors
+from snapo.domains.gas_storage.references.linear_program import intrinsic_by_linear_program
+from snapo.domains.gas_storage.references.marginal import marginal_values
+from snapo.domains.gas_storage.references.perfect_foresight import perfect_foresight
 
 
 def small(factors, days=40, interpolation="linear", seed=3, **terms):
@@ -46,12 +43,13 @@ def small(factors, days=40, interpolation="linear", seed=3, **terms):
 def spot_paths(schedule, count, seed=0):
     """Spot prices [count, T] drawn from the schedule's factors, antithetic."""
     steps, random = schedule.steps, np.random.default_rng(seed)
-    factor = np.zeros((count, steps.loading.shape[1]))
+    of = schedule.factors
+    factor = np.zeros((count, of.loading.shape[1]))
     spots = np.empty((count, len(steps.forward)))
     for t in range(len(steps.forward)):
         noise = random.normal(size=(count // 2, factor.shape[1]))
-        factor = steps.decay[t] * factor + np.concatenate([noise, -noise]) @ steps.shock[t].T
-        log = factor @ steps.loading[t] - steps.variance[t] / 2
+        factor = of.decay[t] * factor + np.concatenate([noise, -noise]) @ of.shock[t].T
+        log = factor @ of.loading[t] - of.variance[t] / 2
         spots[:, t] = steps.forward[t] * np.exp(log)
     return spots
 
@@ -157,14 +155,16 @@ def test_intrinsic_is_the_limit_of_fine_grids(interpolation, seed):
     ],
 )
 def test_one_factor_lattice(case, value, tolerance, volumes):
-    assert_allclose(lattice(case(), "linear", volumes=volumes).value, value, rtol=tolerance)
+    schedule = case()
+    found = lattice(schedule, schedule.factors, "linear", volumes=volumes)
+    assert_allclose(found.value, value, rtol=tolerance)
 
 
 @pytest.mark.slow
 def test_two_factor_lattice_and_its_monthly_deltas():
     schedule = cases.flagship()
-    assert relevant_factors(schedule) == (0, 2)
-    found = lattice(schedule, "linear")
+    assert relevant_factors(schedule, schedule.factors) == (0, 2)
+    found = lattice(schedule, schedule.factors, "linear")
     assert found.dropped == (1,)
     assert_allclose(found.value, 78_370, rtol=5e-4)
     months = np.array([(day.year - 2021) * 12 + day.month - 4 for day in schedule.dates])
@@ -176,13 +176,14 @@ def test_two_factor_lattice_and_its_monthly_deltas():
 
 
 def test_two_factor_lattice_on_a_coarse_grid():
-    found = lattice(cases.flagship(), "linear", inventories=81, spacing=0.4, slow_nodes=11)
+    schedule, coarse = cases.flagship(), {"inventories": 81, "spacing": 0.4, "slow_nodes": 11}
+    found = lattice(schedule, schedule.factors, "linear", **coarse)
     assert_allclose(found.value, 78_370, rtol=1e-3)
 
 
 def test_deltas_explain_the_value_where_nothing_else_costs():
     schedule = cases.slow_storage()
-    found = lattice(schedule, "linear", inventories=101)
+    found = lattice(schedule, schedule.factors, "linear", inventories=101)
     assert_allclose(schedule.steps.forward @ found.deltas, found.value, rtol=1e-9)
     assert_allclose(np.diff(found.inventory), found.net, atol=1e-9)
     assert_allclose(found.inventory[[0, -1]], 0, atol=1e-9)
@@ -198,24 +199,25 @@ def test_calls_in_disguise(correlation):
     expected = 0.0
     for day, (volume, strike, paid) in cases.CALLS.items():
         t = schedule.dates.index(day)
-        deviation, discount = np.sqrt(schedule.steps.variance[t]), cases.nine_percent(paid)
+        deviation, discount = np.sqrt(schedule.factors.variance[t]), cases.nine_percent(paid)
         call = black_call(schedule.steps.forward[t], strike, deviation, discount)
         expected += volume * float(call.value)
-    assert_allclose(lattice(schedule, "linear", inventories=5).value, expected, rtol=1e-3)
+    found = lattice(schedule, schedule.factors, "linear", inventories=5)
+    assert_allclose(found.value, expected, rtol=1e-3)
 
 
 def test_black_calls():
     schedule, values, deltas = cases.calls(), [], []
     for day, (volume, strike, paid) in cases.CALLS.items():
         t = schedule.dates.index(day)
-        deviation = np.sqrt(schedule.steps.variance[t])
+        deviation = np.sqrt(schedule.factors.variance[t])
         call = black_call(cases.sine_curve(day), strike, deviation, cases.nine_percent(paid))
         values.append(volume * float(call.value))
         deltas.append(volume * float(call.delta) / cases.nine_percent(paid))
     assert_allclose(values, [6_905.1935, 2_969.1867, 572.9235], atol=2e-3)
     assert_allclose(sum(values), 10_447.3037, atol=2e-3)
     assert_allclose(deltas, [646.4087, 374.7695, 248.2129], atol=1e-3)
-    found = lattice(schedule, "linear", inventories=5)
+    found = lattice(schedule, schedule.factors, "linear", inventories=5)
     assert_allclose(found.value, 10_447.3037, rtol=1e-4)
     assert_allclose(found.deltas.sum(), 1_250, rtol=0.05)
 
@@ -248,7 +250,7 @@ def test_gas_left_is_worth_its_price_at_the_end():
     spread = volatility * np.sqrt(-np.expm1(-2 * reversion * time) / (2 * reversion))
     spread *= 1 - np.exp(-reversion / 365)
     expected = 22 * fraction + float(black_call(20.0, 22 * fraction, spread).value)
-    found = lattice(schedule, "linear", spacing=0.02)
+    found = lattice(schedule, schedule.factors, "linear", spacing=0.02)
     assert_allclose(found.value, expected, rtol=1e-5)
     assert_allclose(found.deltas @ [20.0] + found.end_delta * 22.0, found.value, rtol=1e-9)
 
@@ -259,15 +261,16 @@ def test_gas_left_is_worth_its_price_at_the_end():
 def test_a_single_factor_without_reversion_adds_nothing():
     schedule = small([Factor(0.0, lambda day: 0.5)], days=40)
     value = intrinsic(schedule, "linear").value
-    assert_allclose(lattice(schedule, "linear", inventories=401).value, value, rtol=3e-4)
+    found = lattice(schedule, schedule.factors, "linear", inventories=401)
+    assert_allclose(found.value, value, rtol=3e-4)
 
 
 def test_a_common_factor_without_reversion_may_be_dropped():
     fast = Factor(60.0, lambda day: 0.9)
     schedule = small([Factor(0.0, lambda day: 0.4), fast], days=30)
-    assert relevant_factors(schedule) == (1,)
-    alone = lattice(schedule, "linear").value
-    both = lattice(schedule, "linear", factors=(1, 0), spacing=0.15).value
+    assert relevant_factors(schedule, schedule.factors) == (1,)
+    alone = lattice(schedule, schedule.factors, "linear").value
+    both = lattice(schedule, schedule.factors, "linear", keep=(1, 0), spacing=0.15).value
     assert_allclose(both, alone, rtol=1e-3)
 
 
@@ -275,32 +278,30 @@ def test_a_common_factor_without_reversion_may_be_dropped():
 def test_intrinsic_exact_perfect_foresight(interpolation):
     schedule = cases.dated_ratchets(interpolation)
     plan = intrinsic(schedule, interpolation).value
-    exact = lattice(schedule, interpolation).value
+    exact = lattice(schedule, schedule.factors, interpolation).value
     known = perfect_foresight(schedule, interpolation, spot_paths(schedule, 500))
     assert plan <= exact
     assert exact <= known.mean() + 3 * known.std() / np.sqrt(len(known))
     low_volatility = small([Factor(30.0, lambda day: 1e-9)], interpolation=interpolation)
-    assert_allclose(
-        lattice(low_volatility, interpolation, inventories=501, spacing=0.5).value,
-        intrinsic(low_volatility, interpolation).value,
-        rtol=2e-3,
-    )
+    fine = {"inventories": 501, "spacing": 0.5}
+    found = lattice(low_volatility, low_volatility.factors, interpolation, **fine)
+    assert_allclose(found.value, intrinsic(low_volatility, interpolation).value, rtol=2e-3)
 
 
 def test_more_than_two_factors_must_be_chosen():
     factors = [Factor(k, lambda day: 0.3) for k in (1.0, 5.0, 30.0)]
     schedule = small(factors, days=5)
-    assert relevant_factors(schedule) == (2, 1, 0)
+    assert relevant_factors(schedule, schedule.factors) == (2, 1, 0)
     with pytest.raises(ValueError, match="name the two to keep"):
-        lattice(schedule, "linear")
-    assert lattice(schedule, "linear", factors=(2, 1)).dropped == (0,)
+        lattice(schedule, schedule.factors, "linear")
+    assert lattice(schedule, schedule.factors, "linear", keep=(2, 1)).dropped == (0,)
 
 
 # The marginal value of gas.
 
 
 def follow_marginal_values(schedule, table, spots, factor):
-    """What trading at the table's trigger prices earns on each path, [paths]."""
+    """The earnings of trading at the table's trigger prices on each path, [paths]."""
     steps = schedule.steps
     stock, earned = np.full(len(spots), schedule.constants.inventory), np.zeros(len(spots))
     for t in range(len(steps.forward)):
@@ -335,19 +336,21 @@ def test_marginal_values_are_a_good_policy():
     schedule = cases.flagship(seasonal=False)
     steps = schedule.steps
     # At rest, the long-term factor leaves the spot to the factor that the table knows.
-    steps.loading[:, 1], steps.variance = 0.0, steps.variance - 0.3**2 * steps.day / 365
-    table = marginal_values(schedule, "linear")
+    of, years = schedule.factors, np.append(steps.day, steps.day[-1] + 1) / 365
+    of.loading[:, 1] = 0.0
+    schedule = schedule._replace(factors=of._replace(variance=of.variance - 0.3**2 * years))
+    of = schedule.factors
+    table = marginal_values(schedule, schedule.factors, "linear")
     assert table.coefficients.shape == (341, 16, 3)
-    assert table.factor == 0
     spots = spot_paths(schedule, 2048)
-    factor = (np.log(spots / steps.forward) + steps.variance / 2) / steps.loading[:, 0]
+    factor = (np.log(spots / steps.forward) + of.variance[:-1] / 2) / of.loading[:-1, 0]
     earned = follow_marginal_values(schedule, table, spots, factor)
     calm = follow_marginal_values(
-        schedule, marginal_values(schedule, "linear", noise=False), spots, factor
+        schedule, marginal_values(schedule, None, "linear"), spots, factor
     )
     pairs = earned.reshape(2, -1).mean(axis=0)
     error = pairs.std() / np.sqrt(len(pairs))
-    exact = lattice(schedule, "linear", factors=(0,), spacing=0.3).value
+    exact = lattice(schedule, schedule.factors, "linear", keep=(0,), spacing=0.3).value
     assert exact * 0.995 - 3 * error <= earned.mean() <= exact + 3 * error
     assert intrinsic(schedule, "linear").value < calm.mean() < earned.mean()
 
@@ -359,7 +362,7 @@ def test_marginal_values_without_noise_are_slopes_of_the_intrinsic_value():
         rates = ([0.0], [6.0], [0.0])
         return small([Factor(5.0, still)], days=10, inventory=stock, ratchets=rates)
 
-    table = marginal_values(ten_days(), "linear", 101, noise=False)
+    table = marginal_values(ten_days(), None, "linear", 101)
     assert np.all(table.coefficients[..., 1:] == 0)
     values = [intrinsic(ten_days(stock), "linear").value for stock in (20.0, 22.0)]
     # The most, 6, leaves at once: the unit in the middle is the one at 21 - 6.

@@ -125,6 +125,14 @@ def test_the_sliders_hold_the_stored_sensitivities(full):
     assert "First order only" in full
 
 
+def test_inputs_say_their_meaning_and_move_in_the_unit_of_their_trade(full):
+    text = text_of(full)
+    # 42,170 per unit of volatility is 421.70 for one point; -13,430 per unit of rate for ten bp.
+    assert "Spot volatility some words 1 volatility point +421.7 ± 3.1" in text
+    assert "continuous zero rate 10 bp, all 3 numbers together −13.43" in text
+    assert "Injection cost per unit injected 0.01 EUR/MWh −169.00 ± 0.30" in text
+
+
 def test_the_same_files_give_the_same_page(tmp_path, full):
     assert page(tmp_path / "again") == full
 

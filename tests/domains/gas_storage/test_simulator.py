@@ -21,10 +21,9 @@ from tests.domains.gas_storage.storage_cases import (
     untrained,
 )
 
-from snapo.domains.gas_storage.expiry import value_without_decisions
-from snapo.domains.gas_storage.intrinsic import intrinsic
-from snapo.domains.gas_storage.run import supplied
-from snapo.domains.gas_storage.simulator import State
+from snapo.domains.gas_storage.contract.expiry import value_without_decisions
+from snapo.domains.gas_storage.contract.schedule import State
+from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
@@ -257,7 +256,7 @@ def spots(case, paths, seed=3):
     )
     factors = np.asarray(rolled.record["state"].price)
     steps = schedule.steps
-    log = np.einsum("tnf,tf->tn", factors, steps.loading) - steps.variance[:, None] / 2
+    log = np.einsum("tnf,tf->tn", factors, steps.price.loading) - steps.price.variance[:, None] / 2
     return schedule, steps.forward[:, None] * np.exp(log), factors
 
 
@@ -283,7 +282,7 @@ def test_prices_of_correlated_factors():
     covariance = -0.4 * -np.expm1(-30 * time) / 30
     own = -np.expm1(-60 * time) / 60
     expected = 0.09 * time + 0.81 * own + 2 * 0.27 * covariance
-    assert_allclose(schedule.steps.variance, expected, rtol=1e-12)
+    assert_allclose(schedule.steps.price.variance, expected, rtol=1e-12)
     # The sample variance of normals has a relative error of sqrt(2 / paths) = 0.0055.
     assert_allclose(np.log(prices).var(1), expected, rtol=0.025)
     sample = np.einsum("tn,tn->t", factors[..., 0], factors[..., 1]) / paths
@@ -295,12 +294,12 @@ def test_prices_of_the_slow_storage_follow_the_published_recursion():
     """x(t + 1) = 0.88 x(t) + eps / sqrt(365), S = F exp(x - variance / 2), S = F on day 0."""
     schedule, prices, factors = spots(read("G6"), 4)
     volatility = 1.0645537
-    assert_allclose(schedule.steps.next_decay, 0.88, rtol=1e-7)
-    assert_allclose(volatility * schedule.steps.next_shock[:, 0, 0], 365**-0.5, rtol=1e-7)
+    assert_allclose(schedule.steps.price.next_decay, 0.88, rtol=1e-7)
+    assert_allclose(volatility * schedule.steps.price.next_shock[:, 0, 0], 365**-0.5, rtol=1e-7)
     assert_allclose(prices[0], schedule.steps.forward[0], rtol=0)
     assert not factors[0].any()
     variance = (1 - 0.88 ** (2 * np.arange(365))) / (1 - 0.88**2) / 365
-    assert_allclose(schedule.steps.variance, variance, rtol=1e-6)
+    assert_allclose(schedule.steps.price.variance, variance, rtol=1e-6)
 
 
 # Forced flows: every policy earns the same.
@@ -396,8 +395,7 @@ def test_supplied_paths(tmp_path, rescaled):
     model = {"kind": "supplied", "mean_reversion": None, "volatility": None, **files}
     case = changed(folder, model=model | {"rescale_to_curve": rescaled})
     simulator, inputs, schedule = bare(case)
-    paths = case.model.evaluation
-    source = supplied(paths, simulator)
+    source = case.model.supplied("evaluation")
     draws, engine = source.draws(np.arange(40), simulator), Native("float64")
     actions = random_actions(30, 40)
     rolled = engine.values(
@@ -449,7 +447,9 @@ def test_the_next_day_and_the_days_after_the_end():
     simulator, _, schedule = bare(case)
     assert simulator.horizon == 29
     # The price of the first decision day is not known yet.
-    assert_allclose(schedule.steps.shock[0, 0, 0] ** 2, -np.expm1(-2 * 20 / 365) / 40, rtol=1e-12)
+    assert_allclose(
+        schedule.constants.price.first_shock[0, 0] ** 2, -np.expm1(-2 * 20 / 365) / 40, rtol=1e-12
+    )
     late = read("quick", market={"valuation_date": datetime.date(2025, 2, 3)})
     assert not late.days and value_without_decisions(late) == 0.0
     on_the_end = read(

@@ -13,8 +13,8 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.domains.gas_storage.storage_cases import problem
 
-from snapo.domains.gas_storage.intrinsic import intrinsic
-from snapo.domains.gas_storage.run import new_policy
+from snapo.domains.gas_storage.problem import new_policy
+from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.problem.scenarios import Pseudo, Sobol
 from snapo.problem.smooth import Exact
 from snapo.solver import solve as solver
@@ -66,7 +66,10 @@ def plan_earns(made, source, paths: int) -> np.ndarray:
             made.simulator, None, made.schedule, draws, Exact(), actions=nothing, record=("state",)
         )
         factors = np.asarray(rolled.record["state"].price)
-        log = np.einsum("tnf,tf->tn", factors, steps.loading) - steps.variance[:, None] / 2
+        log = (
+            np.einsum("tnf,tf->tn", factors, steps.price.loading)
+            - steps.price.variance[:, None] / 2
+        )
         gas = steps.forward[:, None] * np.exp(log) * steps.gas_discount[:, None]
         cost = np.maximum(plan, 0) * steps.injection_cost * steps.injection_cost_discount
         cost += np.maximum(-plan, 0) * steps.withdrawal_cost * steps.withdrawal_cost_discount

@@ -14,7 +14,7 @@ from tests.solver import test_funding as funding
 from tests.solver import test_lqr as lqr
 from tests.solver import test_merton as merton
 
-from snapo.domains.gas_storage.run import new_policy
+from snapo.domains.gas_storage.problem import new_policy
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.inputs import Input

@@ -12,7 +12,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
 from .case import read_case
-from .run import make_problem, new_policy
+from .problem import make_problem, new_policy
 
 PATHS, ROUNDS = 1024, 5
 OUTPUT = "cash_flow"

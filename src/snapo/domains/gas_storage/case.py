@@ -9,13 +9,14 @@ from snapo.case.error import CaseError
 from snapo.case.settings import read_evaluation, read_objective, read_training
 from snapo.case.table import Section, load, parse
 
-from .contract import decision_days, pays_by_price, read_contract
-from .feasibility import check_feasible
-from .limits import read_limits
-from .market import read_market
-from .model import read_model
-from .records import StorageCase, SuppliedModel
-from .tables import ContractTable, MarketTable, StorageTable
+from .contract.feasibility import check_feasible
+from .contract.records import StorageCase
+from .prices.process import Delivery
+from .prices.registry import check_curve, read_prices
+from .read.contract import decision_days, pays_by_price, read_contract
+from .read.limits import read_limits
+from .read.market import read_market
+from .read.tables import ContractTable, MarketTable, StorageTable
 
 
 def read_case(path: str | Path) -> StorageCase:
@@ -47,8 +48,9 @@ def resolve(file: Path, data: dict[str, Any]) -> StorageCase:
     market = read_market(section, market_table, days, price_days, limits.moving(), unit)
     contract = read_contract(where, contract_table, days, valuation, limits, market.gas_day)
     section = Section(file, "model", notes)
-    model = read_model(section, top.model, days, price_days, end, valuation)
-    _check_prices(market_table.forward_curve, market.forward_curve, model)
+    delivery = Delivery(days, price_days, end, valuation, market.forward_curve)
+    model = read_prices(section, top.model, delivery)
+    check_curve(market_table.forward_curve, model, delivery)
     case = StorageCase(
         file=file,
         title=top.title,
@@ -91,12 +93,3 @@ def _parse_both(top: StorageTable, file: str) -> tuple[ContractTable, MarketTabl
         others = (*first.others, *rest)
         raise CaseError(first.file, first.where, first.value, first.allowed, others)
     return tables[0], tables[1]
-
-
-def _check_prices(name: str, curve, model) -> None:
-    """Price factors multiply the forward price, so it must be positive."""
-    if isinstance(model, SuppliedModel) and not model.rescaled:
-        return
-    for t in np.flatnonzero(curve.values <= 0)[:1]:
-        what = f'model kind "{model.kind}" multiplies the forward price and needs it above 0'
-        raise CaseError(name, curve.labels[t], float(curve.values[t]), what)

@@ -23,7 +23,7 @@ def certificate(run: Run) -> Section:
     if facts := _facts(run):
         blocks.append(Facts(facts))
     blocks += [
-        evidence.bump_table(run, run.currency, _family),
+        evidence.bump_table(run, run.currency, lambda name: run.said(name).title()),
         evidence.limit_table(run, run.volume, "Day", lambda step: _day(run, step)),
     ]
     return Section("certificate", title, "Certificate", blocks, break_before=True)
@@ -57,10 +57,6 @@ def _facts(run: Run) -> list[tuple[str, str, str]]:
 
 def _plain(value) -> str:
     return number(value) if finite(value) is not None else str(value)
-
-
-def _family(name: str) -> str:
-    return name.replace("_", " ").capitalize()
 
 
 def _day(run: Run, step) -> str:

@@ -1,11 +1,11 @@
-"""Shadow prices: what one unit more, and one unit less, of each capacity is worth.
+"""Shadow prices: the worth of one unit more, and of one unit less, of each capacity.
 
 At a limit the two differ: an inventory that is exactly full can use more room and must give up
 room that is taken away. Both come from the exact simulator with the decisions held, on the same
 paths, one unit up and one unit down.
 """
 
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import equinox as eqx
 import numpy as np
@@ -15,16 +15,13 @@ from snapo.problem.prepare import prepare
 from snapo.problem.scenarios import Scenarios
 from snapo.problem.smooth import Exact
 
-from .records import SuppliedModel
-
-if TYPE_CHECKING:
-    from .run import Problem
+from ..problem import OUTPUT, Problem
 
 PATHS = 2048
 UNITS = 1.0  # of the capacity; small against it, large against rounding
 
 
-def shadow_prices(problem: "Problem", policy: Policy, source: Scenarios) -> list[dict[str, Any]]:
+def shadow_prices(problem: Problem, policy: Policy, source: Scenarios) -> list[dict[str, Any]]:
     """One line per capacity: the worth of one unit more (`up`) and of the last unit (`down`)."""
     contract, units = problem.case.contract, problem.case.volume_unit
     rows = contract.ratchets
@@ -48,10 +45,9 @@ def shadow_prices(problem: "Problem", policy: Policy, source: Scenarios) -> list
 class _Replay:
     """Values of the exact simulator under recorded decisions, with inputs shifted."""
 
-    def __init__(self, problem: "Problem", policy: Policy, source: Scenarios):
+    def __init__(self, problem: Problem, policy: Policy, source: Scenarios):
         self.problem = problem
-        model = problem.case.model
-        paths = min(PATHS, len(model.evaluation)) if isinstance(model, SuppliedModel) else PATHS
+        paths = problem.case.model.paths(PATHS)
         self.blocks = [
             source.draws(b, problem.simulator) for b in source.blocks(paths, max(1, paths // 512))
         ]
@@ -76,7 +72,7 @@ class _Replay:
         totals = [
             self.engine.values(
                 self.problem.simulator, None, schedule, draws, Exact(), actions=actions
-            ).totals["cash_flow"]
+            ).totals[OUTPUT]
             for draws, actions in zip(self.blocks, self.actions)
         ]
         return float(np.mean([np.mean(t) for t in totals]))

@@ -8,7 +8,7 @@ Signs: volumes are positive, `cash_flow` is what the holder receives. Money is d
 valuation date.
 """
 
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -20,112 +20,34 @@ from snapo.problem.actions import Box
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from . import prices
-from .guide import Guide
-from .observation import curve_ahead, observation
-from .prices import use
+from ..policy.observation import curve_ahead, observation
+from ..policy.value_table import ValueTable
+from ..prices.process import YEAR, PriceProcess, use
 from .reachable import Limits, reachable
 from .records import LevelAtEnd, PriceAtEnd, StorageCase, ValueAtEnd
-
-
-class Day(NamedTuple):
-    """One decision day, the same for all paths; every leaf has a leading axis T in the schedule.
-
-    Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
-    `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end;
-    the factor fields are those of `prices.PriceSchedule`. `slow_variance` is the
-    variance of ln S without the fastest factor; `price_features` scales the factors to order one
-    and `ahead` tells the curve's shape, for the network. `guide` holds the marginal value of gas
-    that the policy starts from, `hedge` the forward volume of the control variate.
-    """
-
-    day: Array
-    forward: Array
-    gas_discount: Array
-    flow_discount: Array
-    injection_cost: Array
-    withdrawal_cost: Array
-    injection_cost_discount: Array
-    withdrawal_cost_discount: Array
-    inventory_cost: Array
-    injection_fuel: Array
-    withdrawal_fuel: Array
-    inventory_loss: Array
-    levels: Array
-    withdrawal_rate: Array
-    injection_rate: Array
-    min_injection: Array
-    min_withdrawal: Array
-    low: Array
-    high: Array
-    next_low: Array
-    next_high: Array
-    loading: Array
-    variance: Array
-    decay: Array
-    shock: Array
-    next_decay: Array
-    next_shock: Array
-    slow_variance: Array
-    price_features: Array
-    ahead: Array
-    guide: Any = None
-    hedge: Any = 0.0
-
-
-class Terms(NamedTuple):
-    """What holds for the whole contract: start, end and fixed costs.
-
-    `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
-    spot value; `fixed_costs` is a present value.
-    """
-
-    inventory: Array
-    end_levels: Array
-    end_values: Array
-    end_fraction: Array
-    end_forward: Array
-    end_discount: Array
-    end_loading: Array
-    end_variance: Array
-    fixed_costs: Array
-    first_shock: Array
-    last_day: Array
-    price_scale: Array
-    rate_scale: Array
-
-
-class State(NamedTuple):
-    """Inventory at the start of the day, and the state of the prices on that day [F]."""
-
-    inventory: Float[Array, ""]
-    price: Float[Array, " F"]
-
-
-class Flows(NamedTuple):
-    """What must and what may flow on a day: `keep` is the inventory left without any flow."""
-
-    keep: Array
-    base: Array
-    most: Array
-    least: Array
+from .schedule import Day, Flows, State, Terms
 
 
 class StorageSimulator(Simulator):
-    """The contract of a case; see `snapo.domains.gas_storage.records` for its terms.
+    """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
     **Arguments:**
 
-    - `case`: the resolved case.
-    - `guide`: the marginal values that the policy starts from (see `guide.py`).
+    - `case`: the resolved case, with its price process.
+    - `guide`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     """
 
     case: StorageCase = eqx.field(static=True)
-    guide: Guide | None = None
+    guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     action: Box = eqx.field(static=True, default=Box(2, 0.0, 1.0))
+
+    @property
+    def process(self) -> PriceProcess:
+        """The price process of the case."""
+        return self.case.model
 
     @property
     def horizon(self) -> int:
@@ -133,25 +55,26 @@ class StorageSimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return prices.factors(self.case)
+        return self.process.noise_size
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return prices.factors(self.case)
+        return self.process.initial_noise_size
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        prices = self.process.prepare(inputs)
+        last = jax.tree.map(lambda leaf: leaf[-1], prices.steps)
+        steps = self._days(inputs, jax.tree.map(lambda leaf: leaf[:-1], prices.steps))
+        return Schedule(self._terms(inputs, prices.constants, last), steps)
+
+    def _days(self, inputs: dict[str, Any], prices) -> Day:
         case, contract, market = self.case, self.case.contract, self.case.market
-        t = self.horizon
-        discount = _discounts(case, inputs)
-        forward = use(inputs, market.forward_curve)
-        limits = self.limits(inputs)
+        t, discount = self.horizon, _discounts(case, inputs)
+        forward, limits = use(inputs, market.forward_curve)[:t], self.limits(inputs)
         low, high = reachable(limits, *self.end_interval(inputs), contract.ratchets.interpolation)
-        factors, last = prices.price_schedule(case, inputs)
-        scale = float(np.mean(np.abs(market.forward_curve.used())))
-        per_day = {name: use(inputs, getattr(contract, name)) for name in _PER_DAY}
-        steps = Day(
+        return Day(
             day=jnp.asarray(case.day, float),
-            forward=forward[:t],
+            forward=forward,
             gas_discount=discount(market.gas_day),
             flow_discount=discount(case.day),
             injection_cost_discount=discount(contract.injection_cost_day),
@@ -166,32 +89,32 @@ class StorageSimulator(Simulator):
             high=high[:-1],
             next_low=low[1:],
             next_high=high[1:],
-            ahead=curve_ahead(forward[:t], scale),
+            price=prices,
+            ahead=curve_ahead(forward, self._price_scale()),
             guide=None if self.guide is None else jax.tree.map(jnp.asarray, self.guide.knots),
             hedge=jnp.zeros(t) if self.hedge is None else jnp.asarray(self.hedge),
-            **per_day,
-            **factors._asdict(),
+            **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
         )
+
+    def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
+        case, contract = self.case, self.case.contract
+        discount = _discounts(case, inputs)
         levels, values, fraction = self._end_value(inputs)
-        end_discount = discount(np.asarray([case.end_day]))[0]
-        terms = Terms(
+        fixed = use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
+        return Terms(
             inventory=use(inputs, contract.inventory),
             end_levels=levels,
             end_values=values,
             end_fraction=fraction,
-            end_forward=forward[-1],
-            end_discount=end_discount,
-            end_loading=last.loading[0],
-            end_variance=last.variance[0],
-            fixed_costs=jnp.sum(
-                use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
-            ),
-            first_shock=factors.shock[0],
+            end_forward=use(inputs, case.market.forward_curve)[-1],
+            end_discount=discount(np.asarray([case.end_day]))[0],
+            fixed_costs=jnp.sum(fixed),
             last_day=jnp.asarray(float(case.end_day)),
-            price_scale=jnp.asarray(scale),
+            price=constants,
+            end_price=last,
+            price_scale=jnp.asarray(self._price_scale()),
             rate_scale=jnp.asarray(float(self._largest_rate())),
         )
-        return Schedule(terms, steps)
 
     def limits(self, inputs: dict[str, Any]) -> Limits:
         """Inventory limits, rates after outages, losses and forced flows per day."""
@@ -235,16 +158,19 @@ class StorageSimulator(Simulator):
             1e-9,
         )
 
+    def _price_scale(self) -> float:
+        return float(np.mean(np.abs(self.case.market.forward_curve.used())))
+
     def initial(self, constants: Terms, noise) -> State:
-        price = prices.first_price(self.case, constants.first_shock, noise)
-        return State(constants.inventory, price)
+        return State(constants.inventory, self.process.initial(constants.price, noise))
 
     def observe(self, constants: Terms, now: Day, state: State) -> Float[Array, " features"]:
-        spot, flows = self.spot(now, state), self.flows(now, state, Exact())
-        return observation(self.case, constants, now, state, spot, flows)
+        spot, flows = self.spot(constants, now, state), self.flows(now, state, Exact())
+        return observation(self.process, constants, now, state, spot, flows)
 
     def step(self, constants: Terms, now: Day, state: State, action, noise, smooth):
-        spot, flows = self.spot(now, state), self.flows(now, state, smooth, constants.rate_scale)
+        spot = self.spot(constants, now, state)
+        flows = self.flows(now, state, smooth, constants.rate_scale)
         injection = smooth.positive_part(flows.base, constants.rate_scale)
         withdrawal = injection - flows.base + action[1] * (flows.base - flows.least)
         injection = injection + action[0] * (flows.most - flows.base)
@@ -257,32 +183,32 @@ class StorageSimulator(Simulator):
         sold = withdrawal * (1 - now.withdrawal_fuel) - injection * (1 + now.injection_fuel)
         after = State(
             flows.keep + injection - withdrawal,
-            prices.next_price(self.case, now, state.price, noise),
+            self.process.step(constants.price, now.price, state.price, noise),
         )
+        surprise = spot - self.process.forward(constants.price, now.price)
         return after, {
             "cash_flow": sold * gas - cost,
             "costs": cost,
             "injection": injection,
             "withdrawal": withdrawal,
-            "forward_hedge": now.hedge * now.gas_discount * (spot - now.forward),
+            "forward_hedge": now.hedge * now.gas_discount * surprise,
         }
 
     def terminal(self, constants: Terms, state: State, smooth):
         worth = jnp.interp(state.inventory, constants.end_levels, constants.end_values)
         if isinstance(self.case.contract.at_end, PriceAtEnd):
-            end = constants.end_forward, constants.end_loading, constants.end_variance
-            price = prices.spot(self.case, *end, state.price)
+            price = self.process.level(constants.price, constants.end_price, state.price)
             worth = state.inventory * constants.end_fraction * price
         elif isinstance(self.case.contract.at_end, LevelAtEnd):
             worth = jnp.zeros_like(state.inventory)
         return {"cash_flow": worth * constants.end_discount, "fixed_costs": constants.fixed_costs}
 
-    def spot(self, now: Day, state: State) -> Float[Array, ""]:
+    def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:
         """The day's spot price."""
-        return prices.spot(self.case, now.forward, now.loading, now.variance, state.price)
+        return self.process.level(constants.price, now.price, state.price)
 
     def flows(self, now: Day, state: State, smooth, scale: Any = 1.0) -> Flows:
-        """What must flow (`base`, net) and between what (`least`, `most`) the net flow may lie."""
+        """The day's forced net flow, and the least and the most that is feasible."""
         kind = self.case.contract.ratchets.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
         injection = rate(now.levels, now.injection_rate, state.inventory, kind, smooth)
@@ -297,13 +223,8 @@ class StorageSimulator(Simulator):
         return Flows(keep, base, most, least)
 
     def control_variates(self) -> tuple[str, ...]:
-        hedged = self.hedge is not None and self.martingale
+        hedged = self.hedge is not None and self.process.martingale
         return ("forward_hedge",) if hedged else ()
-
-    @property
-    def martingale(self) -> bool:
-        """Whether the spot's expectation is the forward price."""
-        return not isinstance(self.case.model, prices.SuppliedModel)
 
     def slack(self, constants: Terms, now: Day, state: State, outputs):
         return {
@@ -312,9 +233,6 @@ class StorageSimulator(Simulator):
             "injection": outputs["injection"],
             "withdrawal": outputs["withdrawal"],
         }
-
-    def state_scale(self, constants: Terms) -> State:
-        return State(jnp.asarray(1.0), jnp.ones(self.noise_size))
 
 
 _PER_DAY = (
@@ -347,6 +265,6 @@ def _discounts(case: StorageCase, inputs: dict[str, Any]):
 
     def discount(day: np.ndarray):
         day = np.maximum(day, 0).astype(float)
-        return jnp.exp(-jnp.interp(day, nodes, rates) * day / prices.YEAR)
+        return jnp.exp(-jnp.interp(day, nodes, rates) * day / YEAR)
 
     return discount

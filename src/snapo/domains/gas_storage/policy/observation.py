@@ -1,6 +1,6 @@
-"""What the storage policy sees: the economics of today's flows, then features of order one.
+"""The observation of the policy: the economics of today's flows, then features of order one.
 
-The first `HEAD` numbers are what the decision rule needs (see `policy.py`), the rest feeds the
+The first `HEAD` numbers are those of the decision rule (see `network.py`), the rest feeds the
 network. Prices are divided by the case's mean forward price, volumes by its largest daily rate.
 """
 
@@ -11,9 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from . import prices
-from .guide import marginal_value
-from .records import StorageCase
+from ..prices.process import YEAR, PriceProcess
+from .value_table import marginal_value
 
 
 class Economics(NamedTuple):
@@ -21,7 +20,7 @@ class Economics(NamedTuple):
 
     `keep`, `filled` and `emptied` are the guide's marginal values of gas, as of the day's gas
     payment, at the end of the day: without a free flow, after the most injection and after the
-    most withdrawal. `buy` is what a unit costs in store and `sell` what one fetches out of it.
+    most withdrawal. `buy` is the cost of a unit in store, `sell` the proceeds of one out of it.
     `room_in` and `room_out` are the free flows in units of the largest rate, `level` the joint
     level of the slow price factors.
     """
@@ -39,18 +38,17 @@ class Economics(NamedTuple):
 HEAD = len(Economics._fields)
 
 
-def economics(case: StorageCase, terms, now, state, spot, flows) -> Economics:
+def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economics:
     """The economics of a free flow on one day, at one state."""
-    fast = prices.fast_factor(case)
     scale, discount = terms.price_scale, now.gas_discount
-    level = _slow_level(case, now, state, fast)
+    level = process.slow_level(terms.price, now.price, state.price)
     keep = flows.keep + flows.base
     room_in, room_out = flows.most - flows.base, flows.base - flows.least
     if now.guide is None:
         values = [jnp.asarray(1.0)] * 3
     else:
         # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
-        guide, x = jax.lax.stop_gradient(now.guide), state.price[fast]
+        guide, x = jax.lax.stop_gradient(now.guide), process.fast(state.price)
         at = (keep, keep + room_in, keep - room_out)
         values = [
             marginal_value(guide, inventory, x) * level / discount / scale for inventory in at
@@ -66,21 +64,11 @@ def economics(case: StorageCase, terms, now, state, spot, flows) -> Economics:
     )
 
 
-def _slow_level(case: StorageCase, now, state, fast: int):
-    """The price level of all factors but the fastest, relative to the forward curve."""
-    if isinstance(case.model, prices.SuppliedModel):
-        return jnp.asarray(1.0)
-    slow = np.arange(state.price.shape[0]) != fast
-    if not slow.any():
-        return jnp.asarray(1.0)
-    return jnp.exp(jnp.sum((now.loading * state.price)[slow]) - now.slow_variance / 2)
-
-
-def observation(case: StorageCase, terms, now, state, spot, flows) -> Float[Array, " features"]:
+def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
     """Economics first, then the features of the network."""
-    seen = economics(case, terms, now, state, spot, flows)
-    year = 2 * jnp.pi * now.day / prices.YEAR
-    left = (terms.last_day - now.day) / prices.YEAR
+    seen = economics(process, terms, now, state, spot, flows)
+    year = 2 * jnp.pi * now.day / YEAR
+    left = (terms.last_day - now.day) / YEAR
     span = jnp.maximum(now.high - now.low, 1e-6 * terms.rate_scale)
     filling = (state.inventory - now.low) / span
     to_full = (now.high - state.inventory) / (20 * terms.rate_scale)
@@ -91,7 +79,7 @@ def observation(case: StorageCase, terms, now, state, spot, flows) -> Float[Arra
         jnp.stack([jnp.tanh(left), jnp.tanh(20 * left), 2 * filling - 1, filling * filling]),
         jnp.stack([jnp.tanh(to_full), jnp.tanh(to_empty)]),
         jnp.stack([jnp.tanh(5 * (v - mid)) for v in (seen.keep, seen.filled, seen.emptied)]),
-        now.price_features * state.price,
+        process.observe(terms.price, now.price, state.price),
         now.ahead,
     ]
     return jnp.concatenate([jnp.stack(seen), *features])

@@ -1,13 +1,13 @@
-"""The marginal value of gas from the fastest price factor alone: what a policy starts from."""
+"""The marginal value of gas from the fastest price factor alone: the start of a policy."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
+from ..prices.process import GaussianFactors
 from .day_terms import Interpolation, end_value, rates, unit_prices
 from .factor_grid import FactorGrid, factor_grid
 from .intrinsic import values_after
-from .lattice import relevant_factors
 from .lattice_day import decide, free_volumes
 
 # Inventory nodes of the dynamic program between two levels of the table.
@@ -27,35 +27,35 @@ class MarginalValues:
     - `coefficients`: [T, levels, 3]: c0 + c1 f + c2 f^2 in the fastest factor's state f on the
       day, the other factors at rest; currency per unit, discounted to the valuation date.
     - `reach`: [T] the |f| within which the quadratic was fitted; clip f to it.
-    - `factor`: the index of the fastest factor.
     """
 
     low: np.ndarray
     high: np.ndarray
     coefficients: np.ndarray
     reach: np.ndarray
-    factor: int
 
 
 def marginal_values(
-    schedule, interpolation: Interpolation, levels: int = 16, *, noise: bool = True
+    schedule, factors: GaussianFactors | None, interpolation: Interpolation, levels: int = 16
 ) -> MarginalValues:
-    """The table of a one-factor dynamic program, or with `noise=False` of the intrinsic problem.
+    """The table of a dynamic program in the fast factor; without factors of the intrinsic problem.
 
     Where a day leaves no choice of inventory (`low` = `high`) the value is the day's spot price.
     There must be a day.
     """
-    factor = relevant_factors(schedule)[0]
-    grid = factor_grid(schedule, (factor,), SPACING, 1)
-    if noise:
-        found, reach = _with_noise(schedule, interpolation, levels, grid)
+    if factors is None:
+        found = _without_noise(schedule, interpolation, levels)
+        reach = np.zeros(len(schedule.steps.forward))
     else:
-        found, reach = _without_noise(schedule, interpolation, levels), _reach(grid)
+        grid = factor_grid(factors, (factors.fast,), SPACING, 1)
+        found, reach = _with_noise(schedule, interpolation, levels, grid), _reach(grid)
     steps = schedule.steps
-    return MarginalValues(steps.next_low.copy(), steps.next_high.copy(), found, reach, factor)
+    return MarginalValues(steps.next_low.copy(), steps.next_high.copy(), found, reach)
 
 
-def _with_noise(schedule, interpolation: Interpolation, levels: int, grid: FactorGrid):
+def _with_noise(
+    schedule, interpolation: Interpolation, levels: int, grid: FactorGrid
+) -> np.ndarray:
     steps, constants = schedule.steps, schedule.constants
     horizon, size = len(steps.forward), BETWEEN * (levels - 1) + 1
     table, reach = np.zeros((horizon, levels, 3)), _reach(grid)
@@ -73,7 +73,7 @@ def _with_noise(schedule, interpolation: Interpolation, levels: int, grid: Facto
         day_rates, prices = rates(schedule, interpolation, t), unit_prices(schedule, t, spot)
         _, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
         nodes = inventory
-    return table, reach
+    return table
 
 
 def _without_noise(schedule, interpolation: Interpolation, levels: int) -> np.ndarray:

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..prices.process import GaussianFactors
 from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
 from .factor_grid import FactorGrid, factor_grid
 from .lattice_day import Decisions, Volumes, decide, follow, free_volumes, inventory_nodes
@@ -18,13 +19,13 @@ from .piecewise import visited
 
 @dataclass(frozen=True, eq=False)
 class LatticeResult:
-    """What the dynamic program found. Money is a present value on the valuation date.
+    """Result of the dynamic program. Money is a present value on the valuation date.
 
     - `value`: of the contract, before fixed costs.
     - `deltas`: [T] derivative of the value by each day's forward price, in discounted volume
       (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
-    - `factors`: the price factors kept, fast one first; `dropped`: those left out.
+    - `kept`: indices of the price factors on the grid, fast one first; `dropped`: those left out.
     """
 
     value: float
@@ -32,14 +33,15 @@ class LatticeResult:
     end_delta: float
     net: np.ndarray
     inventory: np.ndarray
-    factors: tuple[int, ...]
+    kept: tuple[int, ...]
     dropped: tuple[int, ...]
 
 
 def lattice(
     schedule,
+    factors: GaussianFactors,
     interpolation: Interpolation,
-    factors: tuple[int, ...] | None = None,
+    keep: tuple[int, ...] | None = None,
     *,
     inventories: int = 201,
     spacing: float | None = None,
@@ -50,7 +52,8 @@ def lattice(
 
     **Arguments:**
 
-    - `factors`: indices of one or two price factors to keep; by default `relevant_factors`.
+    - `factors`: of the price process, which must be Gaussian for the value to be exact.
+    - `keep`: indices of the one or two to keep; by default `relevant_factors`.
     - `inventories`: grid points from 0 to the largest inventory.
     - `spacing`: of the fast factor's nodes, in standard deviations of its daily shock; by default
       0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more than
@@ -60,18 +63,18 @@ def lattice(
       "free" also to stop where the value of more gas falls below its price; "every" to stop on
       every grid point, which "free" means with step ratchets.
     """
-    every = range(schedule.steps.loading.shape[1])
-    kept = relevant_factors(schedule) if factors is None else tuple(factors)
+    every = range(factors.loading.shape[1])
+    kept = relevant_factors(schedule, factors) if keep is None else tuple(keep)
     if not 1 <= len(kept) <= 2:
         what = f"a lattice holds one or two price factors, and {kept} would be kept"
-        raise ValueError(f"lattice: {what}; name the two to keep in `factors`.")
+        raise ValueError(f"lattice: {what}; name the two to keep (`keep`).")
     dropped = tuple(i for i in every if i not in kept)
     if len(schedule.steps.forward) == 0:
         return _at_the_end(schedule, kept, dropped)
     if volumes == "free":
         volumes = free_volumes(schedule, interpolation)
     spacing = spacing or (0.15 if len(kept) == 1 else 0.3)
-    grid = factor_grid(schedule, kept, spacing, slow_nodes)
+    grid = factor_grid(factors, kept, spacing, slow_nodes)
     days, value = _backward(schedule, interpolation, grid, inventories, volumes)
     return LatticeResult(value, *_forward(schedule, grid, days), kept, dropped)
 
@@ -85,7 +88,7 @@ def _at_the_end(schedule, kept, dropped) -> LatticeResult:
     return LatticeResult(value, np.zeros(0), delta, np.zeros(0), stock, kept, dropped)
 
 
-def relevant_factors(schedule) -> tuple[int, ...]:
+def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
     A non-reverting factor with the same loading on all days, independent of the others, scales
@@ -93,14 +96,11 @@ def relevant_factors(schedule) -> tuple[int, ...]:
     numeraire), and almost so with small costs (a fixed payment for the gas left counts as one).
     It is dropped unless it is the only factor.
     """
-    steps, constants = schedule.steps, schedule.constants
-    if len(steps.forward) == 0:
+    if len(schedule.steps.forward) == 0:
         return (0,)
-    loading = steps.loading
-    if constants.end_fraction != 0:
-        loading = np.vstack([loading, constants.end_loading])
-    decay = np.vstack([steps.decay[:1], steps.next_decay])
-    shock = np.concatenate([steps.shock[:1], steps.next_shock])
+    # The end date counts where the gas left has a price.
+    loading = factors.loading if schedule.constants.end_fraction != 0 else factors.loading[:-1]
+    decay, shock = factors.decay, factors.shock
     increments = np.max(np.abs(shock @ np.swapaxes(shock, 1, 2)), axis=0)
     alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
     common = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()

@@ -1,7 +1,9 @@
 """Reads how fast gas may move: dated ratchet blocks, or one rate for every inventory."""
 
+import dataclasses
 import datetime
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -11,10 +13,18 @@ from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from .records import Ratchets
+from ..contract.records import Ratchets
 from .tables import ContractTable
 
 COLUMNS = ("date", "inventory", "max_withdrawal", "max_injection")
+LIMIT: dict[str, Any] = {"group": "contract", "move": 1.0}
+WORDS = {
+    "max_injection": "most injection per day",
+    "max_withdrawal": "most withdrawal per day",
+    "ratchet_inventory": "inventories of the ratchet rows",
+    "ratchet_injection": "most injection per day, by inventory",
+    "ratchet_withdrawal": "most withdrawal per day, by inventory",
+}
 
 
 def read_ratchets(
@@ -47,11 +57,12 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
     def rate(key: str) -> Given:
         unit = f"{table.volume_unit}/day"
         given = dated(section, key, getattr(table, key), unit, days, low=0.0)
-        return Given(key, given.values, given.labels, unit, given.index[:, None])
+        return dataclasses.replace(given, index=given.index[:, None], words=WORDS[key], **LIMIT)
 
     zero = single("ratchet_inventory", 0.0, table.volume_unit)
     everywhere = np.zeros((len(days), 1), np.int64)
-    inventory = Given(zero.name, zero.values, zero.labels, zero.unit, everywhere)
+    said = {"index": everywhere, "words": WORDS[zero.name]}
+    inventory = dataclasses.replace(zero, **said, **LIMIT)
     return Ratchets(inventory, rate("max_withdrawal"), rate("max_injection"), "step")
 
 
@@ -103,7 +114,8 @@ def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets
     labels = tuple(f"{dates[number]} at {level:g}" for number, level in enumerate(levels))
 
     def column(name: str, values, unit: str) -> Given:
-        return Given(name, np.array(values, np.float64), labels, unit, index)
+        numbers = np.array(values, np.float64)
+        return Given(name, numbers, labels, unit, index, words=WORDS[name], **LIMIT)
 
     rate = f"{table.volume_unit}/day"
     withdrawal = [row.number("max_withdrawal", 0.0) for row in rows]

@@ -123,62 +123,6 @@ class MarketTable(Table):
     settlement: Settlement = Field("flow", description=RULES)
 
 
-class FactorTable(Table):
-    """One entry of `factors`: { mean_reversion = 12.0, volatility = 0.6 }"""
-
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
-
-
-class OneFactorTable(Table):
-    """`[model]` of kind "one-factor"."""
-
-    kind: Literal["one-factor"]
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
-
-
-class MultiFactorTable(Table):
-    """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
-
-    kind: Literal["multi-factor"]
-    factors: Annotated[list[Any], Field(min_length=1)] = Field(
-        description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
-    )
-    correlation: list[list[float]] | None = Field(
-        None, description="a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]"
-    )
-
-
-class SeasonalTable(Table):
-    """`[model]` of kind "three-factor-seasonal"."""
-
-    kind: Literal["three-factor-seasonal"]
-    spot_mean_reversion: NotNegative = Field(description="a number of at least 0")
-    spot_volatility: NotNegative = Field(description="a number of at least 0")
-    long_term_volatility: NotNegative = Field(description="a number of at least 0")
-    seasonal_volatility: NotNegative = Field(description="a number of at least 0")
-
-
-class SuppliedTable(Table):
-    """`[model]` of kind "supplied"."""
-
-    kind: Literal["supplied"]
-    training_paths: FileName = Field(description="the name of a .npy or .parquet file")
-    evaluation_paths: FileName = Field(description="the name of a .npy or .parquet file")
-    rescale_to_curve: bool = Field(False, description="true or false")
-
-
-ModelTable = OneFactorTable | MultiFactorTable | SeasonalTable | SuppliedTable
-
-MODELS: dict[str, type[ModelTable]] = {
-    "one-factor": OneFactorTable,
-    "multi-factor": MultiFactorTable,
-    "three-factor-seasonal": SeasonalTable,
-    "supplied": SuppliedTable,
-}
-
-
 class StorageTable(Table):
     """The whole file."""
 

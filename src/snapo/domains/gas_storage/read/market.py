@@ -13,9 +13,19 @@ from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from .records import Market
+from ..contract.records import Market
 from .settlement import payment_days
 from .tables import MarketTable
+
+# All that is said about a zero rate; see `Given`. It is moved by ten basis points.
+RATE: dict[str, Any] = {
+    "unit": "1/year",
+    "move": 0.001,
+    "trade_unit": "bp",
+    "trade_factor": 10_000.0,
+    "group": "interest rate",
+    "words": "continuous zero rate",
+}
 
 
 def read_market(
@@ -53,7 +63,8 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
         prices.append(price)
     labels = tuple(day.isoformat() for day in days)
     values = np.array(prices, np.float64)
-    return Given("forward_curve", values, labels, unit, np.arange(len(days)))
+    said: dict[str, Any] = {"group": "price", "words": "price today for delivery on the day"}
+    return Given("forward_curve", values, labels, unit, np.arange(len(days)), **said)
 
 
 Quotes = tuple[Mapping[datetime.date, float], Mapping[tuple[int, int], float]]
@@ -90,12 +101,12 @@ def month_days(year: int, month: int) -> list[datetime.date]:
 def _read_rates(section: Section, table: MarketTable) -> tuple[Given, np.ndarray]:
     given = table.interest_rate
     if not isinstance(given, str):
-        rate = Given("interest_rate", np.array([given]), ("",), "1/year", np.arange(1))
+        rate = Given("interest_rate", np.array([given]), ("",), index=np.arange(1), **RATE)
         return rate, np.zeros(1, np.int64)
     rows = read_rows(Mention(section, "interest_rate", given), ("date", "zero_rate"))
     dates = rising_dates(rows)
     # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
     values = np.array([row.number("zero_rate", -1.0, 1.0) for row in rows])
     labels = tuple(date.isoformat() for date in dates)
-    rate = Given("interest_rate", values, labels, "1/year", np.arange(len(values)))
+    rate = Given("interest_rate", values, labels, index=np.arange(len(values)), **RATE)
     return rate, ordinals(dates) - table.valuation_date.toordinal()

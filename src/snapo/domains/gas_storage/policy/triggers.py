@@ -1,4 +1,4 @@
-"""What the trained policy would do: trigger prices by day, and today's decision by inventory.
+"""Decisions of a policy: trigger prices by day, and today's decision by inventory.
 
 All at the price state in which only the fastest factor moves: a spot price then says the state.
 Prices are undiscounted spot prices in currency per unit.
@@ -16,11 +16,10 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
-from . import prices
+from ..contract.schedule import State
+from ..contract.simulator import StorageSimulator
+from .network import GuidePolicy, MarginalValue, StoragePolicy
 from .observation import HEAD, Economics
-from .policy import GuidePolicy, MarginalValue, StoragePolicy
-from .records import SuppliedModel
-from .simulator import State, StorageSimulator
 
 SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
 
@@ -61,7 +60,7 @@ def triggers(
 def decide(
     simulator: StorageSimulator, schedule: Schedule, policy: Policy, day: int, inventory: np.ndarray
 ) -> Decision:
-    """What the policy does on a day at the forward price, at each inventory [n]."""
+    """The decision of a day at the forward price, at each inventory [n]."""
     with jax.enable_x64(True):
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
         given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float))
@@ -71,7 +70,8 @@ def decide(
 @eqx.filter_jit
 def _decided(simulator: StorageSimulator, constants, policy: Policy, now, inventories):
     def one(inventory):
-        state = State(inventory, _price_state(simulator, now, now.forward))
+        price = simulator.process.state_at(constants.price, now.price, now.forward)
+        state = State(inventory, price)
         seen = simulator.observe(constants, now, state)
         action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
         _, outputs = simulator.step(constants, now, state, action, noise, Exact())
@@ -82,10 +82,11 @@ def _decided(simulator: StorageSimulator, constants, policy: Policy, now, invent
 
 @eqx.filter_jit
 def _gains(simulator: StorageSimulator, constants, policy: Policy, now, inventories, spots):
-    """What the first unit injected, and the first one withdrawn, would gain: [n, SPOTS] each."""
+    """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
 
     def one(now, inventory, spot) -> tuple[Array, Array]:
-        state = State(inventory, _price_state(simulator, now, spot))
+        price = simulator.process.state_at(constants.price, now.price, spot)
+        state = State(inventory, price)
         seen = simulator.observe(constants, now, state)
         value, economics = _marginal_value(policy, seen), Economics(*seen[:HEAD])
         return value.keep - economics.buy, economics.sell - value.keep
@@ -102,18 +103,6 @@ def _marginal_value(policy: Policy, seen) -> MarginalValue:
     raise TypeError(
         f"{type(policy).__name__} has no marginal value of gas, hence no trigger prices."
     )
-
-
-def _price_state(simulator: StorageSimulator, now, spot):
-    """The state of the prices with this spot, the slow factors at rest."""
-    case = simulator.case
-    if isinstance(case.model, SuppliedModel):
-        return jnp.atleast_1d(spot / now.forward if case.model.rescaled else spot)
-    fast = prices.fast_factor(case)
-    loading = now.loading[fast]
-    moved = (jnp.log(spot / now.forward) + now.variance / 2) / jnp.where(loading > 0, loading, 1.0)
-    state = jnp.zeros(simulator.noise_size)
-    return state.at[fast].set(jnp.where(loading > 0, moved, 0.0))
 
 
 def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:

@@ -1,7 +1,9 @@
 """Reads `[contract]`: limits, rates, forced flows, costs and the end, each number on its days."""
 
+import dataclasses
 import datetime
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -10,13 +12,20 @@ from snapo.case.dates import dated, ordinals, single
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from .limits import Limits
-from .records import Contract, EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
+from ..contract.records import Contract, EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
+from .limits import LIMIT, STEP, Limits
 from .settlement import payment_days
 from .tables import ContractTable
 
 # Fuel and losses take less than everything.
 ALMOST_ONE = float(np.nextafter(1.0, 0.0))
+COST: dict[str, Any] = {"group": "cost", "move": 0.01}
+SHARE: dict[str, Any] = {
+    "group": "cost",
+    "move": 0.001,
+    "trade_unit": "percentage point",
+    "trade_factor": 100.0,
+}
 
 
 def decision_days(table: ContractTable, valuation: datetime.date) -> tuple[datetime.date, ...]:
@@ -42,36 +51,42 @@ def read_contract(
 ) -> Contract:
     """The contract on its decision days [T], and on the end date where limits are concerned."""
     volume, money = table.volume_unit, table.currency
-    price, rate = f"{money}/{volume}", f"{volume}/day"
+    price, flow = f"{money}/{volume}", f"{volume}/day"
 
-    def daily(key: str, unit: str, low=-np.inf, high=np.inf):
+    def daily(key: str, unit: str, said: dict[str, Any], words: str, low=-np.inf, high=np.inf):
         given = getattr(table, key)
-        return dated(section, key, given, unit, days, low=low, high=high, before=0.0)
+        found = dated(section, key, given, unit, days, low=low, high=high, before=0.0)
+        return dataclasses.replace(found, words=words, **said)
 
+    def fuel(key: str, words: str) -> Given:
+        return daily(key, "1", SHARE, words, 0.0, ALMOST_ONE)
+
+    def paid(key: str) -> np.ndarray:
+        rule, moving = getattr(table, key), limits.moving()
+        return payment_days(section, key, rule, days, valuation, moving, gas_day)
+
+    lost = SHARE | {"trade_unit": "percentage point a day", "move": 0.0001, "bump": 2e-6}
     amounts, amount_days = _read_fixed_costs(section, table, valuation)
-    paid = {
-        key: payment_days(
-            section, key, getattr(table, key), days, valuation, limits.moving(), gas_day
-        )
-        for key in ("injection_cost_settlement", "withdrawal_cost_settlement")
-    }
+    stock = dataclasses.replace(
+        single("inventory", table.inventory, volume), words="gas in store at the start", **LIMIT
+    )
     return Contract(
-        inventory=single("inventory", table.inventory, volume),
+        inventory=stock,
         min_inventory=limits.min_inventory,
         max_inventory=limits.max_inventory,
         ratchets=limits.ratchets,
         injection_factor=limits.injection_factor,
         withdrawal_factor=limits.withdrawal_factor,
-        min_injection=daily("min_injection", rate, 0.0),
-        min_withdrawal=daily("min_withdrawal", rate, 0.0),
-        injection_cost=daily("injection_cost", price),
-        withdrawal_cost=daily("withdrawal_cost", price),
-        injection_cost_day=paid["injection_cost_settlement"],
-        withdrawal_cost_day=paid["withdrawal_cost_settlement"],
-        injection_fuel=daily("injection_fuel", "1", 0.0, ALMOST_ONE),
-        withdrawal_fuel=daily("withdrawal_fuel", "1", 0.0, ALMOST_ONE),
-        inventory_loss=daily("inventory_loss", "1/day", 0.0, ALMOST_ONE),
-        inventory_cost=daily("inventory_cost", f"{price}/day"),
+        min_injection=daily("min_injection", flow, LIMIT, "injection that must flow", 0.0),
+        min_withdrawal=daily("min_withdrawal", flow, LIMIT, "withdrawal that must flow", 0.0),
+        injection_cost=daily("injection_cost", price, COST, "per unit injected"),
+        withdrawal_cost=daily("withdrawal_cost", price, COST, "per unit withdrawn"),
+        injection_cost_day=paid("injection_cost_settlement"),
+        withdrawal_cost_day=paid("withdrawal_cost_settlement"),
+        injection_fuel=fuel("injection_fuel", "share of the injection, bought on top"),
+        withdrawal_fuel=fuel("withdrawal_fuel", "share of the withdrawal, not sold"),
+        inventory_loss=daily("inventory_loss", "1/day", lost, "lost gas", 0.0, ALMOST_ONE),
+        inventory_cost=daily("inventory_cost", f"{price}/day", COST, "per unit in store and day"),
         at_end=_read_end(section, table, limits),
         fixed_costs=amounts,
         fixed_cost_day=amount_days,
@@ -89,7 +104,8 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, 
     # Nothing is owed any more when the contract has ended, nor what was due before today.
     due = np.flatnonzero((when >= 0) & (valuation <= table.end))
     labels = tuple(date.isoformat() for date in dates)
-    return Given("fixed_costs", values, labels, table.currency, due), when[due]
+    said: dict[str, Any] = {"group": "cost", "words": "amounts owed in any case"}
+    return Given("fixed_costs", values, labels, table.currency, due, **said), when[due]
 
 
 def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule:
@@ -97,9 +113,14 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
         if table.end_value not in (None, 0.0):
             what = 'a value of the gas left needs end_inventory = "free"'
             raise section.error("end_value", table.end_value, what)
-        return LevelAtEnd(single("end_inventory", table.end_inventory, table.volume_unit))
+        level = single("end_inventory", table.end_inventory, table.volume_unit)
+        # More than the least inventory may be moved, so that the end stays within the limits.
+        said = LIMIT | {"bump": 2 * STEP * limits.largest_rate()}
+        return LevelAtEnd(dataclasses.replace(level, words="gas owed at the end", **said))
     if not isinstance(table.end_value, str):
-        return PriceAtEnd(single("end_value", table.end_value or 0.0, "1"))
+        share = single("end_value", table.end_value or 0.0, "1")
+        words = "of the gas left, as a share of its spot value"
+        return PriceAtEnd(dataclasses.replace(share, words=words, **SHARE))
     rows = read_rows(Mention(section, "end_value", table.end_value), ("inventory", "value"))
     levels = [row.number("inventory", 0.0) for row in rows]
     for row, below, level in zip(rows[1:], levels[:-1], levels[1:], strict=True):
@@ -112,8 +133,9 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
             raise row.error("inventory", what)
     values = np.array([row.number("value") for row in rows])
     labels = tuple(f"at {level:g}" for level in levels)
-    index = np.arange(len(rows))
+    index, unit = np.arange(len(rows)), table.volume_unit
+    said: dict[str, Any] = {"group": "contract", "words": "rows of the value of the gas left"}
     return ValueAtEnd(
-        Given("end_value_inventory", np.array(levels), labels, table.volume_unit, index),
-        Given("end_value", values, labels, table.currency, index),
+        Given("end_value_inventory", np.array(levels), labels, unit, index, **said),
+        Given("end_value", values, labels, table.currency, index, **said),
     )

@@ -10,13 +10,12 @@ from .records import StorageCase
 
 
 def storage_inputs(case: StorageCase) -> dict[str, Input]:
-    """{name: Input} of contract, market and model: forward prices, rates, ratchets, costs …"""
-    found: dict[str, Input] = {}
+    """{name: Input} of contract, market and prices: forward prices, rates, ratchets, costs …"""
+    found: dict[str, Given] = {}
     for given in _given((case.contract, case.market, case.model)):
-        if given.name in found:
+        if found.setdefault(given.name, given) is not given:
             raise ValueError(f"{given.name}: two inputs of a case share this name.")
-        found[given.name] = Input(given.values, given.unit, given.labels)
-    return found
+    return {name: given.input() for name, given in found.items()}
 
 
 def _given(records) -> Iterator[Given]:

@@ -1,4 +1,4 @@
-"""What theory knows before training: the marginal value of gas of a one-factor dynamic program.
+"""The guide of the policy: the marginal value of gas of a one-factor dynamic program, as a table.
 
 The policy is a network on top of this table. It is data, not a function of the inputs: an input's
 sensitivity moves the contract and the market, not the guide.
@@ -10,7 +10,7 @@ import equinox as eqx
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from .marginal import MarginalValues
+from ..references.marginal import MarginalValues
 
 
 class Knots(NamedTuple):
@@ -23,13 +23,13 @@ class Knots(NamedTuple):
     coefficients: Array
 
 
-class Guide(eqx.Module):
+class ValueTable(eqx.Module):
     """The table of `marginal.MarginalValues`, leaves with a leading axis of days."""
 
     knots: Knots
 
     @classmethod
-    def of(cls, found: MarginalValues) -> "Guide":
+    def of(cls, found: MarginalValues) -> "ValueTable":
         table = (found.low, found.high, found.reach, found.coefficients)
         return cls(Knots(*table))  # pyright: ignore[reportArgumentType]
 

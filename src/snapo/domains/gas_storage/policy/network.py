@@ -43,7 +43,7 @@ class StoragePolicy(Policy):
         return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
 
     def marginal_value(self, observation) -> MarginalValue:
-        """What the policy thinks a unit of gas is worth at the end of the day."""
+        """The policy's value of a unit of gas at the end of the day."""
         seen = Economics(*observation[:HEAD])
         level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
         return MarginalValue(

@@ -7,10 +7,12 @@ The slow factor has few nodes: Gauss-Hermite quadrature of a cubic spline throug
 """
 
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from scipy.interpolate import CubicSpline
+
+from ..prices.process import GaussianFactors
 
 # Where a grid ends, in standard deviations of its factor at its widest.
 FAST_REACH, SLOW_REACH = 6.0, 4.5
@@ -45,13 +47,13 @@ class Transition(NamedTuple):
 class FactorGrid:
     """Nodes of the kept factors, the same on all days; columns run over slow x fast nodes.
 
-    - `factors`: indices of the kept factors in the price model, the fast one first.
+    - `of`: all factors of the price process; `kept`: indices of those on the grid, fast one first.
     - `fast`, `slow`: node positions (slow: one node at 0 where a single factor is kept).
     - `covariance`: [T + 1, kept, kept] of the kept factors on each day, and on the end date.
     """
 
-    schedule: Any
-    factors: tuple[int, ...]
+    of: GaussianFactors
+    kept: tuple[int, ...]
     fast: np.ndarray
     slow: np.ndarray
     covariance: np.ndarray
@@ -63,27 +65,23 @@ class FactorGrid:
 
     def noise(self, t: int) -> np.ndarray:
         """Spot over forward price [columns] on day t (T: on the end date), of mean 1."""
-        steps, constants = self.schedule.steps, self.schedule.constants
-        at_end = t == len(steps.forward)
-        loading = (constants.end_loading if at_end else steps.loading[t])[list(self.factors)]
+        loading = self.of.loading[t][list(self.kept)]
         variance = loading @ self.covariance[t] @ loading
         log = loading[0] * self.fast[None, :]
-        if len(self.factors) > 1:
+        if len(self.kept) > 1:
             log = log + loading[1] * self.slow[:, None]
         return np.exp(log - variance / 2).ravel()
 
     def start(self) -> Transition:
         """From the valuation date, where all factors are 0, to the first day (one row)."""
-        steps = self.schedule.steps
-        return self._transition(steps.decay[0], steps.shock[0], np.zeros(1), np.zeros(1))
+        return self._transition(0, np.zeros(1), np.zeros(1))
 
     def after(self, t: int) -> Transition:
         """From day t to the next day, or to the end date."""
-        steps = self.schedule.steps
-        return self._transition(steps.next_decay[t], steps.next_shock[t], self.slow, self.fast)
+        return self._transition(t + 1, self.slow, self.fast)
 
-    def _transition(self, decay, shock, slow, fast) -> Transition:
-        kept = list(self.factors)
+    def _transition(self, into: int, slow, fast) -> Transition:
+        kept, decay, shock = list(self.kept), self.of.decay[into], self.of.shock[into]
         covariance = (shock @ shock.T)[np.ix_(kept, kept)]
         key = (len(slow), len(fast), *(f"{x:.9e}" for x in [*decay[kept], *covariance.ravel()]))
         if key not in self._known:
@@ -91,12 +89,13 @@ class FactorGrid:
         return self._known[key]
 
 
-def factor_grid(schedule, factors: tuple[int, ...], spacing: float, slow_nodes: int) -> FactorGrid:
+def factor_grid(
+    of: GaussianFactors, kept: tuple[int, ...], spacing: float, slow_nodes: int
+) -> FactorGrid:
     """The grid for one or two factors; `spacing` in standard deviations of the fast daily shock."""
-    steps, kept = schedule.steps, list(factors)
-    covariance = _covariance(schedule, kept)
+    covariance = _covariance(of, list(kept))
     widest = np.sqrt(np.max(covariance[:, range(len(kept)), range(len(kept))], axis=0))
-    shocks = np.concatenate([steps.next_shock, steps.shock[:1]])[:, kept[0]]
+    shocks = of.shock[:, kept[0]]
     daily = np.sqrt(np.sum(shocks**2, axis=1))
     daily = daily[daily > 1e-12 * max(widest[0], 1e-300)]
     fast = np.zeros(1)
@@ -107,15 +106,12 @@ def factor_grid(schedule, factors: tuple[int, ...], spacing: float, slow_nodes: 
     slow = np.zeros(1)
     if len(kept) > 1 and widest[1] > 0:
         slow = np.linspace(-1, 1, slow_nodes | 1) * SLOW_REACH * widest[1]
-    return FactorGrid(schedule, tuple(factors), fast, slow, covariance)
+    return FactorGrid(of, tuple(kept), fast, slow, covariance)
 
 
-def _covariance(schedule, kept: list[int]) -> np.ndarray:
-    steps = schedule.steps
-    decays = np.concatenate([steps.decay[:1], steps.next_decay])[:, kept]
-    shocks = np.concatenate([steps.shock[:1], steps.next_shock])[:, kept]
+def _covariance(of: GaussianFactors, kept: list[int]) -> np.ndarray:
     covariance, found = np.zeros((len(kept), len(kept))), []
-    for decay, shock in zip(decays, shocks, strict=True):
+    for decay, shock in zip(of.decay[:, kept], of.shock[:, kept], strict=True):
         covariance = np.outer(decay, decay) * covariance + shock @ shock.T
         found.append(covariance)
     return np.array(found)

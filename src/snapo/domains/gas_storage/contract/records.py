@@ -1,7 +1,7 @@
 """A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
-without ratchets), F the number of price factors. Index T stands for the end date. Days are
+without ratchets). Index T stands for the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
 `Given` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
 """
@@ -15,6 +15,8 @@ import numpy as np
 
 from snapo.case.given import Given
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
+from ..prices.process import PriceProcess
 
 
 @dataclass(frozen=True, eq=False)
@@ -46,7 +48,7 @@ class LevelAtEnd:
 class PriceAtEnd:
     """Gas left on the end date is worth `fraction` of that day's spot price: one number, index [].
 
-    It is paid on the end date. With a fraction of 0 what is left is worthless, and the end date
+    It is paid on the end date. With a fraction of 0 the gas left is worthless, and the end date
     needs no price.
     """
 
@@ -55,7 +57,7 @@ class PriceAtEnd:
 
 @dataclass(frozen=True, eq=False)
 class ValueAtEnd:
-    """What the inventory on the end date is worth: linear between M points, paid on that date.
+    """Worth of the inventory on the end date: linear between M points, paid on that date.
 
     - `inventory`: levels, strictly rising, index [M]; `value`: currency, index [M].
     """
@@ -69,7 +71,7 @@ EndRule = LevelAtEnd | PriceAtEnd | ValueAtEnd
 
 @dataclass(frozen=True, eq=False)
 class Contract:
-    """What may be done, and what it costs. All volumes are in `StorageCase.volume_unit`.
+    """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
 
     - `inventory`: in store at the start of the first decision day, index [].
     - `min_inventory`, `max_inventory`: limits at the START of day t, and on the end date,
@@ -127,70 +129,6 @@ class Market:
 
 
 @dataclass(frozen=True, eq=False)
-class FactorModel:
-    """S(T) = F(T) exp(sum_i s_i(T) f_i(T) - variance / 2), correlated Ornstein-Uhlenbeck factors.
-
-    Kinds "one-factor" (F = 1) and "multi-factor". df_i = -a_i f_i dt + dW_i, f_i = 0 on the
-    valuation date, dW_i dW_j = rho_ij dt; the volatility s_i belongs to the delivery day.
-
-    - `mean_reversion`: 1/year, 0 allowed, index [F].
-    - `volatility`: 1/sqrt(year), index [T + 1, F].
-    - `correlation`: the strict lower triangle, row by row, index [F (F - 1) / 2].
-    """
-
-    kind: Literal["one-factor", "multi-factor"]
-    mean_reversion: Given
-    volatility: Given
-    correlation: Given
-
-    def correlation_matrix(self) -> np.ndarray:
-        """The full matrix [F, F] of the correlations given."""
-        size = len(self.mean_reversion.values)
-        lower = np.zeros((size, size))
-        lower[np.tril_indices(size, -1)] = self.correlation.values
-        return lower + lower.T + np.eye(size)
-
-
-@dataclass(frozen=True, eq=False)
-class SeasonalModel:
-    """Kind "three-factor-seasonal": independent spot, long-term and seasonal factors.
-
-    Loadings: s_spot (mean reversion a), s_long (none), s_seas(T) = `seasonal_volatility` / 2 x
-    `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
-
-    - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
-      `seasonal_volatility` (1/sqrt(year)): one number each, index [].
-    - `season`: [T + 1] cos(2 pi d / 365.25), d = days from 1 February of the valuation year.
-    """
-
-    spot_mean_reversion: Given
-    spot_volatility: Given
-    long_term_volatility: Given
-    seasonal_volatility: Given
-    season: np.ndarray
-    kind: Literal["three-factor-seasonal"] = "three-factor-seasonal"
-
-
-@dataclass(frozen=True, eq=False)
-class SuppliedModel:
-    """Kind "supplied": price paths from two different files, one to train on, one to evaluate on.
-
-    With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
-    own file, to be multiplied by the forward curve. Without, they are prices in currency per unit.
-
-    - `training`, `evaluation`: [paths, T], or [paths, T + 1] where `StorageCase.has_end_price`.
-    """
-
-    training: np.ndarray
-    evaluation: np.ndarray
-    rescaled: bool
-    kind: Literal["supplied"] = "supplied"
-
-
-Model = FactorModel | SeasonalModel | SuppliedModel
-
-
-@dataclass(frozen=True, eq=False)
 class StorageCase:
     """Everything that a gas-storage case says.
 
@@ -215,7 +153,7 @@ class StorageCase:
     expired: bool
     contract: Contract
     market: Market
-    model: Model
+    model: PriceProcess
     objective: ObjectiveTable
     training: TrainingTable
     evaluation: EvaluationTable

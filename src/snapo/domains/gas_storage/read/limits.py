@@ -1,5 +1,6 @@
 """Reads what bounds the flows: inventory limits, rates by inventory, and outages."""
 
+import dataclasses
 import datetime
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,9 +12,12 @@ from snapo.case.dates import dated, ordinals
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from .ratchets import read_ratchets
-from .records import Ratchets
+from ..contract.records import Ratchets
+from .ratchets import LIMIT, read_ratchets
 from .tables import ContractTable
+
+# The step of differences of a limit that may be zero, as a share of the largest daily rate.
+STEP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,6 +36,10 @@ class Limits:
         withdrawal = self.ratchets.withdrawal.used().max(axis=1) * self.withdrawal_factor
         return (injection > 0) | (withdrawal > 0)
 
+    def largest_rate(self) -> float:
+        """The largest daily rate, in volume per day."""
+        return _largest_rate(self.ratchets)
+
 
 def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.date]) -> Limits:
     """The limits on the decision days [T], those of inventory also on the end date."""
@@ -45,7 +53,18 @@ def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.
     maximum = inventory("max_inventory", None)
     _check_limits(section, dates, minimum, maximum)
     ratchets = read_ratchets(section, table, days, minimum.used(), maximum.used())
-    return Limits(minimum, maximum, ratchets, *read_outages(section, table, days))
+    bump = STEP * _largest_rate(ratchets)
+    return Limits(
+        dataclasses.replace(minimum, words="least gas in store", bump=bump, **LIMIT),
+        dataclasses.replace(maximum, words="most gas in store", **LIMIT),
+        ratchets,
+        *read_outages(section, table, days),
+    )
+
+
+def _largest_rate(ratchets: Ratchets) -> float:
+    rates = (ratchets.injection.used(), ratchets.withdrawal.used())
+    return max(float(np.max(rate, initial=0.0)) for rate in rates)
 
 
 def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> None:
