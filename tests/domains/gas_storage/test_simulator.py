@@ -22,7 +22,7 @@ from tests.domains.gas_storage.storage_cases import (
 )
 
 from snapo.domains.gas_storage.contract.expiry import value_without_decisions
-from snapo.domains.gas_storage.contract.schedule import State
+from snapo.domains.gas_storage.contract.schedule import State, of_prices
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.engine import Xla
 from snapo.engine.native import Native
@@ -48,15 +48,18 @@ DAYS = 8
     ],
 )
 def test_schedule_of_a_case(name, builder):
-    _, _, schedule = bare(read(name))
-    expected = builder().steps
+    simulator, _, schedule = bare(read(name))
+    expected, factors = builder().steps, builder().factors
     for field in ("forward", "gas_discount", "flow_discount", "injection_cost_discount", "low"):
         assert_allclose(
             getattr(schedule.steps, field), getattr(expected, field), atol=1e-9, rtol=1e-12
         )
-    for field in ("high", "next_low", "next_high", "variance", "loading", "shock", "next_decay"):
+    for field in ("high", "next_low", "next_high"):
         found, wanted = getattr(schedule.steps, field), getattr(expected, field)
         assert_allclose(found, wanted, atol=1e-7, rtol=1e-9)
+    own = simulator.process.factors(of_prices(schedule))
+    for field in ("variance", "loading", "shock", "decay"):
+        assert_allclose(getattr(own, field), getattr(factors, field), atol=1e-7, rtol=1e-9)
     plan = intrinsic(schedule, "linear").inventory
     assert np.all(plan[:-1] >= schedule.steps.low - 1e-6)
     assert np.all(plan[:-1] <= schedule.steps.high + 1e-6)
