@@ -1,4 +1,4 @@
-"""Exogenous dynamics: what happens to a simulator whatever it decides (prices, weather, demand).
+"""Exogenous dynamics: prices, weather, demand, which no decision of a simulator moves.
 
 A `Process` describes ONE path in plain `jax.numpy`, like a simulator, and decides nothing. A
 simulator holds one, so that the same price serves a gas store, a battery and a swing contract:
@@ -95,7 +95,7 @@ class FactorConstants(NamedTuple):
 
 
 class FactorStep(NamedTuple):
-    """One time: forward price, loadings [F], variance of ln S, and what leads to the next time."""
+    """One time: forward price, loadings [F], variance of ln S, and the transition to the next."""
 
     forward: Array
     loading: Array

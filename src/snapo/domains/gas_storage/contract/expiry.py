@@ -1,4 +1,4 @@
-"""What a contract is worth when no decision is left, and what it owes whatever is decided."""
+"""The worth of a contract without a decision left, and the costs that it owes in any case."""
 
 import numpy as np
 

@@ -69,7 +69,7 @@ def check_feasible(case: StorageCase) -> None:
 def attainable(case: StorageCase) -> list[list[Interval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
-    Seen forward from the inventory given; what the end demands is applied to the last only.
+    Seen forward from the inventory given; the demand of the end is applied to the last only.
     **Raises:** `CaseError` where there are none.
     """
     sets = [_start(case)]
@@ -86,7 +86,7 @@ def attainable(case: StorageCase) -> list[list[Interval]]:
 
 
 def slack(case: StorageCase) -> float:
-    """What rounding may take from a limit that is met exactly, in units of volume."""
+    """The volume that rounding may take from a limit that is met exactly."""
     return 1e-9 * max(1.0, float(case.contract.max_inventory.used().max()))
 
 

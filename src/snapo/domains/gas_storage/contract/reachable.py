@@ -1,8 +1,8 @@
 """The inventories from which a storage contract can still be met, day by day, differentiably.
 
 Backwards from the end: an inventory can go on when some feasible flow leads to an inventory
-that can. Between ratchet rows every condition is linear in the inventory, so what can go on is
-an interval there; neighbouring intervals are joined and the longest is kept. That is the whole
+that can. Between ratchet rows every condition is linear in the inventory, so those that can go on
+are an interval there; neighbouring intervals are joined and the longest is kept. That is the whole
 reachable set where I - withdrawal(I) and I + injection(I) do not decrease; where step ratchets
 break that, it is the largest interval whose every point can go on.
 """
@@ -17,7 +17,7 @@ TOLERANCE = 1e-9  # of the largest limit: rounding must not turn a contract met 
 
 
 class Limits(NamedTuple):
-    """What bounds the inventory and its change, per day: leaves [T] or [T, K]."""
+    """Bounds of the inventory and of its change, per day: leaves [T] or [T, K]."""
 
     minimum: Float[Array, " T"]
     maximum: Float[Array, " T"]

@@ -1,10 +1,10 @@
 """One path of a gas storage contract: prices, feasible flows, cash.
 
 The action is two fractions: of the injection and of the withdrawal that are feasible today
-beyond what must flow. Feasible means within the day's rates and such that the inventory stays
+beyond the forced flow. Feasible means within the day's rates and such that the inventory stays
 where the contract can still be met, so no penalty is needed.
 
-Signs: volumes are positive, `cash_flow` is what the holder receives. Money is discounted to the
+Signs: volumes are positive, `cash_flow` is received by the holder. Money is discounted to the
 valuation date.
 """
 

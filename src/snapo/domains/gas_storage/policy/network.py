@@ -3,7 +3,7 @@
 The network corrects the guide's marginal value of gas at the end of the day, as a line in the
 inventory. Gas is injected as far as it is worth more in store than it costs, and withdrawn as
 far as it fetches more than it is worth in store: where the value crosses the price, clipped to
-what is feasible. That is exact on fast storage too, gives the trigger prices for free, and loses
+the feasible. That is exact on fast storage too, gives the trigger prices for free, and loses
 almost nothing when it is made hard.
 """
 

@@ -1,4 +1,4 @@
-"""What all Gaussian factor prices share; a kind of its own says which parameters they have."""
+"""The common part of all Gaussian factor prices; each kind says which parameters it has."""
 
 import abc
 from typing import NamedTuple

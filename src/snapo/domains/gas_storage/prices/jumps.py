@@ -34,9 +34,7 @@ class JumpTable(Table):
     kind: Literal["one-factor-jumps"]
     mean_reversion: NotNegative = Field(description="a number of at least 0")
     volatility: NotNegative | FileName = Field(description=AMOUNT)
-    jump_intensity: float = Field(
-        gt=0, lt=YEAR, description="jumps per year, up to 365"
-    )
+    jump_intensity: float = Field(gt=0, lt=YEAR, description="jumps per year, up to 365")
     jump_size: float = Field(gt=0, lt=1, description="a number between 0 and 1: the mean of ln S")
     jump_mean_reversion: NotNegative = Field(description="a number of at least 0")
 

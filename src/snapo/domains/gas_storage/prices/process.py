@@ -83,7 +83,7 @@ class GaussianFactors(NamedTuple):
 
 
 class PriceProcess(Process):
-    """What a price process of a store answers beyond the core's `Process`.
+    """A price process of a store: its answers beyond the core's `Process`.
 
     The level is the spot price in currency per unit; the state is that of the prices alone.
     `prepare` gives T + 1 rows: the decision days, and the end date.

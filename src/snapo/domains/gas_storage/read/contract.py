@@ -101,7 +101,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, 
     dates = [row.day("date") for row in rows]
     values = np.array([row.number("amount") for row in rows])
     when = ordinals(dates) - valuation.toordinal()
-    # Nothing is owed any more when the contract has ended, nor what was due before today.
+    # Nothing is owed any more when the contract has ended, nor amounts due before today.
     due = np.flatnonzero((when >= 0) & (valuation <= table.end))
     labels = tuple(date.isoformat() for date in dates)
     said: dict[str, Any] = {"group": "cost", "words": "amounts owed in any case"}

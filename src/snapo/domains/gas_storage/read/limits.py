@@ -1,4 +1,4 @@
-"""Reads what bounds the flows: inventory limits, rates by inventory, and outages."""
+"""Reads the bounds of the flows: inventory limits, rates by inventory, and outages."""
 
 import dataclasses
 import datetime

@@ -1,4 +1,4 @@
-"""One decision day seen by a dynamic program: what may be moved, and what it costs.
+"""One decision day seen by a dynamic program: feasible volumes and their cost.
 
 Everything here is plain NumPy in float64 and reads the prepared schedule with NumPy leaves. All
 money is a present value on the valuation date, all volumes are in the contract's unit. Columns
@@ -27,7 +27,7 @@ class Rates(NamedTuple):
 class Moves(NamedTuple):
     """Inventory at the end of the day that each inventory at its start can reach. [n]
 
-    `keep` is what is left of it without any flow (after losses), `down` and `up` the least and
+    `keep` is the rest of it without any flow (after losses), `down` and `up` the least and
     the greatest that the contract allows, `hold` the allowed one that is nearest to `keep`.
     """
 
@@ -69,7 +69,7 @@ def rates(schedule, interpolation: Interpolation, t: int) -> Rates:
 
 
 def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
-    """What inventories [n] at the start of day t may become at its end.
+    """The inventories at the end of day t that those at its start [n] can become.
 
     Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
     """

@@ -53,7 +53,7 @@ def values_after(schedule, interpolation: Interpolation, low, high) -> list[Line
 
 
 def forward_prices(schedule, t: int) -> UnitPrices:
-    """What a unit costs and earns on day t at the forward price."""
+    """Cost and proceeds of a unit on day t at the forward price."""
     return unit_prices(schedule, t, schedule.steps.forward[t])
 
 

@@ -22,12 +22,12 @@ HOLD, UP, DOWN, BUY_TO, SELL_TO, MOVE_TO = range(6)
 
 
 def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
-    """What finds free volumes: with step ratchets the value jumps, and every node is tried."""
+    """The search for free volumes: with step ratchets the value jumps, and every node is tried."""
     return "every" if interpolation == "step" and schedule.steps.levels.shape[-1] > 1 else "free"
 
 
 class Decisions(NamedTuple):
-    """One day's best decisions, and what following them needs.
+    """One day's best decisions, and the nodes that following them needs.
 
     - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
     - `choice`: [n, columns] HOLD, UP, DOWN (smallest, greatest and least net flow), BUY_TO or

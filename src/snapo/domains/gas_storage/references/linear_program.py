@@ -108,7 +108,7 @@ def _balance(schedule) -> tuple[sparse.csr_array, np.ndarray]:
 
 
 def _earned(schedule) -> np.ndarray:
-    """Present value of one unit of each variable (what day 0's inventory costs is not one)."""
+    """Present value of one unit of each variable (the cost of day 0's inventory is not one)."""
     steps = schedule.steps
     prices = [forward_prices(schedule, t) for t in range(len(steps.forward))]
     holding = steps.inventory_cost * steps.flow_discount

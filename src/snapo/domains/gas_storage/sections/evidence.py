@@ -67,7 +67,7 @@ def _day(run: Run, step) -> str:
 
 
 def assumptions(run: Run) -> Section:
-    """Model, notes, seeds, versions, timings, and what the units mean."""
+    """Model, notes, seeds, versions, timings, and the meaning of the units."""
     blocks: list[Block] = [
         Text(str(note)) for note in [run.get("model"), *run.get("notes", [])] if note
     ]

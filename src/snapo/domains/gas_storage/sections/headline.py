@@ -1,4 +1,4 @@
-"""The first screen: what the contract is worth and what to do today."""
+"""The first screen: the worth of the contract and the decision of today."""
 
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
 from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
@@ -60,7 +60,7 @@ def _when(run: Run) -> str:
     day = run.get("today.date")
     if day and day != run.get("valuation_date", day):
         return f"First decision, {long_date(day)}"
-    return "What to do today"
+    return "Decision of today"
 
 
 def _verb(run: Run) -> str:

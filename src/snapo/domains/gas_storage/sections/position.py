@@ -1,5 +1,4 @@
-"""What the storage does over time and what to trade against it: curve and trigger prices,
-inventory, deltas by month and by day."""
+"""The storage over time, and the trades against it: curve and trigger prices, inventory, deltas."""
 
 import numpy as np
 
@@ -63,7 +62,7 @@ TRIGGERS = (
 
 
 def inventory(run: Run) -> Section:
-    """Expected inventory with its 5-95 % band, inside what is reachable and allowed."""
+    """Expected inventory with its 5-95 % band, inside the reachable and the allowed ones."""
     title, short = "Inventory against its limits", "Inventory"
     mean, when = run.numbers("inventory.mean", "inventory_mean"), run.days
     if mean is None or when is None:

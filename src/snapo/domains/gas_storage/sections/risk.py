@@ -1,4 +1,4 @@
-"""What else moves the value: vegas, shadow prices, costs and rates, and the sliders over them."""
+"""Other sensitivities: vegas, shadow prices, costs and rates, and the sliders over them."""
 
 import math
 from collections import Counter, defaultdict
@@ -19,7 +19,7 @@ CAVEAT = (
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
-    "For a move of the forward curve that is what the present plan would earn; with the decisions"
+    "For a move of the forward curve the change is that of the present plan; with the decisions"
     " chosen anew the contract is worth at least as much, and the gap grows with the square of the"
     " move. "
 )

@@ -13,7 +13,7 @@ SPAN = 10
 
 @dataclass(frozen=True)
 class Said:
-    """What an input says about itself; see `snapo.problem.inputs.Input`.
+    """All that an input says about itself; see `snapo.problem.inputs.Input`.
 
     `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
     """

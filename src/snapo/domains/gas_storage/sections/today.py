@@ -33,7 +33,7 @@ def today(run: Run) -> Section:
         ("Inject below", run.price),
         ("Withdraw above", run.price),
     ]
-    blocks.append(Table(head, rows, "What today's spot price asks for, by inventory", 2))
+    blocks.append(Table(head, rows, "The decision at today's spot price, by inventory", 2))
     return Section("today", title, short, blocks)
 
 

@@ -1,4 +1,4 @@
-"""What the contract is worth: the value ladder and the distribution of the total cash flow."""
+"""The worth of the contract: the value ladder and the distribution of the total cash flow."""
 
 from snapo.report import charts
 from snapo.report.drawing import draw
@@ -56,7 +56,7 @@ def _ladder_table(run: Run, rungs, strong, places: int) -> Table:
     ]
     chosen = frozenset(i for i, main in enumerate(strong) if main)
     currency = run.currency
-    head = [("", ""), ("What it is", ""), ("Value", currency), ("Standard error", currency)]
+    head = [("", ""), ("Meaning", ""), ("Value", currency), ("Standard error", currency)]
     return Table(head, rows, texts=2, strong=chosen)
 
 
@@ -90,8 +90,8 @@ def cash_flow(run: Run) -> Section:
     unit = f"Total discounted cash flow, {run.currency}" if run.currency else "Total cash flow"
     svg = draw("cash-flow-bins", alt, lambda a: charts.histogram(a, edges, counts, marks, unit))
     caption = (
-        "What the storage alone earns on one path, unhedged; the deltas above are what takes"
-        " most of this spread out."
+        "Earnings of the storage alone on one path, unhedged; trading the deltas above takes most"
+        " of this spread out."
     )
     blocks = [Chart(svg, caption), Facts(facts)]
     return Section("cash-flow", title, short, blocks)
