@@ -2,21 +2,22 @@
 
 import datetime
 
+import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.domains.gas_storage.storage_cases import bare, off_ties, read, untrained
+from tests.domains.gas_storage.storage_cases import bare, read
 
 from snapo.domains.gas_storage.contract.schedule import of_prices
-from snapo.domains.gas_storage.policy.network import GuidePolicy
-from snapo.domains.gas_storage.problem import make_problem
+from snapo.domains.gas_storage.policy.network import GuidePolicy, StoragePolicy
+from snapo.domains.gas_storage.results.certificate import off_ties
+from snapo.domains.gas_storage.setup import bare_problem, make_setup
 from snapo.engine import Xla
 from snapo.engine.native import Native
-from snapo.problem.objective import Mean
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver import certificate
-from snapo.solver.evaluate import estimate, path_totals
+from snapo.solver.evaluate import evaluate
 
 SPIKES = {
     "kind": "one-factor-jumps",
@@ -26,7 +27,6 @@ SPIKES = {
     "jump_size": 0.3,
     "jump_mean_reversion": 150.0,
 }
-ZEROS = {"min_inventory": 5e-3, "end_inventory": 1e-2, "inventory_loss": 1e-4}
 EARLIER = {"valuation_date": datetime.date(2024, 12, 22)}  # ten days before the first decision
 
 
@@ -86,17 +86,9 @@ def test_without_a_gap_the_first_price_is_known():
 @pytest.mark.parametrize("make", [Native, Xla])
 def test_every_derivative_agrees_with_differences(make):
     """Also that by the intensity: a spike is continuous in its probability."""
-    simulator, inputs, schedule = bare(case())
-    policy = untrained(simulator, schedule)
-    bumps = certificate.bump_check(
-        simulator,
-        off_ties(inputs, **ZEROS),
-        policy,
-        Mean("cash_flow"),
-        Pseudo(7),
-        64,
-        engine=make("float64"),
-    )
+    problem = off_ties(bare_problem(case()))
+    policy = StoragePolicy(problem.features, key=jax.random.key(0))
+    bumps = certificate.bump_check(problem, policy, 64, engine=make("float64"))
     assert {"jump_intensity", "jump_size", "jump_mean_reversion"} <= {b.input for b in bumps}
     wrong = [bump for bump in bumps if not bump.passed]
     assert not wrong, "\n".join(map(str, wrong))
@@ -119,12 +111,9 @@ def test_a_store_earns_the_spikes():
     """The same rule earns more with spikes than without, many standard errors."""
     values = {}
     for intensity in (1e-6, 20.0):
-        made = make_problem(case(jump_intensity=intensity), 0, "native")
-        source = Pseudo(5)
-        given = (made.engines.evaluate, made.simulator, GuidePolicy(), made.schedule, source)
-        totals = path_totals(*given, 4096, Exact())
-        variates = made.simulator.control_variates()
-        assert variates == ("forward_hedge",)
-        values[intensity] = estimate(made.objective, totals, source, variates)
+        made = make_setup(case(jump_intensity=intensity), "native")
+        assert made.problem.simulator.control_variates() == ("forward_hedge",)
+        engine = made.engines.evaluate
+        values[intensity] = evaluate(made.problem, GuidePolicy(), 4096, engine=engine)
     calm, wild = values.values()
     assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

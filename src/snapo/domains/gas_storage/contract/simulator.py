@@ -17,6 +17,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Box
+from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
@@ -233,6 +234,14 @@ class StorageSimulator(Simulator):
             "injection": outputs["injection"],
             "withdrawal": outputs["withdrawal"],
         }
+
+
+def simulator_of(problem: Problem) -> StorageSimulator:
+    """The simulator of a storage problem."""
+    simulator = problem.simulator
+    if not isinstance(simulator, StorageSimulator):
+        raise TypeError(f"{type(simulator).__name__} is not a gas store.")
+    return simulator
 
 
 _PER_DAY = (

@@ -7,6 +7,7 @@ the feasible. That is exact on fast storage too, gives the trigger prices for fr
 almost nothing when it is made hard.
 """
 
+import abc
 from typing import NamedTuple
 
 import jax
@@ -29,8 +30,19 @@ class MarginalValue(NamedTuple):
     emptied: Array
 
 
-class StoragePolicy(Policy):
-    """The guide's marginal value plus a network; the action is (injected, withdrawn) fraction."""
+class PricingPolicy(Policy):
+    """A rule that prices gas in store; the action is (injected, withdrawn) fraction."""
+
+    @abc.abstractmethod
+    def marginal_value(self, observation) -> MarginalValue:
+        """The policy's value of a unit of gas at the end of the day."""
+
+    def __call__(self, observation, smooth):
+        return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
+
+
+class StoragePolicy(PricingPolicy):
+    """The guide's marginal value plus a network."""
 
     network: Network
 
@@ -39,11 +51,7 @@ class StoragePolicy(Policy):
     ):
         self.network = Network((features - HEAD, *hidden, 3), key=key, activation=activation)
 
-    def __call__(self, observation, smooth):
-        return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
-
     def marginal_value(self, observation) -> MarginalValue:
-        """The policy's value of a unit of gas at the end of the day."""
         seen = Economics(*observation[:HEAD])
         level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
         return MarginalValue(
@@ -53,12 +61,12 @@ class StoragePolicy(Policy):
         )
 
 
-class GuidePolicy(Policy):
+class GuidePolicy(PricingPolicy):
     """The guide alone: the one-factor dynamic program's rule, or the intrinsic one's."""
 
-    def __call__(self, observation, smooth):
+    def marginal_value(self, observation) -> MarginalValue:
         seen = Economics(*observation[:HEAD])
-        return _flows(seen, MarginalValue(seen.keep, seen.filled, seen.emptied), smooth)
+        return MarginalValue(seen.keep, seen.filled, seen.emptied)
 
 
 def _flows(seen: Economics, value: MarginalValue, smooth):

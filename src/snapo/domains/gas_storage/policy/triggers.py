@@ -12,13 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from snapo.problem.policy import Policy
-from snapo.problem.simulator import Schedule
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from ..contract.schedule import State
-from ..contract.simulator import StorageSimulator
-from .network import GuidePolicy, MarginalValue, StoragePolicy
+from ..contract.simulator import StorageSimulator, simulator_of
+from .network import PricingPolicy
 from .observation import HEAD, Economics
 
 SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
@@ -40,35 +39,33 @@ class Decision(NamedTuple):
 
 
 def triggers(
-    simulator: StorageSimulator,
-    schedule: Schedule,
-    policy: Policy,
-    day: np.ndarray,
-    inventory: np.ndarray,
+    problem: Problem, policy: PricingPolicy, day: np.ndarray, inventory: np.ndarray
 ) -> Triggers:
     """Trigger prices on the days with these numbers, at these inventories, both [n]."""
     with jax.enable_x64(True):
+        schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
         spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
-        given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float), spots)
+        stock = np.asarray(inventory, float)
+        given = (simulator_of(problem), schedule.constants, policy, now, stock, spots)
         buying, selling = (np.asarray(gain) for gain in _gains(*given))
     return Triggers(
         _crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False)
     )
 
 
-def decide(
-    simulator: StorageSimulator, schedule: Schedule, policy: Policy, day: int, inventory: np.ndarray
-) -> Decision:
+def decide(problem: Problem, policy: PricingPolicy, day: int, inventory: np.ndarray) -> Decision:
     """The decision of a day at the forward price, at each inventory [n]."""
     with jax.enable_x64(True):
+        schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
-        given = (simulator, schedule.constants, policy, now, np.asarray(inventory, float))
+        stock = np.asarray(inventory, float)
+        given = (simulator_of(problem), schedule.constants, policy, now, stock)
         return Decision(*(np.asarray(x) for x in _decided(*given)))
 
 
 @eqx.filter_jit
-def _decided(simulator: StorageSimulator, constants, policy: Policy, now, inventories):
+def _decided(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories):
     def one(inventory):
         price = simulator.process.state_at(constants.price, now.price, now.forward)
         state = State(inventory, price)
@@ -81,28 +78,17 @@ def _decided(simulator: StorageSimulator, constants, policy: Policy, now, invent
 
 
 @eqx.filter_jit
-def _gains(simulator: StorageSimulator, constants, policy: Policy, now, inventories, spots):
+def _gains(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots):
     """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
 
     def one(now, inventory, spot) -> tuple[Array, Array]:
         price = simulator.process.state_at(constants.price, now.price, spot)
         state = State(inventory, price)
         seen = simulator.observe(constants, now, state)
-        value, economics = _marginal_value(policy, seen), Economics(*seen[:HEAD])
+        value, economics = policy.marginal_value(seen), Economics(*seen[:HEAD])
         return value.keep - economics.buy, economics.sell - value.keep
 
     return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)))(now, inventories, spots)
-
-
-def _marginal_value(policy: Policy, seen) -> MarginalValue:
-    if isinstance(policy, StoragePolicy):
-        return policy.marginal_value(seen)
-    if isinstance(policy, GuidePolicy):
-        economics = Economics(*seen[:HEAD])
-        return MarginalValue(economics.keep, economics.filled, economics.emptied)
-    raise TypeError(
-        f"{type(policy).__name__} has no marginal value of gas, hence no trigger prices."
-    )
 
 
 def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:

@@ -7,7 +7,7 @@ parameters, noise, dynamics, forward price, words. Nothing outside asks which ki
 import abc
 import datetime
 from collections.abc import Sequence
-from typing import Any, Literal, NamedTuple, Self
+from typing import Any, NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -17,10 +17,9 @@ from jaxtyping import Array, Float
 from snapo.case.given import Given
 from snapo.case.table import Section, Table
 from snapo.problem.process import Process
-from snapo.problem.scenarios import Supplied
+from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
-Role = Literal["training", "evaluation"]
 
 # All that is said about a volatility and about a mean reversion; see `Given`.
 VOLATILITY: dict[str, Any] = {
@@ -119,13 +118,9 @@ class PriceProcess(Process):
     def factors(self, schedule) -> GaussianFactors | None:
         """Factors for dynamic programs, from the process's own prepared schedule; None: none."""
 
-    def supplied(self, role: Role) -> Supplied | None:
-        """Scenarios of its own for this role, in place of drawn normals."""
+    def sources(self, seed: int) -> Sources | None:
+        """Scenarios of its own for every role, in place of drawn normals."""
         return None
-
-    def paths(self, wanted: int) -> int:
-        """How many of the paths wanted for evaluation there are."""
-        return wanted
 
 
 def use(inputs: dict[str, Any], given: Given):

@@ -1,5 +1,6 @@
 """`[model]` of kind "supplied": price paths of one's own, from two different files."""
 
+from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -11,11 +12,11 @@ from pydantic import Field
 from snapo.case.csv import Mention, read_array
 from snapo.case.error import CaseError, Unquoted
 from snapo.case.table import Section, Table
-from snapo.problem.scenarios import Supplied
+from snapo.problem.scenarios import Sources, Supplied
 from snapo.problem.simulator import Schedule
 
 from ..read.tables import FileName
-from .process import Delivery, PriceProcess, Role, register, use
+from .process import Delivery, PriceProcess, register, use
 
 
 class SuppliedTable(Table):
@@ -25,6 +26,15 @@ class SuppliedTable(Table):
     training_paths: FileName = Field(description="the name of a .npy or .parquet file")
     evaluation_paths: FileName = Field(description="the name of a .npy or .parquet file")
     rescale_to_curve: bool = Field(False, description="true or false")
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] where
+    the end date needs a price."""
+
+    training: np.ndarray
+    evaluation: np.ndarray
 
 
 class SuppliedStep(NamedTuple):
@@ -40,16 +50,13 @@ class SuppliedPrices(PriceProcess):
     With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
     own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,
     and the forward curve plays no part in them.
-
-    - `training`, `evaluation`: [paths, T], or [paths, T + 1] where the end date needs a price.
     """
 
     kind = "supplied"
     table = SuppliedTable
     martingale = False
     delivery: Delivery = eqx.field(static=True)
-    training: np.ndarray = eqx.field(static=True)
-    evaluation: np.ndarray = eqx.field(static=True)
+    of: Paths = eqx.field(static=True)
     rescaled: bool = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=1)
 
@@ -58,8 +65,8 @@ class SuppliedPrices(PriceProcess):
         days = delivery.price_days
         if not days:
             # No decision is left: whatever the paths say is over.
-            none = np.zeros((2, 0))
-            return cls(delivery, none, none, table.rescale_to_curve)  # pyright: ignore
+            none = Paths(np.zeros((2, 0)), np.zeros((2, 0)))
+            return cls(delivery, none, table.rescale_to_curve)  # pyright: ignore
         span = f"one for each day from {days[0]} to {days[-1]}"
         mentions = [
             Mention(section, key, getattr(table, key))
@@ -74,7 +81,7 @@ class SuppliedPrices(PriceProcess):
                 _noise(mention.name, array, days)
                 for mention, array in zip(mentions, arrays, strict=True)
             ]
-        return cls(delivery, *arrays, table.rescale_to_curve)  # pyright: ignore[reportCallIssue]
+        return cls(delivery, Paths(*arrays), table.rescale_to_curve)  # pyright: ignore[reportCallIssue]
 
     @property
     def proportional(self) -> bool:
@@ -116,16 +123,23 @@ class SuppliedPrices(PriceProcess):
     def factors(self, schedule):
         return None
 
-    def supplied(self, role: Role) -> Supplied:
-        """The first day's price starts a path; the days after it are its noise."""
-        paths, days = getattr(self, role), len(self.delivery.days)
+    def sources(self, seed: int) -> Sources:
+        """Three quarters of the training paths train, the others validate; evaluation has its own.
+
+        The first day's price starts a path; the days after it are its noise.
+        """
+        training = self._scenarios(self.of.training, seed)
+        first = max(1, 3 * training.size // 4)
+        validation = training.part(min(first, training.size - 1), training.size)
+        evaluation = self._scenarios(self.of.evaluation, seed)
+        return Sources(training.part(0, first), validation, evaluation)
+
+    def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:
+        days = len(self.delivery.days)
         later = np.zeros((days, len(paths), 1))
         following = paths[:, 1 : days + 1].T
         later[: len(following), :, 0] = following
-        return Supplied(later, paths[:, :1])
-
-    def paths(self, wanted: int) -> int:
-        return min(wanted, len(self.evaluation))
+        return Supplied(later, paths[:, :1], seed)
 
     def words(self) -> str:
         return "Supplied price paths" + (", rescaled to the forward curve" * self.rescaled)

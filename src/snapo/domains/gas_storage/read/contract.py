@@ -13,13 +13,16 @@ from snapo.case.given import Given
 from snapo.case.table import Section
 
 from ..contract.records import Contract, EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
-from .limits import LIMIT, STEP, Limits
+from .limits import Limits, little
+from .ratchets import GROUP
 from .settlement import payment_days
 from .tables import ContractTable
 
 # Fuel and losses take less than everything.
 ALMOST_ONE = float(np.nextafter(1.0, 0.0))
 COST: dict[str, Any] = {"group": "cost", "move": 0.01}
+# Forced flows of zero stay zero: a day has no more than one of them.
+FORCED: dict[str, Any] = {"group": GROUP}
 SHARE: dict[str, Any] = {
     "group": "cost",
     "move": 0.001,
@@ -65,11 +68,9 @@ def read_contract(
         rule, moving = getattr(table, key), limits.moving()
         return payment_days(section, key, rule, days, valuation, moving, gas_day)
 
-    lost = SHARE | {"trade_unit": "percentage point a day", "move": 0.0001, "bump": 2e-6}
+    lost = SHARE | {"trade_unit": "percentage point a day", "move": 0.0001, "bump": 1e-6}
     amounts, amount_days = _read_fixed_costs(section, table, valuation)
-    stock = dataclasses.replace(
-        single("inventory", table.inventory, volume), words="gas in store at the start", **LIMIT
-    )
+    stock = _stock("inventory", table.inventory, volume, limits, "gas in store at the start")
     return Contract(
         inventory=stock,
         min_inventory=limits.min_inventory,
@@ -77,8 +78,8 @@ def read_contract(
         ratchets=limits.ratchets,
         injection_factor=limits.injection_factor,
         withdrawal_factor=limits.withdrawal_factor,
-        min_injection=daily("min_injection", flow, LIMIT, "injection that must flow", 0.0),
-        min_withdrawal=daily("min_withdrawal", flow, LIMIT, "withdrawal that must flow", 0.0),
+        min_injection=daily("min_injection", flow, FORCED, "injection that must flow", 0.0),
+        min_withdrawal=daily("min_withdrawal", flow, FORCED, "withdrawal that must flow", 0.0),
         injection_cost=daily("injection_cost", price, COST, "per unit injected"),
         withdrawal_cost=daily("withdrawal_cost", price, COST, "per unit withdrawn"),
         injection_cost_day=paid("injection_cost_settlement"),
@@ -91,6 +92,12 @@ def read_contract(
         fixed_costs=amounts,
         fixed_cost_day=amount_days,
     )
+
+
+def _stock(key: str, level: float, unit: str, limits: Limits, words: str) -> Given:
+    """An inventory; one of zero moves by more than the least inventory does, and stays above it."""
+    move = 2 * little(limits.ratchets)
+    return dataclasses.replace(single(key, level, unit), words=words, group=GROUP, move=move)
 
 
 def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, np.ndarray]:
@@ -113,10 +120,8 @@ def _read_end(section: Section, table: ContractTable, limits: Limits) -> EndRule
         if table.end_value not in (None, 0.0):
             what = 'a value of the gas left needs end_inventory = "free"'
             raise section.error("end_value", table.end_value, what)
-        level = single("end_inventory", table.end_inventory, table.volume_unit)
-        # More than the least inventory may be moved, so that the end stays within the limits.
-        said = LIMIT | {"bump": 2 * STEP * limits.largest_rate()}
-        return LevelAtEnd(dataclasses.replace(level, words="gas owed at the end", **said))
+        level, unit = table.end_inventory, table.volume_unit
+        return LevelAtEnd(_stock("end_inventory", level, unit, limits, "gas owed at the end"))
     if not isinstance(table.end_value, str):
         share = single("end_value", table.end_value or 0.0, "1")
         words = "of the gas left, as a share of its spot value"

@@ -2,6 +2,7 @@
 
 import dataclasses
 import datetime
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -13,11 +14,8 @@ from snapo.case.given import Given
 from snapo.case.table import Section
 
 from ..contract.records import Ratchets
-from .ratchets import LIMIT, read_ratchets
+from .ratchets import GROUP, LIMIT, read_ratchets
 from .tables import ContractTable
-
-# The step of differences of a limit that may be zero, as a share of the largest daily rate.
-STEP = 1e-5
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,10 +34,6 @@ class Limits:
         withdrawal = self.ratchets.withdrawal.used().max(axis=1) * self.withdrawal_factor
         return (injection > 0) | (withdrawal > 0)
 
-    def largest_rate(self) -> float:
-        """The largest daily rate, in volume per day."""
-        return _largest_rate(self.ratchets)
-
 
 def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.date]) -> Limits:
     """The limits on the decision days [T], those of inventory also on the end date."""
@@ -53,18 +47,21 @@ def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.
     maximum = inventory("max_inventory", None)
     _check_limits(section, dates, minimum, maximum)
     ratchets = read_ratchets(section, table, days, minimum.used(), maximum.used())
-    bump = STEP * _largest_rate(ratchets)
     return Limits(
-        dataclasses.replace(minimum, words="least gas in store", bump=bump, **LIMIT),
+        dataclasses.replace(
+            minimum, words="least gas in store", group=GROUP, move=little(ratchets)
+        ),
         dataclasses.replace(maximum, words="most gas in store", **LIMIT),
         ratchets,
         *read_outages(section, table, days),
     )
 
 
-def _largest_rate(ratchets: Ratchets) -> float:
+def little(ratchets: Ratchets) -> float:
+    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
     rates = (ratchets.injection.used(), ratchets.withdrawal.used())
-    return max(float(np.max(rate, initial=0.0)) for rate in rates)
+    largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
+    return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
 
 
 def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> None:

@@ -17,7 +17,8 @@ from ..contract.records import Ratchets
 from .tables import ContractTable
 
 COLUMNS = ("date", "inventory", "max_withdrawal", "max_injection")
-LIMIT: dict[str, Any] = {"group": "contract", "move": 1.0}
+GROUP = "contract"
+LIMIT: dict[str, Any] = {"group": GROUP, "move": 1.0}
 WORDS = {
     "max_injection": "most injection per day",
     "max_withdrawal": "most withdrawal per day",

@@ -1,32 +1,32 @@
 """Inventory, flow and trigger prices over time, and today's decision by inventory."""
 
-from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
 
-from snapo.problem.scenarios import Scenarios
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver.solution import Solution
+from snapo.study.study import Part, Setup, StudyRun
 
 from ..contract.records import StorageCase
 from ..policy.triggers import Triggers, decide, triggers
-from ..problem import Problem
+from ..setup import beside, case_of, policy_of
 
 PATHS = 4096
 
 
-def profile(problem: Problem, solution: Solution, source: Scenarios) -> dict[str, Any]:
+def work(run: StudyRun) -> dict[str, Any]:
     """Inventory and flow over time, with bands, limits and trigger prices; today's decision."""
-    schedule, case, horizon = problem.schedule, problem.case, problem.simulator.horizon
-    inventory, flow = _paths(problem, solution, source)
-    expected = inventory.mean(1)
-    here, levels = _levels(schedule)
+    setup, solution = run.setup, run.solution
+    problem, case = setup.problem, case_of(setup)
+    horizon, steps = problem.simulator.horizon, problem.schedule.steps
+    inventory, flow = _paths(setup, solution)
+    here, levels = _levels(problem.schedule)
     days = np.append(np.arange(horizon), np.zeros(len(levels), int))
-    stock = np.append(expected[:-1], levels)
-    at = triggers(problem.simulator, schedule, solution.policy, days, stock)
+    stock = np.append(inventory.mean(1)[:-1], levels)
+    at = triggers(problem, policy_of(solution), days, stock)
     by_day, today = (Triggers(*(x[part] for x in at)) for part in _halves(horizon))
-    steps = schedule.steps
     limits = case.contract.min_inventory.used(), case.contract.max_inventory.used()
     injected = np.asarray(solution.totals["injection"])
     return {
@@ -39,7 +39,7 @@ def profile(problem: Problem, solution: Solution, source: Scenarios) -> dict[str
             "high": np.append(steps.high, steps.next_high[-1]),
         },
         "limits": {"low": limits[0], "high": limits[1]},
-        "today": _today(problem, solution, here, levels, today),
+        "today": _today(problem, case, solution, (here, levels), today),
         "cycles": {
             "mean": injected.mean() / working_volume(case),
             "unit": "injected volume / working volume",
@@ -47,17 +47,7 @@ def profile(problem: Problem, solution: Solution, source: Scenarios) -> dict[str
     }
 
 
-def rows(found: dict[str, Any]) -> tuple[tuple[str, ...], Iterable[tuple]]:
-    """Header and rows of `profile.csv`, one row per decision day."""
-    columns = {"date": found["days"], "forward": found["forward"]}
-    for name in ("inventory", "flow"):
-        for band, numbers in found[name].items():
-            columns[f"{name}_{band}"] = numbers[: len(found["days"])]
-    columns["trigger_injection"] = found["trigger_injection"]
-    columns["trigger_withdrawal"] = found["trigger_withdrawal"]
-    columns["delta"] = found["deltas_daily"]["discounted"]
-    columns["delta_undiscounted"] = found["deltas_daily"]["undiscounted"]
-    return tuple(columns), zip(*columns.values())
+PROFILE = Part("profile", work, needs=("training",))
 
 
 def working_volume(case: StorageCase) -> float:
@@ -66,14 +56,14 @@ def working_volume(case: StorageCase) -> float:
     return float(contract.max_inventory.used().max() - contract.min_inventory.used().min())
 
 
-def _paths(problem: Problem, solution: Solution, source: Scenarios):
+def _paths(setup: Setup, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Inventories [T + 1, paths] and net injections [T, paths] of the exact simulator."""
-    simulator, engine = problem.simulator, problem.engines.evaluate
+    problem = beside(setup)
+    bound, source = setup.engines.evaluate.bind(problem), problem.sources.evaluation
     inventories, flows = [], []
-    for block in source.blocks(problem.case.model.paths(PATHS), 8):
-        draws = source.draws(block, simulator)
-        given = (simulator, solution.policy, problem.schedule, draws, Exact())
-        rolled = engine.values(*given, record=("state", "outputs"))
+    for block in source.blocks(source.available(PATHS), 8):
+        draws = source.draws(block, problem.simulator)
+        rolled = bound.values(policy_of(solution), draws, Exact(), record=("state", "outputs"))
         start = np.asarray(rolled.record["state"].inventory)
         inventories.append(np.concatenate([start, np.asarray(rolled.state.inventory)[None]]))
         outputs = rolled.record["outputs"]
@@ -98,11 +88,15 @@ def _levels(schedule) -> tuple[float, np.ndarray]:
 
 
 def _today(
-    problem: Problem, solution: Solution, here: float, levels: np.ndarray, at: Triggers
+    problem: Problem,
+    case: StorageCase,
+    solution: Solution,
+    place: tuple[float, np.ndarray],
+    at: Triggers,
 ) -> dict[str, Any]:
     """The first day's decision at the inventory in store, and at the other levels."""
-    case, schedule = problem.case, problem.schedule
-    decided = decide(problem.simulator, schedule, solution.policy, 0, levels)
+    here, levels = place
+    decided = decide(problem, policy_of(solution), 0, levels)
     net = decided.injection - decided.withdrawal
 
     def line(i: int) -> dict[str, Any]:
@@ -115,7 +109,7 @@ def _today(
         }
 
     now = line(int(np.flatnonzero(levels == here)[0]))
-    now |= {"date": case.days[0].isoformat(), "spot": schedule.steps.forward[0]}
+    now |= {"date": case.days[0].isoformat(), "spot": problem.schedule.steps.forward[0]}
     # The network's own price of gas is pinned down at the trigger alone; the adjoint's everywhere.
     if solution.sensitivities is not None:
         stored = solution.sensitivities.held[case.contract.inventory.name]

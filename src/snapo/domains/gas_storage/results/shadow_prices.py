@@ -7,23 +7,22 @@ paths, one unit up and one unit down.
 
 from typing import Any
 
-import equinox as eqx
 import numpy as np
 
 from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
 from snapo.problem.smooth import Exact
+from snapo.study.study import Part, Setup, StudyRun
 
-from ..problem import OUTPUT, Problem
+from ..setup import OUTPUT, beside, case_of, policy_of
 
 PATHS = 2048
 UNITS = 1.0  # of the capacity; small against it, large against rounding
 
 
-def shadow_prices(problem: Problem, policy: Policy, source: Scenarios) -> list[dict[str, Any]]:
+def work(run: StudyRun) -> dict[str, Any]:
     """One line per capacity: the worth of one unit more (`up`) and of the last unit (`down`)."""
-    contract, units = problem.case.contract, problem.case.volume_unit
+    case = case_of(run.setup)
+    contract, units = case.contract, case.volume_unit
     rows = contract.ratchets
     wanted = [
         ("working volume", contract.max_inventory.name, units),
@@ -31,48 +30,45 @@ def shadow_prices(problem: Problem, policy: Policy, source: Scenarios) -> list[d
         ("withdrawal capacity", rows.withdrawal.name, f"{units}/day"),
         ("gas in store today", contract.inventory.name, units),
     ]
-    replay = _Replay(problem, policy, source)
+    replay = _Replay(run.setup, policy_of(run.solution))
     base = replay.value({})
     lines = []
     for name, key, unit in wanted:
         up, down = (replay.value({key: sign * UNITS}) for sign in (1, -1))
-        lines.append(
-            {"name": name, "up": (up - base) / UNITS, "down": (base - down) / UNITS, "unit": unit}
-        )
-    return lines
+        worth = {"up": (up - base) / UNITS, "down": (base - down) / UNITS}
+        lines.append({"name": name, **worth, "unit": unit})
+    return {"shadow_prices": lines}
+
+
+SHADOW_PRICES = Part("shadow prices", work, needs=("training",))
 
 
 class _Replay:
     """Values of the exact simulator under recorded decisions, with inputs shifted."""
 
-    def __init__(self, problem: Problem, policy: Policy, source: Scenarios):
-        self.problem = problem
-        paths = problem.case.model.paths(PATHS)
-        self.blocks = [
-            source.draws(b, problem.simulator) for b in source.blocks(paths, max(1, paths // 512))
-        ]
-        self.engine = problem.engines.evaluate
-        given = (problem.simulator, policy, problem.schedule)
+    def __init__(self, setup: Setup, policy: Policy):
+        self.problem, self.engine = beside(setup), setup.engines.evaluate
+        source, bound = self.problem.sources.evaluation, self.engine.bind(self.problem)
+        paths = source.available(PATHS)
+        blocks = source.blocks(paths, max(1, paths // 512))
+        self.draws = [source.draws(block, self.problem.simulator) for block in blocks]
         self.actions = [
-            self.engine.values(*given, draws, Exact(), record=("action",)).record["action"]
-            for draws in self.blocks
+            bound.values(policy, draws, Exact(), record=("action",)).record["action"]
+            for draws in self.draws
         ]
 
     def value(self, shifts: dict[str, float]) -> float:
         """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
-        inputs = dict(self.problem.inputs)
-        for name, shift in shifts.items():
-            moved = inputs[name].value + shift
-            if np.any(moved < 0):
-                return float("nan")
-            inputs[name] = eqx.tree_at(lambda i: i.value, inputs[name], moved)
-        schedule = prepare(self.problem.simulator, inputs)
-        if np.any(schedule.steps.low > schedule.steps.high):
+        named = self.problem.named
+        values = {name: named[name].value + shift for name, shift in shifts.items()}
+        if any(np.any(value < 0) for value in values.values()):
             return float("nan")
+        moved = self.problem.at(values)
+        if np.any(moved.schedule.steps.low > moved.schedule.steps.high):
+            return float("nan")
+        bound = self.engine.bind(moved)
         totals = [
-            self.engine.values(
-                self.problem.simulator, None, schedule, draws, Exact(), actions=actions
-            ).totals[OUTPUT]
-            for draws, actions in zip(self.blocks, self.actions)
+            bound.values(None, draws, Exact(), actions=actions).totals[OUTPUT]
+            for draws, actions in zip(self.draws, self.actions)
         ]
-        return float(np.mean([np.mean(t) for t in totals]))
+        return float(np.mean([np.mean(total) for total in totals]))

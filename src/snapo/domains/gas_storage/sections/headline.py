@@ -2,6 +2,7 @@
 
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
 from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
+from snapo.report.sections.lacking import lacking
 
 from .evidence import checks
 from .run import Run
@@ -31,7 +32,7 @@ def headline(run: Run) -> Section:
     )
     blocks: list[Block] = [block]
     if not action:
-        blocks.append(Missing("Today's decision is not in this run (details.json, `today`)."))
+        blocks.append(lacking(run, "profile"))
     if facts := _facts(run, value, places):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)

@@ -7,6 +7,7 @@ import numpy as np
 
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.sections.lacking import lacking
 
 from .run import SPAN, Run, Said, Sensitivity
 
@@ -48,7 +49,7 @@ def _vegas(run: Run) -> Table | Missing:
 def _shadow_prices(run: Run) -> Table | Missing:
     prices = run.get("shadow_prices", [])
     if not prices:
-        return Missing("Shadow prices of volume and capacity are not in this run.")
+        return lacking(run, "shadow prices")
     places = decimals([each.get(side) for each in prices for side in ("up", "down")], 4)
     rows = [
         (

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.error import CaseError
-from snapo.domains.gas_storage.case import read_case
 from snapo.domains.gas_storage.contract.expiry import (
     discount,
     fixed_costs_value,
@@ -24,7 +24,7 @@ from snapo.domains.gas_storage.contract.records import (
 from snapo.domains.gas_storage.prices.supplied import SuppliedPrices
 from snapo.domains.gas_storage.prices.three_factor_seasonal import ThreeFactorSeasonal
 
-CASES = Path(__file__).parent / "cases"
+CASES = Path(__file__).parents[1] / "cases"
 D = datetime.date
 
 
@@ -346,13 +346,13 @@ def test_supplied_paths_are_rescaled_to_mean_one(folder):
     parquet.write_table(arrow.table(list(2 * paths.T), names=columns), path / "test.parquet")
     model = read_case(path).model
     assert isinstance(model, SuppliedPrices)
-    np.testing.assert_allclose(model.training.mean(axis=0), 1, rtol=1e-12)
-    np.testing.assert_allclose(model.training, model.evaluation, rtol=1e-12)
+    np.testing.assert_allclose(model.of.training.mean(axis=0), 1, rtol=1e-12)
+    np.testing.assert_allclose(model.of.training, model.of.evaluation, rtol=1e-12)
 
 
 def test_training_has_the_defaults_of_the_training_loop():
     from snapo.case.settings import TrainingTable
-    from snapo.solver.train import TrainingTable as Loop
+    from snapo.solver.train import Training as Loop
 
     defaults = {field.name: field.default for field in dataclasses.fields(Loop)}
     assert {name: field.default for name, field in TrainingTable.model_fields.items()} == defaults

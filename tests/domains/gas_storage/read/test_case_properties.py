@@ -8,17 +8,18 @@ from pathlib import Path
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.csv import Row
 from snapo.case.error import CaseError
 from snapo.case.table import load
-from snapo.domains.gas_storage.case import read_case, resolve
 from snapo.domains.gas_storage.contract.feasibility import attainable
+from snapo.domains.gas_storage.read.case import read_case as resolve
 from snapo.domains.gas_storage.read.market import month_days, quotes
 from snapo.domains.gas_storage.read.settlement import months_after
 
 D = datetime.date
-FLAGSHIP = Path(__file__).parent / "cases" / "G1"
+FLAGSHIP = Path(__file__).parents[1] / "cases" / "G1"
 
 
 @given(st.dates(D(2000, 1, 1), D(2100, 1, 1)), st.integers(0, 36), st.integers(1, 31))

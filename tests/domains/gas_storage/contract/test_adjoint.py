@@ -6,19 +6,21 @@ numbers are moved off their ties first; a kink that stays is compared with one s
 """
 
 import datetime
+from dataclasses import replace
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.domains.gas_storage.storage_cases import bare, changed, off_ties, read, untrained
+from tests.domains.gas_storage.storage_cases import changed, read
 
-from snapo.domains.gas_storage.contract.inputs import storage_inputs
-from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, marginal_value
 from snapo.domains.gas_storage.references.marginal import marginal_values
+from snapo.domains.gas_storage.results.certificate import off_ties
+from snapo.domains.gas_storage.setup import bare_problem, factors
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import CVaR, Mean
@@ -26,9 +28,6 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 from snapo.solver import certificate
 from snapo.solver.adjoint import pull_back
-
-# What a zero may be moved by: an empty store, and one that stays exactly full, are on a tie.
-ZEROS = {"min_inventory": 5e-3, "end_inventory": 1e-2, "inventory_loss": 1e-4}
 
 EVERYTHING = {
     "contract": """
@@ -94,29 +93,27 @@ def everything(folder):
 
 @pytest.fixture(scope="module", params=["quick", "G3", "everything"])
 def contract(request, tmp_path_factory):
-    """Simulator with its guide, inputs off their ties, and a policy that is not trained."""
+    """A problem with its guide, off its ties, and a policy that is not trained."""
     if request.param == "everything":
-        case = everything(tmp_path_factory.mktemp("everything"))
-        return prepared(case, min_injection=0.0)
-    return prepared(read(request.param), **ZEROS)
+        return prepared(everything(tmp_path_factory.mktemp("everything")))
+    return prepared(read(request.param))
 
 
-def prepared(case, **zeros):
-    _, inputs, schedule = bare(case)
-    kind = case.contract.ratchets.interpolation
-    found = marginal_values(schedule, case.model.factors(of_prices(schedule)), kind)
-    simulator = StorageSimulator(case, ValueTable.of(found))
-    return simulator, off_ties(inputs, **zeros), untrained(simulator, schedule)
+def prepared(case, nudge=off_ties):
+    problem = bare_problem(case)
+    found = marginal_values(
+        problem.schedule, factors(problem), case.contract.ratchets.interpolation
+    )
+    problem = replace(problem, simulator=StorageSimulator(case, ValueTable.of(found)))
+    problem = replace(problem, sources=replace(problem.sources, evaluation=Pseudo(7)))
+    return nudge(problem), StoragePolicy(problem.features, key=jax.random.key(0))
 
 
 def check(contract, objective=None, smooth=None, paths=128, engine=None, every=True):
-    simulator, inputs, policy = contract
+    problem, policy = contract
     return certificate.bump_check(
-        simulator,
-        inputs,
+        replace(problem, objective=objective or Mean("cash_flow")),
         policy,
-        objective or Mean("cash_flow"),
-        Pseudo(7),
         paths,
         smooth=smooth,
         every=every,
@@ -131,7 +128,7 @@ def all_pass(bumps):
 
 def test_every_input_with_decisions_held(contract):
     bumps = check(contract)
-    numbers = sum(entry.value.size for entry in contract[1].values())
+    numbers = sum(entry.value.size for entry in contract[0].named.values())
     assert len(bumps) == numbers
     all_pass(bumps)
     # Forced flows start at zero: a kink by the contract's own terms. There are few others.
@@ -152,7 +149,7 @@ def test_a_risk_measure_holds_its_weights(contract):
 
 @pytest.mark.slow
 def test_xla_agrees():
-    contract = prepared(read("quick"), **ZEROS)
+    contract = prepared(read("quick"))
     given = {"smooth": Smooth(np.float64(0.02)), "paths": 64, "every": False}
     native = check(contract, **given)
     xla = check(contract, engine=Xla("float64"), **given)
@@ -173,8 +170,7 @@ def test_on_a_tie_the_adjoint_is_one_side():
             "end_value": 1.5,
         },
     )
-    simulator, _, policy = prepared(case)
-    bumps = check((simulator, storage_inputs(case), policy), paths=8)
+    bumps = check(prepared(case, nudge=lambda problem: problem), paths=8)
     rate = {bump.input: bump for bump in bumps}["max_injection"]
     assert rate.kink and rate.passed and rate.crossing == 0
     assert rate.up == pytest.approx(0.0, abs=1e-6)
@@ -194,19 +190,21 @@ def test_the_guide_keeps_a_slope_at_its_knots():
     assert_allclose(middle, 2.5 * 1.05)
 
 
-def test_moved_inputs_are_near_and_keep_their_zeros():
-    _, inputs, _ = bare(read("quick"))
-    moved = off_ties(inputs, end_inventory=0.01)
-    for name, entry in inputs.items():
-        if name != "end_inventory":
-            assert_allclose(moved[name].value, entry.value, rtol=certificate.NUDGE)
-    assert 0 < moved["end_inventory"].value.item() <= 0.01
-    assert moved["inventory_loss"].value.item() == 0
+def test_moved_inputs_are_near_and_forced_flows_stay_zero():
+    problem = bare_problem(read("quick"))
+    given, moved = problem.named, off_ties(problem).named
+    for name, entry in given.items():
+        zero = entry.value == 0
+        assert_allclose(moved[name].value[~zero], entry.value[~zero], rtol=certificate.NUDGE)
+        assert np.all(moved[name].value[zero] <= (entry.move or 0.0))
+    # The end stays above the least inventory, and a forced flow of zero stays zero.
+    assert 0 < moved["min_inventory"].value.item() < moved["end_inventory"].value.item() <= 0.02
+    assert moved["min_injection"].value.item() == 0
 
 
 def test_a_wrong_adjoint_is_found(monkeypatch):
     """The check itself is checked: a derivative that is off by 1e-4 must not pass."""
-    contract = prepared(read("quick"), **ZEROS)
+    contract = prepared(read("quick"))
 
     def wrong(*given):
         return {name: found * (1 + 1e-4) for name, found in pull_back(*given).items()}

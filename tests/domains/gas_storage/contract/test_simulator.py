@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from numpy.testing import assert_allclose, assert_array_equal
-from tests.domains.gas_storage import reference_schedules as references
+from tests.domains.gas_storage.references import reference_schedules as references
 from tests.domains.gas_storage.storage_cases import (
     CASES,
     bare,
@@ -28,7 +28,8 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean
 from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Pseudo
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import pull_back, value_and_gradient
@@ -365,10 +366,10 @@ def test_the_curve_explains_the_value_before_costs(name, tables):
     """Sum of F x delta = value + present value of costs, for a policy that was never trained."""
     simulator, inputs, schedule = bare(read(name, **tables))
     policy, engine, paths = untrained(simulator, schedule), Native("float64"), 256
-    given = {"scenarios": Pseudo(1), "paths": paths, "engine": engine}
-    value, gradient = value_and_gradient(
-        simulator, inputs, policy, objective=Mean("cash_flow"), held=True, **given
-    )
+    sources = Sources.of(Pseudo(1))
+    problem = Problem(simulator, inputs, Mean("cash_flow"), sources)
+    given = {"paths": paths, "engine": engine}
+    value, gradient = value_and_gradient(problem, policy, held=True, **given)
     draws = Pseudo(1).draws(np.arange(paths), simulator)
     costs = np.asarray(engine.values(simulator, policy, schedule, draws, Exact()).totals["costs"])
     explained = np.sum(inputs["forward_curve"].value * gradient.inputs["forward_curve"])
@@ -398,7 +399,7 @@ def test_supplied_paths(tmp_path, rescaled):
     model = {"kind": "supplied", "mean_reversion": None, "volatility": None, **files}
     case = changed(folder, model=model | {"rescale_to_curve": rescaled})
     simulator, inputs, schedule = bare(case)
-    source = case.model.supplied("evaluation")
+    source = case.model.sources(0).evaluation
     draws, engine = source.draws(np.arange(40), simulator), Native("float64")
     actions = random_actions(30, 40)
     rolled = engine.values(

@@ -8,7 +8,7 @@ from xml.etree import ElementTree
 
 import pytest
 from matplotlib.figure import Figure
-from tests.domains.gas_storage.sample_run import RESULT, sample_details, write_run
+from tests.domains.gas_storage.sections.sample_run import RESULT, sample_details, write_run
 
 from snapo.domains.gas_storage.report import SECTIONS, readme_picture, write_report
 from snapo.report import drawing

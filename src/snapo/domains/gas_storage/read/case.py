@@ -1,5 +1,6 @@
 """Reads a gas-storage case: a TOML file and the CSVs beside it become a `StorageCase`."""
 
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -7,30 +8,24 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.settings import read_evaluation, read_objective, read_training
-from snapo.case.table import Section, load, parse
+from snapo.case.table import Section, parse
 
-from .contract.feasibility import check_feasible
-from .contract.records import StorageCase
-from .prices.process import Delivery
-from .prices.registry import check_curve, read_prices
-from .read.contract import decision_days, pays_by_price, read_contract
-from .read.limits import read_limits
-from .read.market import read_market
-from .read.tables import ContractTable, MarketTable, StorageTable
+from ..contract.feasibility import check_feasible
+from ..contract.records import StorageCase
+from ..prices.process import Delivery
+from ..prices.registry import check_curve, read_prices
+from .contract import decision_days, pays_by_price, read_contract
+from .limits import read_limits
+from .market import read_market
+from .tables import ContractTable, MarketTable, StorageTable
 
 
-def read_case(path: str | Path) -> StorageCase:
-    """Reads and checks the case at `path`, a TOML file or a folder with `case.toml`.
+def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
+    """The case in the TOML file `file`, whose tables were read already: `data`.
 
-    **Raises:** `CaseError` where a table, a file or a number is wrong, or where the contract
-    cannot be met; nothing is written.
+    Other files are looked for beside it. **Raises:** `CaseError` where a table, a file or a number
+    is wrong, or where the contract cannot be met; nothing is written.
     """
-    file, data = load(Path(path))
-    return resolve(file, data)
-
-
-def resolve(file: Path, data: dict[str, Any]) -> StorageCase:
-    """The same for TOML data that was read already; other files are looked for beside `file`."""
     top = parse(StorageTable, data, str(file), "")
     contract_table, market_table = _parse_both(top, str(file))
     notes: list[str] = []

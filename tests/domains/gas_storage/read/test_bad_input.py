@@ -8,7 +8,7 @@ import pytest
 
 from snapo.cli.main import main
 
-CASES = Path(__file__).parent / "cases"
+CASES = Path(__file__).parents[1] / "cases"
 
 # Each mistake: the file to spoil, what is replaced by what (None: the whole file, as bytes or
 # text; `...`: the file is removed), and what the message must name.

@@ -9,8 +9,8 @@ import datetime
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.domains.gas_storage import reference_schedules as cases
-from tests.domains.gas_storage.reference_schedules import Factor
+from tests.domains.gas_storage.references import reference_schedules as cases
+from tests.domains.gas_storage.references.reference_schedules import Factor
 
 from snapo.domains.gas_storage.references.black import black_call
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
