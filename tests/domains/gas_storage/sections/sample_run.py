@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from snapo.report.folder import SENSITIVITIES
+
 FIRST, END = datetime.date(2021, 4, 25), datetime.date(2022, 4, 1)
 PRICES = [16.61, 15.68, 15.42, 15.31, 15.27, 15.13, 15.96, 17.22, 17.32, 17.66, 17.59, 16.81]
 DELTAS = [760, -1012, -471, -243, -236, -1541, -160, 1801, 512, 1598, 1822, 1371]
@@ -24,11 +26,14 @@ LEVELS, WITHDRAWAL, INJECTION = (
 
 
 def write_run(folder: Path, **changes) -> Path:
-    """Writes the files of a run; `changes` replace keys of details.json, None takes one away."""
-    folder.mkdir(parents=True, exist_ok=True)
+    """Writes the files of a run; `changes` replace keys of its tables, None takes one away."""
+    (folder / "parts").mkdir(parents=True, exist_ok=True)
     details = {**sample_details(), **changes}
     details = {key: value for key, value in details.items() if value is not None}
-    _write(folder / "details.json", json.dumps(details))
+    about = {key: details.pop(key) for key in ABOUT if key in details}
+    states = {part: {"state": "done", "note": "", "seconds": 1.0} for part in PARTS}
+    _write(folder / "run.json", json.dumps({"layout": 2, "about": about, "parts": states}))
+    _write(folder / "parts" / "profile.json", json.dumps(details))
     _write(folder / "result.json", json.dumps(RESULT))
     _table(folder / "sensitivities.csv", _sensitivities())
     _table(folder / "profile.csv", _profile(sample_details()))
@@ -36,6 +41,9 @@ def write_run(folder: Path, **changes) -> Path:
     return folder
 
 
+ABOUT = ("title", "currency", "volume_unit", "valuation_date", "start", "end", "days", "model")
+ABOUT += ("notes", "forward", "inputs", "fixed_costs")
+PARTS = ("intrinsic value", "training", "profile", "deltas", "shadow prices", "certificate")
 RESULT = {
     "kind": "gas-storage",
     "value": 78241.6,
@@ -259,7 +267,13 @@ CERTIFICATE = {
 
 
 def _sensitivities():
-    yield ("input", "label", "value", "standard_error", "unit")
+    yield SENSITIVITIES
+    for name, label, value, error, unit in _held():
+        yield (name, label, unit, value, error, value * 1.01, error, 0.001 * value)
+
+
+def _held():
+    """Input, label, held derivative, its standard error and the input's unit."""
     month = [_month(day) for day in sample_days()]
     for day, i in zip(sample_days(), month, strict=True):
         yield ("forward_curve", day.isoformat(), DELTAS[i] / month.count(i), 0.7, "EUR/MWh")

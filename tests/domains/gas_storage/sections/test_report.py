@@ -10,8 +10,10 @@ import pytest
 from matplotlib.figure import Figure
 from tests.domains.gas_storage.sections.sample_run import RESULT, sample_details, write_run
 
-from snapo.domains.gas_storage.report import SECTIONS, readme_picture, write_report
+from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.report import SECTIONS, readme_picture
 from snapo.report import drawing
+from snapo.study.report import write_report
 
 NAMES = [
     "headline",
@@ -27,6 +29,7 @@ NAMES = [
     "history",
     "certificate",
     "assumptions",
+    "making",
 ]
 EMPTY = {"img", "meta", "input", "br", "link", "hr"}
 
@@ -55,7 +58,7 @@ class Outline(HTMLParser):
 
 
 def page(folder, **changes):
-    return write_report(write_run(folder, **changes)).read_text(encoding="utf-8")
+    return write_report(DOMAIN, write_run(folder, **changes)).read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -166,7 +169,7 @@ def test_any_key_may_be_missing(tmp_path, sketched, key):
 
 def test_what_is_missing_is_said_in_a_sentence(tmp_path):
     (tmp_path / "result.json").write_text(json.dumps({"status": "diverged"}))
-    html = write_report(tmp_path).read_text(encoding="utf-8")
+    html = write_report(DOMAIN, tmp_path).read_text(encoding="utf-8")
     assert Outline(html).sections == NAMES
     assert html.count('class="missing"') >= len(NAMES)
     assert "status: diverged" in html
@@ -201,18 +204,17 @@ def test_short_contracts(tmp_path, days):
         details[name] = {key: each[:days] for key, each in details[name].items()}
     write_run(tmp_path, **details)
     (tmp_path / "profile.csv").unlink()
-    assert Outline(write_report(tmp_path).read_text(encoding="utf-8")).sections == NAMES
+    assert Outline(write_report(DOMAIN, tmp_path).read_text(encoding="utf-8")).sections == NAMES
 
 
 def test_long_contracts_name_fewer_months_and_move_quarters(tmp_path):
     months = [f"{2021 + i // 12}-{i % 12 + 1:02d}" for i in range(60)]
     deltas = [{"month": month, "undiscounted": 1.0} for month in months]
     write_run(tmp_path, deltas_monthly=deltas)
-    lines = [f"forward_curve,{month},1.0,,MWh\n" for month in months]
-    (tmp_path / "sensitivities.csv").write_text(
-        "input,label,value,standard_error,unit\n" + "".join(lines)
-    )
-    html = write_report(tmp_path).read_text(encoding="utf-8")
+    lines = [f"forward_curve,{month},MWh,1.0,,,,\n" for month in months]
+    head = "input,label,unit,held,held_error,smooth,smooth_error,moved\n"
+    (tmp_path / "sensitivities.csv").write_text(head + "".join(lines))
+    html = write_report(DOMAIN, tmp_path).read_text(encoding="utf-8")
     text = text_of(html)
     assert all(
         f"Q{quarter} {year}" in text for quarter in range(1, 5) for year in range(2021, 2026)
@@ -228,7 +230,7 @@ def test_worthless_and_negative_contracts(tmp_path, value):
     flow = {"edges": [value - 1, value + 1], "counts": [8], "mean": value, "quantiles": {}}
     write_run(tmp_path, value_ladder=[rung], cash_flow=flow)
     (tmp_path / "result.json").write_text(json.dumps({**RESULT, "value": value}))
-    text = text_of(write_report(tmp_path).read_text(encoding="utf-8"))
+    text = text_of(write_report(DOMAIN, tmp_path).read_text(encoding="utf-8"))
     assert f"EUR {value:,.0f}".replace("-", "\N{MINUS SIGN}") in text
 
 
