@@ -1,10 +1,16 @@
-# make demo: install and solve the flagship case. make test, make lint, make bench, make study.
+# make demo: install and solve the flagship case.
+# make test: minutes. make prove: all that takes longer. make study: long trainings. make lint, make bench.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 
-.PHONY: demo test lint bench study picture clean
+# Two processes: each starts with half of the tests in their order, so that a domain's compiled code
+# is used again, and takes over from the other one when it has finished.
+PYTEST := $(BIN)/python -m pytest
+SHARED := -n 2 --dist worksteal
+
+.PHONY: demo test prove lint bench study picture clean
 
 demo: $(READY)
 	rm -rf demo
@@ -12,7 +18,10 @@ demo: $(READY)
 	$(BIN)/snapo solve demo
 
 test: $(READY)
-	$(BIN)/python -m pytest -n 2 --dist loadfile
+	$(PYTEST) $(SHARED)
+
+prove: $(READY)
+	$(PYTEST) $(SHARED) -m prove
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -23,11 +32,11 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 study: $(READY)
-	$(BIN)/python -m pytest -m slow
+	$(PYTEST) -m study
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[cli,parquet,pharma,test,lint]'
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,lint]'
 	touch $(READY)
 
 clean:

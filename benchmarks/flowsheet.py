@@ -18,8 +18,8 @@ import numpy as np
 from scipy.optimize import minimize
 
 from snapo.domains.pharma.case import read_case
-from snapo.domains.pharma.optimise import Optimum, goal_and_room, optimise
-from snapo.domains.pharma.process import Process
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.recipe.optimise import Optimum, goal_and_room, optimise
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "plug_flow"
 EVALUATIONS, PENALTY = 400, 100.0

@@ -1,24 +1,69 @@
-"""For all tests: the same property examples every time, and compiled code kept and given back."""
+"""For all tests: quick compiling, caches of their own, the same examples every time, solved cases."""
 
 import os
+import time
+from importlib.metadata import version
 from pathlib import Path
 
-# Modules give their code back (below) and often compile what another one has compiled: from the
-# disk it comes in a tenth of the time. Processes that tests start read these variables too.
-os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(Path(__file__).parents[1] / ".cache"))
+# Most of the time of a test run is XLA's compiling, which takes three fifths of the processor time
+# when LLVM does not optimise. The passes before it are the same as for users: without the emitters
+# of fusions compiling would take a third, but then an adjoint is wrong in the third digit (Wide in
+# tests/engine/native/problems.py; jaxlib 0.10.2). SNAPO_TEST_XLA=full compiles as users do, and
+# tests/engine/test_xla_level.py compares the two. Processes that tests start read the flags too.
+LOW = "--xla_backend_optimization_level=0"
+LEVEL = os.environ.setdefault("SNAPO_TEST_XLA", "low")
+if LEVEL == "low":
+    os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {LOW}".strip()
+
+# Compiled code is kept between runs, by version and level, under the user's cache folder. (JAX's
+# own keys hold both too; a folder of its own can be removed when its version is gone.)
+CACHE = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "snapo" / "tests"
+os.environ.setdefault("JAX_COMPILATION_CACHE_DIR", str(CACHE / f"jax-{version('jaxlib')}-{LEVEL}"))
 os.environ.setdefault("JAX_PERSISTENT_CACHE_MIN_COMPILE_TIME_SECS", "0.3")
 
 import jax
 import pytest
 from hypothesis import settings
+from tests.miniatures import MINIATURES
+
+from snapo.testing.miniature import once
 
 # The same examples every time: a test that fails today failed yesterday.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
 
+MOST_MAPS = 30_000
+MOST_DAYS = 14  # that compiled code is kept unused
+
+
+def pytest_sessionfinish(session):
+    """Old entries of the cache of compiled code go; workers leave that to the first process."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        return
+    for each in CACHE.glob("*/*"):
+        if time.time() - each.stat().st_atime > MOST_DAYS * 86_400:
+            each.unlink(missing_ok=True)
+
 
 @pytest.fixture(scope="module", autouse=True)
 def compiled_code_is_given_back():
-    """XLA's code lies in many small memory maps, of which a process may have 65,530."""
+    """XLA's code lies in many small memory maps, of which a process may have 65,530.
+
+    One module adds up to 7,000. Until they are many the code stays: the next module of the same
+    domain uses much of it again.
+    """
     yield
-    jax.clear_caches()
+    maps = Path("/proc/self/maps")
+    if maps.exists() and maps.read_text().count("\n") > MOST_MAPS:
+        jax.clear_caches()
+
+
+@pytest.fixture(scope="session")
+def solved(tmp_path_factory):
+    """`solved(kind)`: the folder with `case` and `run` of a domain's solved miniature.
+
+    It is solved once in a session, by the worker that asks first. Tests only read it.
+    """
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    return lambda kind: once(shared / f"solved-{kind}", MINIATURES[kind].solve)

@@ -40,7 +40,7 @@ def test_the_readme_example_is_short():
     assert len(lines) <= 30 and max(map(len, lines)) <= 100
 
 
-SLOWER = [NAMES[0], *(pytest.param(name, marks=pytest.mark.slow) for name in NAMES[1:])]
+SLOWER = [NAMES[0], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[1:])]
 
 
 @pytest.mark.parametrize("name", SLOWER)

@@ -326,7 +326,7 @@ def test_what_is_asked_wrongly_is_refused():
         DOUBLE.values(TOY, POLICY, SCHEDULE, DRAWS, SMOOTH, window=Window(4, T))
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_several_devices_give_the_same(adjoint):
     """Two CPU devices in a process of their own: sums over paths in another order, 1e-12."""
     here = os.getcwd()

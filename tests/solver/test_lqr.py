@@ -175,7 +175,7 @@ def test_sensitivities_of_weighted_paths_add_up():
         )
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_network_reaches_the_optimum():
     """400 steps of 256 paths, measured by the exact cubature's law on fresh paths.
 

@@ -11,7 +11,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
 from .base import Engine
-from .native import Native, unsupported
+from .native import Native, unavailable, unsupported
 from .xla import Xla
 
 NAMES = ("auto", "xla", "native")
@@ -35,7 +35,8 @@ def choose(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
     "auto" takes the fastest that can run this problem. One engine trains in float32 and evaluates
     in float64, whatever its own precision.
 
-    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem.
+    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
+    nothing at all where llvmlite is not installed.
     """
     if isinstance(wanted, Engines):
         return wanted
@@ -52,6 +53,11 @@ def choose(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
         return _xla(devices, "it was asked for")
     if wanted == "auto" and kind != "cpu":
         return _xla(devices, f"there is a {kind.upper()}")
+    missing = unavailable()
+    if missing is not None:
+        if wanted == "native":
+            raise ValueError(f"engine: native cannot run here, as {missing}")
+        return _xla(devices, missing)
     reason = unsupported(problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1)))
     if reason is None:
         why = "it was asked for" if wanted == "native" else "it can compile this simulator"

@@ -60,7 +60,9 @@ class Box(eqx.Module):
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """[size] low and [size] high, in float64."""
-        low, high = (np.broadcast_to(np.float64(b), (self.size,)) for b in (self.low, self.high))
+        low, high = (
+            np.broadcast_to(np.asarray(b, np.float64), (self.size,)) for b in (self.low, self.high)
+        )
         return low.copy(), high.copy()
 
     @property

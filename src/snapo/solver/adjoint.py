@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -132,7 +133,8 @@ def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
 @eqx.filter_jit
 def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
     def schedule(values):
-        made = simulator.prepare(inputs_.replace(inputs, values))
+        # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.
+        made = jax.tree.map(jnp.asarray, simulator.prepare(inputs_.replace(inputs, values)))
         return eqx.filter(made, eqx.is_inexact_array)
 
     made, pull = jax.vjp(schedule, values)

@@ -21,13 +21,7 @@ from snapo.domains.pension.records import (
     PensionCase,
     RateModel,
 )
-from snapo.domains.pension.records_people import (
-    CashFlows,
-    Contribution,
-    Indexation,
-    Liability,
-    Plan,
-)
+from snapo.domains.pension.records_people import CashFlows, Contribution, Indexation, Liability, Plan
 
 
 def given(name: str, values, index=None, unit="1") -> Given:

@@ -8,13 +8,7 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, full, given
 
-from snapo.domains.pension.classical import (
-    ConstantMix,
-    StockBond,
-    followers,
-    merton,
-    vasicek_stock_bond,
-)
+from snapo.domains.pension.classical import ConstantMix, StockBond, followers, merton, vasicek_stock_bond
 from snapo.domains.pension.inputs import pension_inputs
 from snapo.domains.pension.observation import CURVE_DEPENDENT, NAMES, sizes, slots
 from snapo.domains.pension.policy import Limits, new_policy

@@ -1,17 +1,19 @@
-"""Pharma cases as files, and processes with closed forms in place of a flowsheet."""
+"""Pharma cases as files, runs of them, and processes with closed forms in place of a flowsheet."""
 
 import copy
 import tomllib
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 
 import snapo
 from snapo.domains.pharma.case import resolve
-from snapo.domains.pharma.inputs import pharma_inputs
-from snapo.domains.pharma.records import PharmaCase
+from snapo.domains.pharma.flowsheet.case import PharmaCase
+from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
+from snapo.report.folder import Folder
+from snapo.study import commands
 
 TEMPLATE = Path(snapo.__file__).parent / "domains" / "pharma" / "template" / "case.toml"
 
@@ -72,3 +74,155 @@ class FirstOrder:
         energy = inputs["kinetics.activation"][0]
         rate = k * jnp.exp(-energy / 8.314 / inputs["reactor.temperature"][0])
         return 0.33 * jnp.exp(-rate * 0.33 * jnp.asarray(times))
+
+
+# Concentrations of an isothermal batch at 313.15 K with the kinetics published with PharmaPy, from
+# a multistep solution at a relative tolerance of 1e-11: at 600, 1800 and 3600 s, kmol/m3.
+TIMES = (600, 1800, 3600)
+BATCH = {
+    "A": (0.118582315, 0.022330171, 0.002312084),
+    "B": (0.165839680, 0.113279266, 0.103639153),
+    "C": (0.116902954, 0.125771639, 0.125033777),
+    "D": (0.047257366, 0.090949095, 0.101327069),
+}
+CASE = """kind = "pharma"
+title = "Batch reactor"
+pairs = [["T", "t"]]
+[species]
+A = { molar_mass = "100 g/mol" }
+B = { molar_mass = "50 g/mol" }
+C = { molar_mass = "150 g/mol" }
+D = { molar_mass = "250 g/mol" }
+[[reactions]]
+name = "product"
+equation = "A + B -> C"
+prefactor = "2.2e4 L/mol/s"
+activation = "40 kJ/mol"
+[[reactions]]
+name = "impurity"
+equation = "C + A -> D"
+prefactor = "6e2 L/mol/s"
+activation = "30 kJ/mol"
+[feeds.charge]
+volume = "60 L"
+temperature = "313.15 K"
+concentration = { A = "0.33 mol/L", B = "0.33 mol/L" }
+solvent = "887.6 kg/m^3"
+[units.reactor]
+type = "reactor"
+duration = "3600 s"
+temperature = "40 degC"
+[[connections]]
+from = "charge"
+to = "reactor.feed"
+[[parameters]]
+name = "T"
+of = "reactor.temperature"
+range = ["30 degC", "50 degC"]
+normal = ["39 degC", "41 degC"]
+distribution = { kind = "normal", spread = "0.5 degC" }
+source = "made up"
+[[parameters]]
+name = "t"
+of = "reactor.duration"
+range = ["30 min", "90 min"]
+normal = ["55 min", "65 min"]
+source = "made up"
+[[attributes]]
+name = "product"
+measure = "reactor.concentration.C"
+unit = "mol/L"
+low = "0.11 mol/L"
+citation = "made up"
+[[attributes]]
+name = "impurity"
+measure = "reactor.concentration.D"
+unit = "mol/L"
+high = "0.12 mol/L"
+citation = "made up"
+[[uncertainty]]
+of = "kinetics.prefactor"
+distribution = { kind = "lognormal", spread = 0.1 }
+[design_space]
+axes = ["T", "t"]
+points = 5
+samples = 32
+[estimation]
+[[estimation.fit]]
+of = "kinetics.prefactor[product]"
+low = "1e3 L/mol/s"
+high = "1e6 L/mol/s"
+logarithm = true
+[[estimation.fit]]
+of = "kinetics.prefactor[impurity]"
+low = "1e1 L/mol/s"
+high = "1e4 L/mol/s"
+logarithm = true
+[[estimation.experiments]]
+name = "batch"
+data = "batch.csv"
+[evaluation]
+paths = 256
+"""
+
+
+def data() -> str:
+    """What was measured of `CASE`, as a CSV file."""
+    rows = ["time,state,value,error"]
+    for name, values in BATCH.items():
+        for time, value in zip(TIMES, values):
+            rows.append(f"{time} s,reactor.concentration.{name},{value} mol/L,1e-4 mol/L")
+    return "\n".join(rows) + "\n"
+
+
+LOOP = """
+[control]
+steps = { reactor = 3 }
+substeps = 16
+[[control.manipulated]]
+of = "reactor.temperature"
+low = "30 degC"
+high = "50 degC"
+[[control.measurements]]
+state = "reactor.concentration.C"
+error = "0.001 mol/L"
+centre = "0.1 mol/L"
+width = "0.05 mol/L"
+[optimise]
+[[optimise.terms]]
+of = "reactor.concentration.C"
+unit = "mol/L"
+[[optimise.per]]
+of = "reactor.duration"
+unit = "h"
+[[optimise.decisions]]
+of = "reactor.temperature"
+low = "30 degC"
+high = "50 degC"
+[[optimise.decisions]]
+of = "reactor.duration"
+low = "15 min"
+high = "90 min"
+[goal]
+kind = "mean"
+attribute = "product"
+[training]
+steps = 6
+paths = 16
+validation_paths = 64
+validation_every = 3
+"""
+SMALLER = ("design_space", "estimation", "pairs", "evaluation")
+
+
+def small(text: str) -> str:
+    """A case without the parts that other tests run, and with few paths."""
+    kept = text[: text.index("[design_space]")] + text[text.index("[control]") :]
+    kept = kept.replace('pairs = [["T", "t"]]\n', "")
+    return kept + "[evaluation]\npaths = 128\nsensitivity_paths = 64\n[numerics]\nrefine = false\n"
+
+
+def solve(folder: Path, out: Path, *changes: str) -> tuple[dict[str, Any], Folder]:
+    """A run of the case in a folder as the command does it: result.json, and what was found."""
+    result = commands.solve(commands.Asked(folder, changes), lambda text: None, out=out)
+    return result, Folder.read(out)

@@ -8,29 +8,21 @@ import numpy as np
 
 from snapo.case.given import Given
 from snapo.case.settings import EvaluationTable, TrainingTable
-from snapo.domains.pharma.records import (
-    Attribute,
-    Connection,
-    Distribution,
-    Goal,
-    Network,
-    Numerics,
-    Parameter,
-    PharmaCase,
-    Uncertainty,
-)
-from snapo.domains.pharma.records_units import (
-    Crystalliser,
-    Dissolution,
-    Dryer,
-    Feed,
-    Filter,
-    Kinetics,
-    Profile,
-    Reactor,
-    Seed,
-    Solubility,
-)
+from snapo.domains.pharma.control.records import Goal
+from snapo.domains.pharma.flowsheet.case import Connection, PharmaCase
+from snapo.domains.pharma.flowsheet.feed import Feed
+from snapo.domains.pharma.flowsheet.network import Network
+from snapo.domains.pharma.quality.records import Attribute, Distribution, Parameter, Uncertainty
+from snapo.domains.pharma.time.numerics import Numerics
+from snapo.domains.pharma.time.profile import Profile
+from snapo.domains.pharma.units.crystalliser import Crystalliser
+from snapo.domains.pharma.units.crystals.kinetics import Kinetics
+from snapo.domains.pharma.units.crystals.seed import Seed
+from snapo.domains.pharma.units.crystals.solubility import Solubility
+from snapo.domains.pharma.units.dissolution import Dissolution
+from snapo.domains.pharma.units.dryer import Dryer
+from snapo.domains.pharma.units.filter import Filter
+from snapo.domains.pharma.units.reactor import Reactor
 
 
 def number(name, value, unit="1"):

@@ -8,7 +8,8 @@ from jaxtyping import Array
 from tests.engine.native.problems import TOLERANCE, Store, Tanh, Wide, difference
 
 from snapo.engine import Clip, Window, Xla
-from snapo.engine.native import Native, compiler
+from snapo.engine.native import Native
+from snapo.lanes.machine.processor import host
 from snapo.problem.noise import Stored
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule
@@ -49,7 +50,7 @@ def test_values_and_gradients(store, precision, smooth):
     assert difference(results[0][1], results[1][1]) < TOLERANCE[precision]
 
 
-@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.study)])
 def test_windows_starts_actions_and_clipping(store, precision):
     simulator, policy, schedule = store
     noise, smooth = draws(simulator, antithetic=False), Smooth(0.3)
@@ -98,7 +99,7 @@ def test_supplied_noise(store):
     assert difference(Xla().adjoint(*args), Native().adjoint(*args)) < 1e-5
 
 
-@pytest.mark.parametrize("precision", [pytest.param("float32", marks=pytest.mark.slow), "float64"])
+@pytest.mark.parametrize("precision", [pytest.param("float32", marks=pytest.mark.study), "float64"])
 def test_wide_states_and_matrices(precision):
     simulator = Wide()
     schedule, policy = simulator.prepare(None), Tanh((25, 20, 1))
@@ -139,8 +140,8 @@ class Corners(Tanh):
         (Tanh, "float64", (4, 12, 13, 2)),
         (Tanh, "float64", (4, 33, 32, 2)),
         (Corners, "float64", (4, 7, 7, 2)),
-        pytest.param(Tanh, "float32", (4, 96, 98, 2), marks=pytest.mark.slow),
-        pytest.param(Corners, "float32", (4, 97, 97, 2), marks=pytest.mark.slow),
+        pytest.param(Tanh, "float32", (4, 96, 98, 2), marks=pytest.mark.study),
+        pytest.param(Corners, "float32", (4, 97, 97, 2), marks=pytest.mark.study),
     ],
 )
 def test_sizes_that_tiles_do_not_divide(store, kind, precision, widths):
@@ -156,7 +157,7 @@ def test_nothing_is_compiled_twice(store, monkeypatch):
     noise = draws(simulator)
     native = Native()
     native.values(simulator, policy, schedule, noise, Smooth(0.3))
-    monkeypatch.setattr("snapo.engine.native.compiler.machine", None)
+    monkeypatch.setattr("snapo.engine.native.call.linked", None)
     native.values(simulator, policy, schedule, noise, Smooth(0.1))
     native.values(simulator, Tanh((4, 14, 2), seed=1), schedule, draws(simulator, 99), Smooth(0.2))
 
@@ -182,7 +183,7 @@ def test_results_are_numpy_arrays_of_the_precision(store):
     assert isinstance(double, np.ndarray) and double.dtype == np.float64
 
 
-@pytest.mark.parametrize("paths", [3, compiler.lanes("float32")])
+@pytest.mark.parametrize("paths", [3, host().lanes("float32")])
 def test_results_keep_nothing_else_alive(store, paths):
     """Not what the kernel wrote beside them: numbers of one block lie in a row as they are."""
     simulator, policy, schedule = store

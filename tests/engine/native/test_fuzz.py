@@ -11,6 +11,6 @@ def test_random_step_functions():
         assert agree, f"case {case}: {word}"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_two_thousand_random_step_functions():
     assert fuzz.main(2000) == 0

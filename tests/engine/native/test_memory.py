@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.engine.native.problems import Store, Tanh
 
-from snapo.engine.native import Native, engine, runtime
+from snapo.engine.native import Native, call, runtime
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -44,7 +44,7 @@ def caller(native: Native, paths: int = 32):
 
 
 @linux
-@pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.study)])
 def test_calls_leak_nothing(calls):
     """A leak of one kilobyte per call would show."""
     call = caller(Native())
@@ -71,7 +71,7 @@ class Scaled(Store):
 
 
 @linux
-@pytest.mark.slow
+@pytest.mark.study
 def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     """No maps and no objects; 0.6 megabytes per kernel that is COMPILED, at most.
 
@@ -79,7 +79,7 @@ def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     cache cost nothing. JAX keeps its traces until its own caches are full or cleared.
     """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(engine, "KEPT", 4)
+    monkeypatch.setattr(call, "KEPT", 4)
     policy, native = Tanh((4, 14, 2)), Native()
 
     def some(numbers) -> None:
@@ -94,7 +94,7 @@ def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     before, maps, _ = megabytes(), *maps_and_threads()
     for first in range(20, 80, 20):
         some(range(first, first + 20))
-    assert len(engine._runners) <= 4
+    assert len(call._runners) <= 4
     assert maps_and_threads()[0] - maps < 50
     assert megabytes() - before < 60 * 0.6
 
@@ -134,7 +134,7 @@ def growth(steps: int, paths: int, tape: int, threads: int) -> float:
 
 
 @linux
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize("tape", [8, 32])
 def test_memory_stays_below_the_ceiling(tape):
     """T = 3650 and N = 16384: a tape per thread, the groups' sums, and rows for every path.

@@ -56,7 +56,7 @@ def problem(name: str):
 
 CORE = ("regulator", "merton", "constant mix", "funding")
 FAST = (*CORE, "own_simulator", "battery")
-SLOW = [pytest.param(n, marks=pytest.mark.slow) for n in ("quick", "portfolio", "G1", "G3", "G6")]
+SLOW = [pytest.param(n, marks=pytest.mark.study) for n in ("quick", "portfolio", "G1", "G3", "G6")]
 
 
 @pytest.mark.parametrize("constraints", [Exact(), Smooth(np.float64(0.1))], ids=["exact", "smooth"])

@@ -9,7 +9,8 @@ from tests.engine.native.problems import Store, Tanh, difference
 
 from snapo.engine import Window, Xla
 from snapo.engine.choose import choose
-from snapo.engine.native import Native, Unsupported, body, unsupported
+from snapo.engine.native import Native, Unsupported, unsupported
+from snapo.lanes.body import operations
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import Constant
@@ -79,7 +80,7 @@ def test_an_accident_in_the_emitter_is_a_reason(monkeypatch):
     def broken(*args):
         raise IndexError("out of range")
 
-    monkeypatch.setattr(body.Body, "single", broken)
+    monkeypatch.setattr(operations, "single", broken)
     store = Store()
     reason = unsupported(store, store.prepare(None), POLICY, Exact())
     assert reason is not None and "out of range" in reason and "problems.py:" in reason

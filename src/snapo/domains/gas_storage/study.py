@@ -42,12 +42,12 @@ def study(case: StorageCase, options: Options) -> Study:
     """All parts of a run; of a contract without a decision left, its value alone."""
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
-    ready = _Ready(case, options.engine)
-    parts = [INTRINSIC, TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
+    ready, bare = _Ready(case, options.engine), bare_problem(case)
+    parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
     if options.reference:
         parts.append(DYNAMIC_PROGRAMMING)
     parts.append(VALUES)
-    about = _about(case, bare_problem(case))
+    about = _about(case, bare)
     return Study(KIND, about, tuple(parts), _result, lambda: ready.setup)
 
 
@@ -95,15 +95,14 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
     return about | {"forward": forward, "inputs": inputs}
 
 
-def _intrinsic(run: StudyRun) -> dict[str, Any]:
+def _intrinsic(problem: Problem, case: StorageCase) -> Part:
     """ "intrinsic": value and net injections [T] of the best plan against today's curve."""
-    setup = run.setup
-    kind = case_of(setup).contract.ratchets.interpolation
-    plan = intrinsic(setup.problem.schedule, kind)
-    return {"intrinsic": {"value": plan.value, "net": plan.net}}
 
+    def work(run: StudyRun) -> dict[str, Any]:
+        plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
+        return {"intrinsic": {"value": plan.value, "net": plan.net}}
 
-INTRINSIC = Part("intrinsic value", _intrinsic)
+    return Part("intrinsic value", work)
 
 
 def _dynamic_programming(run: StudyRun) -> dict[str, Any]:

@@ -4,11 +4,11 @@ from typing import Any
 
 import jax
 
-from snapo.case.error import CaseError, nearest
+from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
 from snapo.engine import choose
-from snapo.problem.policy import MLP
+from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
@@ -111,7 +111,11 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.simulator, case.inputs, case.objective, sources)
-    policy = MLP(problem.action, problem.features, key=jax.random.key(training.seed))
+    recipe = getattr(case.simulator, "policy", None) or MLP()
+    if not isinstance(recipe, Policy):
+        got = Unquoted(f"a {type(recipe).__name__}")
+        raise CaseError(":".join(case.place), "policy", got, "allowed is a policy, snapo.MLP()")
+    policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
     try:
         engines = choose(engine, problem, policy)
     except ValueError as error:

@@ -1,0 +1,3 @@
+"""Pharmaceutical processes: `DOMAIN` is how the commands know them."""
+
+from .domain import DOMAIN as DOMAIN

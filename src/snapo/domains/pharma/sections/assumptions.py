@@ -7,12 +7,12 @@ from .run import Run
 
 
 def assumptions(run: Run) -> Section:
-    """What the model takes for granted, what was remarked, and what made the numbers."""
+    """Assumptions of the model, remarks, and the versions behind the numbers."""
     blocks: list[Block] = [Text(str(text)) for text in run.get("assumptions", [])]
     if not blocks:
-        blocks.append(Missing("The assumptions are not in details.json."))
-    blocks += [Text(str(note), caveat=True) for note in run.get("notes", [])]
-    times = run.get("seconds") or {}
+        blocks.append(Missing("The assumptions are not in this run."))
+    blocks += [Text(str(note), caveat=True) for note in [*run.get("notes", []), *_notes(run)]]
+    times = run.result.get("seconds") or {}
     if times.get("total") is not None:
         blocks.append(Facts([("Whole study", seconds(times["total"]), "wall clock")]))
     rows = [(name.capitalize(), seconds(each)) for name, each in times.items() if name != "total"]
@@ -23,13 +23,27 @@ def assumptions(run: Run) -> Section:
     return Section("assumptions", title, "Assumptions", blocks)
 
 
+def _notes(run: Run) -> list[str]:
+    """Remarks that the run itself makes: parts that failed, and a coarser mesh."""
+    found = [
+        f"{name} failed: {each['note']}" for name, each in run.parts.items() if each.get("note")
+    ]
+    steps = run.get("sampling.steps")
+    if steps is not None and steps != run.get("numerics.steps"):
+        found.append(
+            f"Statistics of many batches use {steps} steps per piece, which moves no attribute by "
+            f"more than {run.get('sampling.gap'):.1g} of its margin."
+        )
+    return found
+
+
 def _made_with(run: Run) -> Table | Missing:
     rows = [("Seed", number(run.get("seed"), 0))] if run.get("seed") is not None else []
     numerics = run.get("numerics") or {}
     if numerics:
         rows.append(("Integration", f"{numerics['method']}, {numerics['steps']} steps per piece, "
                      f"tolerance {numerics['tolerance']:g}"))  # fmt: skip
-    versions = run.get("versions") or {}
+    versions = run.get("versions", {}) | run.get("libraries", {})
     if versions:
         rows.append(("Versions", ", ".join(f"{k} {v}" for k, v in versions.items())))
     rows += [(f"SHA-256 of {name}", text) for name, text in (run.get("hashes") or {}).items()]

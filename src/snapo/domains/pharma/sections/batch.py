@@ -12,7 +12,7 @@ from .run import Run
 
 
 def profiles(run: Run) -> Section:
-    """Temperature over time, and what one kelvin for ten minutes does to each attribute."""
+    """Temperature over time, and the effect of one kelvin for ten minutes on each attribute."""
     title, short = "Profiles and their sensitivity over time", "Profiles"
     found = run.get("profiles")
     if not found:

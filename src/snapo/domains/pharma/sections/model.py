@@ -4,18 +4,11 @@ from snapo.report.page import Block, Missing, Section, Table, Text
 
 from .run import Run
 
-SYMBOLS = (
-    "Symbols: c concentration, c* solubility, S supersaturation, L size and n its density by "
-    "number, μₖ moments of the size, kᵥ shape, ρₛ density of crystals, d₃₂ mean size by "
-    "surface; ε porosity, s saturation, W wash ratio, α specific resistance, cₛ crystals per "
-    "volume of filtrate V_f, R_m resistance of the medium, μ viscosity, Δp pressure, A area; X "
-    "solvent per crystals; D diffusivity, Cₛ solubility and h film of the dissolution test."
-)
 POWERS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 
 def model(run: Run) -> Section:
-    """Purpose, flowsheet, equations, parameters with their sources, and what is uncertain."""
+    """Purpose, flowsheet, equations, parameters with their sources, and uncertain numbers."""
     blocks: list[Block] = []
     if run.get("purpose"):
         blocks.append(Text(str(run.get("purpose"))))
@@ -23,11 +16,14 @@ def model(run: Run) -> Section:
         blocks.append(Text(str(run.get("scope")), caveat=True))
     units = run.get("units", [])
     if not units:
-        blocks.append(Missing("details.json does not say what the flowsheet is."))
+        blocks.append(Missing("This run does not say what the flowsheet is."))
     flow = [f"{c['from']} → {c['to']}" for c in run.get("connections", [])]
     if flow:
         blocks.append(Text("Flowsheet: " + "; ".join(flow) + "."))
-    blocks += [_reactions(run), _equations(units), Text(SYMBOLS), _parameters(run)]
+    blocks += [_reactions(run), _equations(units)]
+    if run.get("symbols"):
+        blocks.append(Text(f"Symbols: {run.get('symbols')}."))
+    blocks.append(_parameters(run))
     blocks.append(_uncertainty(run))
     blocks.append(_numbers(run))
     return Section("model", "Purpose, model and equations", "Model", blocks)

@@ -42,7 +42,7 @@ def heat(
 
 
 def tornado(axes: Axes, names: Sequence[str], values: np.ndarray, unit: str) -> None:
-    """Bars to both sides, the longest on top: what each parameter does over its normal range.
+    """Bars to both sides, the longest on top: the effect of each parameter over its normal range.
 
     Lengths are shares of the longest bar, so that panels of different units share an axis.
     """
@@ -124,7 +124,7 @@ def space(axes: Axes, found: dict[str, Any], probability: np.ndarray, names) -> 
 
 
 def _boxes(axes: Axes, found: dict[str, Any]) -> None:
-    """Set point, normal operating range, and the largest box that keeps what is required."""
+    """Set point, normal operating range, and the largest box of the required probability."""
     (left, right), (low, high) = found["normal"][:2]
     style: dict[str, Any] = {"fill": False, "linewidth": 1.4}
     axes.add_patch(Rectangle((left, low), right - left, high - low, edgecolor=LIGHT["ink"],

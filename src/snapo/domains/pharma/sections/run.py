@@ -27,7 +27,7 @@ class Run(Folder):
         return [a["name"] for a in self.attributes], [p["name"] for p in self.parameters]
 
     def table(self, path: str) -> np.ndarray | None:
-        """A table of numbers of details.json as float64; its nulls are NaN."""
+        """A table of numbers of a part as float64; its nulls are NaN."""
         found = self.get(path)
         if not found:
             return None

@@ -13,7 +13,7 @@ from .run import Run
 
 
 def design_space(run: Run) -> Section:
-    """The probability that all limits hold over the axes, and what breaks them where."""
+    """The probability that all limits hold over the axes, and the attribute that breaks them."""
     title, short = "Design space", "Design space"
     found, probability = run.get("design_space"), run.table("design_space.probability")
     if found is None or probability is None:

@@ -9,7 +9,7 @@ CLOSED, AGREED = 1e-10, 1e-10
 
 
 def checks(run: Run) -> list[tuple[str, bool]]:
-    """(what was checked, whether it held)."""
+    """(name of the check, whether it held)."""
     found = []
     balances = run.get("balances")
     if balances:

@@ -1,0 +1,55 @@
+"""Times of a batch, its derivatives and many batches, on the template."""
+
+import time
+import tomllib
+from collections.abc import Callable
+from importlib.resources import files
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.study.study import Tell
+
+from .case import resolve
+from .derivatives.jacobian import gradient, matrix
+from .flowsheet.process import Process
+from .quality.draws import all_draws, all_entries
+
+BATCHES, REPEATS = 4096, 5
+
+
+def bench(engine: str, tell: Tell) -> str:
+    """A table of best times, compiling apart."""
+    if engine not in ("auto", "xla", "native"):
+        raise CaseError("--engine", "", engine, 'allowed is "auto", "xla" or "native"')
+    file = files("snapo.domains.pharma") / "template" / "case.toml"
+    process = Process(resolve(Path(str(file)), tomllib.loads(file.read_text(encoding="utf-8"))))
+    case, name = process.case, process.names[0]
+    draws = all_draws(case, BATCHES, case.training.seed)
+    wanted: Any = engine
+    works: dict[str, Callable[[], Any]] = {
+        "one batch, values": process.values,
+        f"{len(process.names)} attributes by {len(process.parameters)} parameters": (
+            lambda: matrix(process)
+        ),
+        "one attribute by every number, adjoint": lambda: gradient(process, name),
+        f"{BATCHES} batches, values": (
+            lambda: process.batch(all_entries(case), draws, engine=wanted)
+        ),
+    }
+    lines = [f"{'':<44} {'first, s':>9} {'best, ms':>9}"]
+    for words, work in works.items():
+        tell(words)
+        first, best = _times(work)
+        lines.append(f"{words:<44} {first:>9.2f} {1000 * best:>9.2f}")
+    return "\n".join(lines)
+
+
+def _times(work: Callable[[], Any]) -> tuple[float, float]:
+    """Seconds of the first call, which compiles, and the best of some more."""
+    found = []
+    for _ in range(1 + REPEATS):
+        started = time.perf_counter()
+        work()
+        found.append(time.perf_counter() - started)
+    return found[0], min(found[1:])

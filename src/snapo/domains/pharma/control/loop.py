@@ -1,0 +1,107 @@
+"""The process in closed loop: a policy decides temperatures and ratios on measurements."""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from snapo.problem.chain import Chain
+from snapo.problem.inputs import Input
+from snapo.problem.prepare import prepare
+from snapo.problem.simulator import Simulator, probe
+
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.inputs import pharma_inputs
+from .policy import Feedback
+from .stages import Stage, decided, staged
+
+
+class Loop(NamedTuple):
+    """A closed loop, ready for `snapo.solve`.
+
+    - `inputs`: {name: Input}. `baseline`: the recipe of the case as a policy that sees nothing;
+      trained, it is the best fixed recipe. `policy`: the same recipe with feedback.
+    - `stages`: in order. `outputs`: names of the attributes' totals. Beside them "success" is 1
+      where all limits hold, and "violation" adds up the distances beyond them in margins.
+    """
+
+    simulator: Simulator
+    inputs: dict[str, Input]
+    policy: Feedback
+    baseline: Feedback
+    stages: tuple[Stage, ...]
+    outputs: tuple[str, ...]
+
+
+def closed_loop(case: PharmaCase, inputs: dict[str, Any] | None = None, seed: int = 0) -> Loop:
+    """The simulator, a policy to train and the fixed recipe as a policy, at `inputs`."""
+    if case.control is None:
+        raise ValueError("closed_loop: the case has no [control].")
+    stages = _stages(case)
+    moves = [_move(a, b) for a, b in pairwise(stages)]
+    simulator = Chain(stages, moves) if moves else stages[0]
+    found = pharma_inputs(case)
+    for name, value in (inputs or {}).items():
+        found[name] = eqx.tree_at(lambda each: each.value, found[name], np.asarray(value, float))
+    features = probe(simulator, prepare(simulator, found))[1].shape[0]
+    recipe = nominal_recipe(case, stages, found)
+    baseline = Feedback(recipe, features, key=jax.random.key(seed))
+    names = tuple(f"attribute.{each.name}" for each in case.attributes)
+    return Loop(simulator, found, baseline.closed(), baseline, tuple(stages), names)
+
+
+def _stages(case: PharmaCase) -> list[Stage]:
+    """A stage for each unit with decisions or sensors, and one for decisions on all the others."""
+    assert case.control is not None
+    steps, units = dict(case.control.steps), staged(case)
+    last = [None] if decided(case, None) or not units else []
+    counts = [steps.get(each.name, 1) for each in units] + [1] * len(last)
+    starts = np.cumsum([0, *counts])
+    return [
+        Stage(  # pyright: ignore[reportCallIssue]
+            case=case,
+            unit=unit,
+            horizon=counts[i],
+            before=int(starts[i]),
+            total=int(starts[-1]),
+        )
+        for i, unit in enumerate((*units, *last))
+    ]
+
+
+def _move(before: Stage, after: Stage):
+    """From the end of one stage to the beginning of the next."""
+
+    def move(constants, state, later):
+        return after.enter(later, before.leave(constants, state))
+
+    return move
+
+
+def nominal_recipe(case: PharmaCase, stages: list[Stage], inputs: dict[str, Input]) -> np.ndarray:
+    """[T, size] actions that follow the case's own profiles and numbers."""
+    assert case.control is not None
+    size = max(stage.action.size for stage in stages)
+    table = np.full((stages[-1].total, size), 0.5)
+    for stage in stages:
+        for place, i in enumerate(stage.decided):
+            item = case.control.manipulated[i]
+            value = inputs[item.input].value
+            ends = (np.arange(stage.horizon) + 1) / stage.horizon
+            wanted = _course(case, item.input, value, ends)
+            rows = slice(stage.before, stage.before + stage.horizon)
+            table[rows, place] = np.clip((wanted - item.low) / (item.high - item.low), 0, 1)
+    return table
+
+
+def _course(case: PharmaCase, name: str, value: np.ndarray, share: np.ndarray) -> np.ndarray:
+    """A control at shares of its unit's duration: its profile, or one number all the time."""
+    unit = next(each for each in case.units if each.name == name.partition(".")[0])
+    profile = next((each for each in unit.profiles if each.value.name == name), None)
+    if profile is None:
+        return np.full(len(share), value[0])
+    if profile.kind == "linear":
+        return np.interp(share, profile.share, value)
+    return value[np.searchsorted(profile.share[1:-1], share - 1e-9, side="right")]

@@ -1,0 +1,131 @@
+"""The parts of a run that decide in closed loop: recipe, policy, and the two side by side."""
+
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.engine import Engines, choose
+from snapo.problem.problem import Problem
+from snapo.solver.evaluate import path_totals
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.study import Part, Setup, StudyRun
+from snapo.study.training import train
+
+from ..flowsheet.case import PharmaCase
+from .closed_loop import best_recipe, in_words, objective
+from .loop import Loop, closed_loop
+from .policy import Feedback
+
+RECIPE, TRAINED = "best fixed recipe", "training"
+
+
+class ClosedLoop:
+    """What these parts share: the loop, its problem, and the recipes once they are tuned."""
+
+    def __init__(self, case: PharmaCase, engine: str):
+        self.case, self.engine = case, engine
+        self.training = Training(**case.training.model_dump())
+        self.evaluation = Evaluation(**case.evaluation.model_dump())
+        self.first: Feedback | None = None
+
+    @cached_property
+    def loop(self) -> Loop:
+        return closed_loop(self.case, seed=self.training.seed)
+
+    @cached_property
+    def problem(self) -> Problem:
+        sources = self.evaluation.sources(self.training.seed)
+        return Problem(self.loop.simulator, self.loop.inputs, objective(self.case), sources)
+
+    @cached_property
+    def engines(self) -> Engines:
+        # A step of a process is far more than the native engine takes, and asking it costs a trace.
+        name = "xla" if self.engine == "auto" else self.engine
+        try:
+            return choose(name, self.problem, self.loop.policy)
+        except ValueError as error:
+            raise CaseError("--engine", "", name, str(error).removeprefix("engine: ")) from None
+
+    @cached_property
+    def _setups(self) -> dict[bool, Setup]:
+        return {}
+
+    def setup(self) -> Setup:
+        """The policy starts from the first recipe, once that is there."""
+        known = self.first is not None
+        if known not in self._setups:
+            policy = (self.first or self.loop.baseline).closed()
+            self._setups[known] = Setup(
+                self.problem, policy, self.training, self.evaluation, self.engines
+            )
+        return self._setups[known]
+
+    def parts(self) -> list[Part]:
+        """In the order in which they are done."""
+        return [
+            Part(RECIPE, self.tune),
+            Part(TRAINED, self.train, (RECIPE,)),
+            Part("closed loop", self.compare, (TRAINED,)),
+        ]
+
+    def tune(self, run: StudyRun) -> dict[str, Any]:
+        """The logits of both recipes, [T, size]."""
+        first, best = best_recipe(
+            self.problem, self.loop.baseline, self.training, self.engines, run.tell
+        )
+        return {"recipes": {"first": np.asarray(first.table), "best": np.asarray(best.table)}}
+
+    def recipe(self, run: StudyRun, name: str) -> Feedback:
+        """A recipe as its part left it."""
+        return self.loop.baseline.on(np.array(run.get(f"recipes.{name}"), np.float32))
+
+    def train(self, run: StudyRun) -> dict[str, Any]:
+        self.first = self.recipe(run, "first")
+        return train(run)
+
+    def compare(self, run: StudyRun) -> dict[str, Any]:
+        """Policy and best recipe on the same fresh batches."""
+        best, goal, solution = self.recipe(run, "best"), self.problem.objective, run.solution
+        evaluate, paths = self.engines.evaluate, self.evaluation.paths
+        fixed = path_totals(self.problem, best, paths, engine=evaluate)
+        ours, theirs = np.asarray(solution.totals["success"]), np.asarray(fixed["success"])
+        with jax.enable_x64(True):
+            baseline_goal = float(goal.value(fixed))
+        table = {
+            "value": float(ours.mean()),
+            "standard_error": _error(ours),
+            "baseline": float(theirs.mean()),
+            "baseline_error": _error(theirs),
+            "gain": float((ours - theirs).mean()),
+            "gain_error": _error(ours - theirs),
+            "goal": in_words(self.case.goal),
+            "objective": solution.value,
+            "objective_error": solution.standard_error,
+            "baseline_objective": baseline_goal,
+            "recipe": self.decided(best),
+            "engine": solution.engine,
+            "paths": dict(solution.paths),
+            "status": solution.status,
+        }
+        return {"closed_loop": table}
+
+    def decided(self, best: Feedback) -> list[dict[str, Any]]:
+        """The numbers that a recipe decides, in the domain's units: one row each."""
+        assert self.case.control is not None
+        actions, rows = best.actions(), []
+        for stage in self.loop.stages:
+            for place, i in enumerate(stage.decided):
+                item = self.case.control.manipulated[i]
+                part = actions[stage.before : stage.before + stage.horizon, place]
+                values = item.low + part * (item.high - item.low)
+                unit = self.loop.inputs[item.input].unit
+                rows.append({"input": item.input, "unit": unit, "values": values.astype(float)})
+        return rows
+
+
+def _error(values: np.ndarray) -> float:
+    return float(values.std(ddof=1) / np.sqrt(values.size))

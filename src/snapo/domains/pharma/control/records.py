@@ -1,0 +1,64 @@
+"""The closed loop as resolved data: who decides, on what readings, to which end."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+
+@dataclass(frozen=True)
+class Manipulated:
+    """One thing that the policy decides: the profile or the number `input` of a unit.
+
+    - `low`, `high`: the set, in the domain's unit. `ramp`: most change per second of a profile,
+      None without limit.
+    """
+
+    input: str
+    low: float
+    high: float
+    ramp: float | None
+
+
+@dataclass(frozen=True)
+class Measurement:
+    """What the policy sees: "unit.state", with the standard deviation of the sensor's error.
+
+    `centre` and `width` bring it to order one: (measured - centre) / width.
+    """
+
+    state: str
+    error: float
+    centre: float
+    width: float
+
+
+@dataclass(frozen=True)
+class Control:
+    """Closed loop: who decides what, how often and on what.
+
+    - `steps`: decisions per unit, by name; a unit that is not named runs open loop on its own
+      numbers. `substeps`: fixed integration steps within one decision, at most 64.
+    - `solubility_margin`: most relative supersaturation allowed, as a path constraint; or None.
+    """
+
+    manipulated: tuple[Manipulated, ...]
+    measurements: tuple[Measurement, ...]
+    steps: tuple[tuple[str, int], ...]
+    substeps: int
+    solubility_margin: float | None
+
+
+@dataclass(frozen=True)
+class Goal:
+    """What is made large: by expectation, in the worst batches, or the chance to keep all limits.
+
+    - `kind`: "mean" and "cvar" are of `attribute` (maximised, or minimised with `sense` -1) with
+      limits as penalties; "probability" is of all limits together and needs no attribute.
+    - `level`: of "cvar". `penalty`: lost per `Attribute.margin` of violation, in units of
+      `attribute`'s margin.
+    """
+
+    kind: Literal["mean", "cvar", "probability"]
+    attribute: str
+    sense: Literal[-1, 1]
+    level: float
+    penalty: float

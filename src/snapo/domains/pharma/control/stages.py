@@ -1,0 +1,387 @@
+"""One batch of the process as stages of decisions: each unit on which something is decided or
+measured over time, and at the end, where there is something to decide there, the others.
+
+All other units run between the stages, in one go. A stage's state holds the whole batch: its
+drawn numbers, the streams made so far, the last value of every control and the last reading of
+every sensor.
+"""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Box
+from snapo.problem.simulator import Schedule, Simulator
+
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.feed import feed
+from ..flowsheet.flow import asked, crystal_sizes, sources, yields
+from ..flowsheet.ledger import Finish
+from ..flowsheet.stream import Stream, blank, flat, unflat
+from ..quality.records import Distribution
+from ..time.dynamics import Dynamics
+from ..time.profile import values_at
+from ..time.runge_kutta import runge_kutta
+from ..units.operation import Timed, Unit, timed
+from .records import Manipulated
+
+PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
+
+State = dict[str, Any]
+
+
+def staged(case: PharmaCase) -> tuple[Timed, ...]:
+    """The units over whose time something is decided or measured, in order."""
+    control = case.control
+    assert control is not None
+    named = {name for name, _ in control.steps}
+    named |= {each.state.partition(".")[0] for each in control.measurements}
+    named |= {each.input.partition(".")[0] for each in control.manipulated}
+    return tuple(each for each in timed(case.units) if each.name in named)
+
+
+def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
+    """Numbers of the `Manipulated` that belong to a stage's unit, or (None) to all the others."""
+    names = {each.name for each in staged(case)}
+
+    def owner(item: Manipulated) -> str | None:
+        name = item.input.partition(".")[0]
+        return name if name in names else None
+
+    assert case.control is not None
+    wanted = None if unit is None else unit.name
+    return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == wanted)
+
+
+class Varied(NamedTuple):
+    """[V] the differences from batch to batch: the uncertain numbers, and after them the process
+    parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
+
+    inputs: tuple[str, ...]
+    entries: tuple[int, ...]
+    distributions: tuple[Distribution, ...]
+    when: tuple[str, ...]
+    correlated: np.ndarray
+
+
+def varied(case: PharmaCase) -> Varied:
+    """The same numbers as those of `draws.all_entries`."""
+    known, moving = case.uncertainty, [each for each in case.parameters if each.distribution]
+    size = len(known.inputs)
+    factor = np.eye(size + len(moving))
+    if size:
+        factor[:size, :size] = np.linalg.cholesky(known.correlation)
+    return Varied(
+        known.inputs + tuple(each.input for each in moving),
+        known.entries + tuple(each.entry for each in moving),
+        known.distributions + tuple(each.distribution for each in moving if each.distribution),
+        known.when + ("batch",) * len(moving),
+        factor,
+    )
+
+
+def drawn(distribution: Distribution, centre, z) -> Array:
+    """The value that a standard normal stands for; formulas in `Distribution`."""
+    if distribution.kind == "normal":
+        return centre + distribution.spread * z
+    if distribution.kind == "lognormal":
+        return centre * jnp.exp(distribution.spread * z - distribution.spread**2 / 2)
+    return centre + distribution.spread * (2 * jax.scipy.special.ndtr(z) - 1)
+
+
+class Stage(Simulator):
+    """One stage. `unit` is None in one that decides once, before all that is left runs."""
+
+    case: PharmaCase = eqx.field(static=True)
+    unit: Timed | None = eqx.field(static=True)
+    horizon: int = eqx.field(static=True)
+    before: int = eqx.field(static=True)
+    total: int = eqx.field(static=True)
+
+    @property
+    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Box(max(1, len(self.decided)), 0.0, 1.0)
+
+    @property
+    def decided(self) -> tuple[int, ...]:
+        """Numbers of the `Manipulated` that this stage decides."""
+        return decided(self.case, self.unit)
+
+    @property
+    def readings(self) -> dict[str, str]:
+        """The states of this stage's unit, with their units."""
+        return self.unit.states(self.case.network.species) if self.unit else {}
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return len(self.varied.inputs) + len(self.control.measurements)
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.noise_size
+
+    @property
+    def control(self):
+        assert self.case.control is not None
+        return self.case.control
+
+    @property
+    def varied(self) -> Varied:
+        return varied(self.case)
+
+    def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        correlated = jnp.asarray(self.varied.correlated)
+        number = np.arange(self.horizon)
+        steps = {"clock": (self.before + number) / self.total, "share": number / self.horizon}
+        constants = {name: jnp.asarray(each) for name, each in inputs.items()}
+        return Schedule({"inputs": constants, "correlated": correlated}, steps)
+
+    def draw(self, constants, noise) -> Float[Array, " V"]:
+        """Values of the varied numbers."""
+        uncertain, inputs = self.varied, constants["inputs"]
+        z = constants["correlated"] @ noise[: len(uncertain.inputs)]
+        found = [
+            drawn(each, inputs[name][entry], z[i])
+            for i, (each, name, entry) in enumerate(
+                zip(uncertain.distributions, uncertain.inputs, uncertain.entries)
+            )
+        ]
+        return jnp.stack(found) if found else jnp.zeros(0)
+
+    def inputs_of(self, constants, draws) -> dict[str, Array]:
+        """The inputs of this batch."""
+        found, uncertain = dict(constants["inputs"]), self.varied
+        for i, (name, entry) in enumerate(zip(uncertain.inputs, uncertain.entries)):
+            found[name] = found[name].at[entry].set(draws[i])
+        return found
+
+    def initial(self, constants, noise) -> State:
+        size = len(self.varied.inputs)
+        draws = self.draw(constants, noise)
+        firsts = [constants["inputs"][each.input][0] for each in self.control.manipulated]
+        state = {
+            "y": jnp.zeros(0),
+            "streams": {},
+            "measures": {},
+            "draws": draws,
+            "control": jnp.stack(firsts) if firsts else jnp.zeros(0),
+            "seen": jnp.zeros(len(self.control.measurements)),
+            "error": noise[size:],
+            "worst": jnp.zeros(()),
+        }
+        return self.enter(constants, state)
+
+    def enter(self, constants, state: State) -> State:
+        """The state with which this stage begins."""
+        if self.unit is None:
+            return state | {"y": jnp.zeros(0)}
+        inputs = self.inputs_of(constants, state["draws"])
+        state = self.settle(inputs, state)
+        problem = self.problem(inputs, state["streams"])
+        y = problem.start
+        controls = [
+            state["control"][i] if (i := self._manipulated(profile.value.name)) >= 0 else value[0]
+            for profile, value in problem.controls
+        ]
+        return state | {"y": y, "seen": self.read(problem, y, controls, state)}
+
+    def leave(self, constants, state: State) -> State:
+        """The state with the streams and measures of this stage's unit."""
+        assert self.unit is not None
+        inputs = self.inputs_of(constants, state["draws"])
+        problem = self.problem(inputs, state["streams"])
+        ends = []
+        for profile, value in problem.controls:
+            i = self._manipulated(profile.value.name)
+            ends.append(state["control"][i] if i >= 0 else value[-1])
+        return self.delivered(self.unit, problem.finish(state["y"], *ends), state)
+
+    def delivered(self, unit: Unit, finish: Finish, state: State) -> State:
+        """The state with the delivery of a timed unit."""
+        wanted = asked(self.case)
+        streams = {
+            f"{unit.name}.{port}": flat(stream)
+            for port, stream in zip(unit.outlets, finish.outlets)
+        }
+        measures = {f"{unit.name}.{each}": value for each, value in finish.measures.items()}
+        kept = {each: value for each, value in measures.items() if each in wanted}
+        return state | {
+            "streams": state["streams"] | streams,
+            "measures": state["measures"] | kept,
+        }
+
+    def settle(self, inputs, state: State) -> State:
+        """The state with every timed unit run that has no stage and whose inlets flow by now."""
+        case, fed, own = self.case, sources(self.case), staged(self.case)
+        numerics = replace(case.numerics, method="mesh", steps=PLAIN_STEPS, along=True)
+        for unit in timed(case.units):
+            done = any(f"{unit.name}.{port}" in state["streams"] for port in unit.outlets)
+            if unit in own or done:
+                continue
+            found, _ = self.streams(inputs, state["streams"])
+            if not all(name in found for name in fed[unit.name]):
+                continue
+            given = tuple(found[name] for name in fed[unit.name])
+            finish = unit.operate(case.network, numerics, given, inputs).finish
+            state = self.delivered(unit, finish, state)
+        return state
+
+    def streams(self, inputs, made: dict[str, Array]) -> tuple[dict[str, Stream], dict]:
+        """All streams and measures that follow from the feeds and the vectors `made` so far."""
+        case, fed = self.case, sources(self.case)
+        found = {each.name: feed(each, inputs) for each in case.feeds}
+        species, sizes = len(case.network.species), crystal_sizes(case)
+        found |= {name: unflat(each, blank(species, sizes[name])) for name, each in made.items()}
+        measures = {}
+        over_time = timed(case.units)
+        for unit in case.units:
+            ready = all(name in found for name in fed[unit.name])
+            if unit in over_time or not ready:
+                continue
+            given = tuple(found[name] for name in fed[unit.name])
+            finish = unit.operate(case.network, case.numerics, given, inputs).finish
+            measures |= {f"{unit.name}.{name}": each for name, each in finish.measures.items()}
+            for port, stream in zip(unit.outlets, finish.outlets):
+                found[f"{unit.name}.{port}"] = stream
+        return found, measures
+
+    def problem(self, inputs, made) -> Dynamics:
+        """This stage's unit as an initial value problem."""
+        assert self.unit is not None
+        streams, _ = self.streams(inputs, made)
+        inlets = tuple(streams[name] for name in sources(self.case)[self.unit.name])
+        return self.unit.dynamics(self.case.network, inlets, inputs)
+
+    def read(self, problem: Dynamics, y, controls, state: State) -> Float[Array, " M"]:
+        """The readings of the sensors, this unit's new ones with their errors, of order one."""
+        assert self.unit is not None
+        states, seen = problem.states(y, *controls), []
+        for i, sensor in enumerate(self.control.measurements):
+            unit, _, name = sensor.state.partition(".")
+            if unit == self.unit.name:
+                measured = states[name] + sensor.error * state["error"][i]
+                seen.append((measured - sensor.centre) / sensor.width)
+            else:
+                seen.append(state["seen"][i])
+        return jnp.stack(seen) if seen else jnp.zeros(0)
+
+    def observe(self, constants, now, state: State) -> Float[Array, " features"]:
+        low = np.array([each.low for each in self.control.manipulated])
+        high = np.array([each.high for each in self.control.manipulated])
+        control = (state["control"] - low) / (high - low)
+        clock = jnp.stack([now["clock"], now["share"]])
+        return jnp.concatenate([clock, state["seen"], control])
+
+    def renewed(self, constants, state: State, noise) -> State:
+        """The state with this step's disturbances and sensor errors."""
+        uncertain = self.varied
+        state = state | {"error": noise[len(uncertain.inputs) :]}
+        again = np.array([each == "step" for each in uncertain.when], bool)
+        if not again.any():
+            return state
+        draws = jnp.where(again, self.draw(constants, noise), state["draws"])
+        return state | {"draws": draws}
+
+    def wanted(self, state: State, action, smooth, seconds) -> Float[Array, " n"]:
+        """The controls after this decision, in their units and within their ramps."""
+        control = state["control"]
+        for place, i in enumerate(self.decided):
+            item = self.control.manipulated[i]
+            value = item.low + action[place] * (item.high - item.low)
+            if item.ramp is not None and self.unit is not None:
+                most = item.ramp * seconds
+                value = smooth.clip(value, control[i] - most, control[i] + most, scale=most)
+            control = control.at[i].set(value)
+        return control
+
+    def step(self, constants, now, state: State, action, noise, smooth):
+        state = self.renewed(constants, state, noise)
+        inputs = self.inputs_of(constants, state["draws"])
+        if self.unit is None:
+            return state | {"control": self.wanted(state, action, smooth, None)}, {}
+        problem = self.problem(inputs, state["streams"])
+        seconds = problem.duration / self.horizon
+        control = self.wanted(state, action, smooth, seconds)
+        count = self.control.substeps
+        start = np.arange(count) / count
+        part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
+        # Of a control that is decided only its disturbance is the batch's own.
+        nominal, share = constants["inputs"], now["share"] + part / self.horizon
+        courses, ends = [], []
+        for profile, value in problem.controls:
+            i = self._manipulated(profile.value.name)
+            if i >= 0:
+                # A profile of pieces jumps, unless it may not; any other moves evenly.
+                jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
+                first = control[i] if jumps else state["control"][i]
+                course = first + (control[i] - first) * part
+                course = course + values_at(profile, value - nominal[profile.value.name], share)
+            else:
+                course = values_at(profile, value, share)
+            courses.append(course)
+            ends.append(course[-1, 2])
+        y, worst = self._advance(problem, state, courses, seconds / count, smooth)
+        after = state | {"y": y, "control": control, "worst": worst}
+        return after | {"seen": self.read(problem, y, ends, after)}, {}
+
+    def _advance(self, problem: Dynamics, state: State, courses, step, smooth):
+        """y after the substeps, and the largest supersaturation on the way."""
+        drive = problem.drive(*courses)
+        margin = self.control.solubility_margin
+        watch = margin is not None and "supersaturation" in self.readings
+
+        def advance(carry, now):
+            y, worst = carry
+            y = runge_kutta(problem.rate, y, step, now[0])
+            if watch:
+                level = problem.states(y, *now[1])["supersaturation"]
+                worst = smooth.maximum(worst, level, scale=margin)
+            return (y, worst), None
+
+        ends = [course[:, 2] for course in courses]
+        first = state["y"], state["worst"]
+        return jax.lax.scan(advance, first, (drive, ends))[0]
+
+    def terminal(self, constants, state: State, smooth):
+        """The other units, every attribute, whether all limits hold and by how much they do not.
+
+        Only the last stage's counts: that of an earlier one is empty.
+        """
+        if self.before + self.horizon < self.total:
+            return {}
+        inputs = self.inputs_of(constants, state["draws"])
+        if self.unit is not None:
+            state = self.leave(constants, state)
+        for i in decided(self.case, None):
+            name = self.control.manipulated[i].input
+            off = inputs[name] - constants["inputs"][name]
+            inputs[name] = state["control"][i] + off
+        state = self.settle(inputs, state)
+        streams, measures = self.streams(inputs, state["streams"])
+        measures |= state["measures"] | yields(self.case, streams)
+        outputs, success, violation = {}, jnp.ones(()), jnp.zeros(())
+        gaps = []
+        for each in self.case.attributes:
+            value = each.scale * measures[each.measure]
+            outputs[f"attribute.{each.name}"] = value
+            if each.low is not None:
+                gaps.append((value - each.low, each.margin))
+            if each.high is not None:
+                gaps.append((each.high - value, each.margin))
+        margin = self.control.solubility_margin
+        if margin is not None:
+            gaps.append((margin - state["worst"], margin / 10))
+        for gap, width in gaps:
+            success = success * smooth.indicator(gap, scale=width)
+            violation = violation + smooth.positive_part(-gap, scale=width) / width
+        return outputs | {"success": success, "violation": violation}
+
+    def _manipulated(self, name: str) -> int:
+        """The number of the `Manipulated` with this input, -1 if nobody decides it."""
+        names = [each.input for each in self.control.manipulated]
+        return names.index(name) if name in names else -1

@@ -1,0 +1,1 @@
+"""Derivatives of quality attributes, how they split into paths, and their checks."""

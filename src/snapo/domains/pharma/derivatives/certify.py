@@ -1,0 +1,85 @@
+"""Adjoint against central differences: at the set point and at points of normal operation."""
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..given import every_entry
+from ..quality import batches
+from .jacobian import matrix
+
+if TYPE_CHECKING:
+    from ..flowsheet.process import Process
+
+POINTS, STEP = 3, 0.01  # random points; steps as shares of half the normal range
+TOLERANCE = 1e-5  # of the largest entry in the row
+KINK, NOTABLE = 0.75, 1e-3
+
+
+class Checked(NamedTuple):
+    """One point: [Q, P] each, per domain unit of the parameter.
+
+    - `adjoint`, `difference`: fourth-order central differences. `error`: their gap over the
+      largest entry of the row; `kink`: whether forward and backward differences stay apart as the
+      step halves, so that the derivative there is one-sided.
+    """
+
+    point: np.ndarray
+    adjoint: np.ndarray
+    difference: np.ndarray
+    error: np.ndarray
+    kink: np.ndarray
+
+    @property
+    def passed(self) -> bool:
+        return bool((np.where(self.kink, 0.0, self.error) <= TOLERANCE).all())
+
+
+def certify(process: "Process", seed: int) -> list[Checked]:
+    """The set point first, then `POINTS` random ones within the normal operating ranges."""
+    case = process.case
+    low = np.array([each.normal_low for each in case.parameters])
+    high = np.array([each.normal_high for each in case.parameters])
+    here = np.array([process.inputs[each.input][each.entry] for each in case.parameters])
+    random = np.random.Generator(np.random.Philox(key=seed)).random((POINTS, len(here)))
+    points = np.vstack([here, low + random * (high - low)])
+    step = STEP * (high - low) / 2
+    values = _moved_values(process, points, step)
+    return [_check(process, *each, step) for each in zip(points, values)]
+
+
+def _moved_values(process: "Process", points: np.ndarray, step: np.ndarray) -> np.ndarray:
+    """[points, 4 P + 1, Q] attributes two steps and one step below and above, and at the point."""
+    entries = [(each.input, each.entry) for each in process.case.parameters]
+    size = len(step)
+    moves = np.concatenate([k * np.diag(step) for k in (-2, -1, 1, 2)] + [np.zeros((1, size))])
+    rows = [
+        batches.nominally(process, dict(zip(entries, point + move)))
+        for point in points
+        for move in moves
+    ]
+    return batches.attributes(process, np.concatenate(rows)).reshape(len(points), len(moves), -1)
+
+
+def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.ndarray) -> Checked:
+    entries = [(each.input, each.entry) for each in process.case.parameters]
+    inputs = batches.moved(process, dict(zip(entries, point)))
+    # By all numbers, which costs the adjoint nothing: the same function gives the run's table.
+    every = every_entry(process.inputs)
+    adjoint = matrix(process, inputs, entries=every, mode="adjoint").jacobian
+    adjoint = adjoint[:, [every.index(each) for each in entries]]
+    size = len(point)
+    far_low, low, high, far_high = (values[k * size : (k + 1) * size].T for k in range(4))
+    difference = (8 * (high - low) - (far_high - far_low)) / (12 * step)
+    row = np.abs(adjoint).max(1, keepdims=True)
+    row = np.where(row > 0, row, 1.0)
+    here = values[-1][:, None]
+    bend = np.abs(high + low - 2 * here) / step
+    far_bend = np.abs(far_high + far_low - 2 * here) / (2 * step)
+    return Checked(
+        point=point,
+        adjoint=adjoint,
+        difference=difference,
+        error=np.abs(adjoint - difference) / row,
+        kink=(bend > NOTABLE * row) & (bend > KINK * far_bend),
+    )

@@ -1,0 +1,125 @@
+"""Derivatives of every unit alone, from which paths through the flowsheet are put together."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+
+from ..flowsheet.feed import Feed, feed
+from ..flowsheet.flow import leaving, sources, yields
+from ..flowsheet.process import Process
+from ..flowsheet.stream import Stream, flat, unflat
+from ..given import Entry, every_given
+from ..units.operation import Unit
+from .mode import of_method
+
+# From inlet streams and inputs to outlet streams and {measure without the unit's name}.
+Run = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ...], dict[str, Any]]]
+
+
+class Block(NamedTuple):
+    """Derivatives of one unit alone: of its outlets and measures by its inlets and own numbers.
+
+    K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
+
+    - `inlets`, `outlets`: names of the streams ("unit.outlet", or a feed's name), in order.
+    - `stream`: [outlets, K, inlets, K]; `measure`: [M, inlets, K].
+    - `stream_by_entry`: [outlets, K, E]; `measure_by_entry`: [M, E]; `measures`: [M] names
+      without the unit's; `entries`: [E] (input, position) that the unit reads.
+    """
+
+    inlets: tuple[str, ...]
+    outlets: tuple[str, ...]
+    stream: np.ndarray
+    measure: np.ndarray
+    measures: tuple[str, ...]
+    stream_by_entry: np.ndarray
+    measure_by_entry: np.ndarray
+    entries: tuple[Entry, ...]
+
+
+class Local(NamedTuple):
+    """{unit: Block}, in the order of the flow, feeds first (units without inlets).
+
+    The block "process" has the measures "yield.PRODUCT.KEY" that the case's attributes name; its
+    inlets are all streams that leave the flowsheet and all feeds.
+    """
+
+    units: dict[str, Block]
+
+
+def local(process: Process, inputs=None) -> Local:
+    """The derivatives of every unit alone at the streams that flow at `inputs`."""
+    case, given = process.case, process.given(inputs)
+    streams = process.run(inputs).streams
+    fed, blocks = sources(case), {}
+
+    def block(name: str, into: tuple[str, ...], out: tuple[str, ...], entries, run: Run) -> None:
+        blocks[name] = _block(process, name, into, out, entries, run, streams, given)
+
+    for each in case.feeds:
+        block(each.name, (), (each.name,), _entries(process, each, False), _of_feed(each))
+    for unit in case.units:
+        out = tuple(f"{unit.name}.{port}" for port in unit.outlets)
+        entries = _entries(process, unit, unit.reacts)
+        block(unit.name, fed[unit.name], out, entries, _of_unit(process, unit))
+    names = (*leaving(case), *(each.name for each in case.feeds))
+    block("process", names, (), (), _of_process(process, names))
+    return Local(blocks)
+
+
+def _of_feed(record: Feed) -> Run:
+    return lambda streams, inputs: ((feed(record, inputs),), {})
+
+
+def _of_unit(process: Process, unit: Unit) -> Run:
+    def run(streams, inputs):
+        case = process.case
+        finish = unit.operate(case.network, case.numerics, streams, inputs).finish
+        return finish.outlets, finish.measures
+
+    return run
+
+
+def _of_process(process: Process, names: tuple[str, ...]) -> Run:
+    def run(streams, inputs):
+        found = yields(process.case, dict(zip(names, streams)))
+        return (), {name.removeprefix("process."): each for name, each in found.items()}
+
+    return run
+
+
+def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
+    """Its own inputs, and of a unit that `reacts` those of the network."""
+    records = (record, process.case.network) if reacts else (record,)
+    names = [each.name for each in every_given(records) if each.name in process.inputs]
+    return tuple((name, i) for name in names for i in range(process.inputs[name].size))
+
+
+def _block(process: Process, name, inlets, outlets, entries, run: Run, streams, inputs) -> Block:
+    fixed = tuple(streams[each] for each in inlets)
+    size = max(len(flat(each)) for each in streams.values())
+    labels: list[str] = []
+
+    def filled(stream: Stream):
+        """A vector of the length of the longest: streams differ by the crystals they count."""
+        vector = flat(stream)
+        return jnp.pad(vector, (0, size - len(vector)))
+
+    def vectors(rows, numbers, inputs, fixed):
+        given = tuple(unflat(row[: len(flat(like))], like) for row, like in zip(rows, fixed))
+        out, measures = run(given, process.shifted(numbers, entries, inputs))
+        labels[:] = measures
+        flowed = jnp.stack([filled(each) for each in out]) if out else jnp.zeros((0, size))
+        measured = jnp.stack(list(measures.values())) if measures else jnp.zeros(0)
+        return flowed, measured
+
+    def derivatives(numbers, inputs, fixed):
+        rows = jnp.stack([filled(each) for each in fixed]) if fixed else jnp.zeros((0, size))
+        derivative = of_method(process.case.numerics.method)
+        return derivative(vectors, argnums=(0, 1))(rows, numbers, inputs, fixed)
+
+    call = process.compiled(("local", name), lambda: derivatives)
+    (stream, stream_by), (measure, measure_by) = call(process.at(entries, inputs), inputs, fixed)
+    return Block(inlets, outlets, stream, measure, tuple(labels), stream_by, measure_by, entries)

@@ -1,0 +1,116 @@
+"""The sensitivity matrix in the forms that are read: raw, over the normal range, as share of room.
+
+And what follows from it: how critical a parameter is, and how much of the spread is linear.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..flowsheet.case import PharmaCase
+from ..quality.draws import all_entries, deviation, nominal
+from ..quality.limits import Limits
+from .jacobian import Matrix
+
+
+class Table(NamedTuple):
+    """Q attributes by P parameters.
+
+    - `raw`: attribute's unit per owner's unit of the parameter.
+    - `scaled`: change of the attribute over half the normal operating range.
+    - `share`: `scaled` over the distance to the nearest limit; NaN where the attribute has no
+      limit, infinite where it stands on or beyond it.
+    - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
+    """
+
+    raw: np.ndarray
+    scaled: np.ndarray
+    share: np.ndarray
+    zero: np.ndarray
+
+
+def table(case: PharmaCase, found: Matrix) -> Table:
+    """The three forms of `found`, whose entries are the case's parameters in order."""
+    scale = np.array([each.scale for each in case.parameters])
+    half = np.array([(each.normal_high - each.normal_low) / 2 for each in case.parameters])
+    scaled = found.jacobian * half
+    room = Limits.of(case).distance(found.values)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        share = np.where(room > 0, scaled / room, np.sign(scaled) * np.inf)
+    share = np.where(found.jacobian == 0, 0.0, share)
+    share = np.where(Limits.of(case).any()[:, None], share, np.nan)
+    return Table(found.jacobian * scale, scaled, share, found.jacobian == 0)
+
+
+class Rank(NamedTuple):
+    """How critical a parameter is: the largest share of a limit's room that it uses, and where."""
+
+    parameter: str
+    share: float
+    attribute: str
+    outside: bool
+
+
+def ranking(case: PharmaCase, forms: Table) -> list[Rank]:
+    """Parameters by criticality, the most critical first; the nominal point decides.
+
+    `outside`: the attribute stands beyond its limit already, so that a share has no meaning.
+    """
+    ranks = []
+    for p, parameter in enumerate(case.parameters):
+        size = np.abs(forms.share[:, p])
+        size = np.where(np.isnan(size), -1.0, size)
+        worst = int(np.argmax(size))
+        known = size[worst] >= 0
+        ranks.append(
+            Rank(
+                parameter.name,
+                float(size[worst]) if known else float("nan"),
+                case.attributes[worst].name if known and size[worst] > 0 else "",
+                bool(np.isinf(size[worst])),
+            )
+        )
+    return sorted(ranks, key=lambda rank: -np.nan_to_num(rank.share, nan=-1.0, posinf=np.inf))
+
+
+class Spread(NamedTuple):
+    """Where the batch-to-batch spread of each attribute comes from, to first order.
+
+    - `sources`: [V] names; `part`: [Q, V] standard deviation that each causes alone.
+    - `total`: [Q] of independent sources together, in quadrature (a correlation adds its terms).
+    """
+
+    sources: tuple[str, ...]
+    part: np.ndarray
+    total: np.ndarray
+
+
+def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:
+    """`jacobian` [Q, V] by `all_entries(case)`, per domain unit."""
+    which = all_entries(case)
+    centre = nominal(case, which)
+    kinds = list(case.uncertainty.distributions)
+    kinds += [each.distribution for each in case.parameters if each.distribution]
+    sigma = np.array([deviation(kind, x) for kind, x in zip(kinds, centre)])
+    correlation = np.eye(len(which))
+    known = len(case.uncertainty.inputs)
+    correlation[:known, :known] = case.uncertainty.correlation
+    signed = jacobian * sigma
+    variance = np.einsum("qi,ij,qj->q", signed, correlation, signed)
+    return Spread(source_names(case), np.abs(signed), np.sqrt(variance))
+
+
+def source_names(case: PharmaCase) -> tuple[str, ...]:
+    """[V] `all_entries(case)` in words: a parameter by its name, a number with its label."""
+    names = {(each.input, each.entry): each.name for each in case.parameters}
+    return tuple(names.get(entry) or entry_name(case, *entry) for entry in all_entries(case))
+
+
+def entry_name(case: PharmaCase, name: str, entry: int) -> str:
+    """ "kinetics.prefactor[product]"; a single number has no brackets."""
+    from ..given import every_given
+
+    for given in every_given((case.network, case.feeds, case.units)):
+        if given.name == name and len(given.labels) > 1:
+            return f"{name}[{given.labels[entry]}]"
+    return name

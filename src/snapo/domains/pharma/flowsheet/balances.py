@@ -1,0 +1,89 @@
+"""Inflow, outflow and accumulation of mass, every species, solvent and energy, per unit."""
+
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import numpy as np
+
+from .flow import leaving, sources
+from .ledger import Ledger
+from .process import Process
+from .stream import Stream
+
+
+class Balance(NamedTuple):
+    """`relative`: (inflow - outflow - accumulation) over the largest of them; 0 where all are 0.
+
+    Of one batch. "mass" in kg; a species: kmol, `inflow` with what reactions made of it and
+    seed; "solvent": kg with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and
+    of vapour its latent heat.
+    """
+
+    unit: str
+    quantity: str
+    inflow: float
+    outflow: float
+    accumulation: float
+    relative: float
+
+
+def balances(process: Process, inputs=None) -> list[Balance]:
+    """The balances of every unit but tests of the product, and of the whole as unit "process"."""
+    case = process.case
+
+    def everything(given):
+        found = process.flow(given)
+        return found.streams, {name: each.finish.ledger for name, each in found.outcomes.items()}
+
+    streams, ledgers = process.compiled("balances", lambda: everything)(process.given(inputs))
+    fed, found = sources(case), []
+    for unit in case.units:
+        out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
+        if out:
+            into = [streams[name] for name in fed[unit.name]]
+            found += _unit(process, unit.name, into, out, [ledgers[unit.name]])
+    into = [streams[each.name] for each in case.feeds]
+    out = [streams[name] for name in leaving(case)]
+    return found + _unit(process, "process", into, out, list(ledgers.values()))
+
+
+def _unit(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
+    network = process.case.network
+    made = np.sum([each.made for each in ledgers], axis=0)
+    added = np.sum([each.added for each in ledgers], axis=0)
+    held = np.sum([each.held for each in ledgers], axis=0)
+    liquid = sum(each.solvent_added for each in ledgers)
+    kept = sum(each.solvent_held for each in ledgers)
+    fed, left = _species(into) + added, _species(out)
+    solvent_in, solvent_out = _solvent(into) + liquid, _solvent(out)
+    found = [
+        _balance(
+            name,
+            "mass",
+            network.molar_mass @ fed + solvent_in,
+            network.molar_mass @ left + solvent_out,
+            network.molar_mass @ held + kept,
+        )
+    ]
+    for s, species in enumerate(network.species):
+        found.append(_balance(name, species, fed[s] + made[s], left[s], held[s], fed[s]))
+    found.append(_balance(name, "solvent", solvent_in, solvent_out, kept))
+    if name != "process" and ledgers[0].energy is not None:
+        found.append(_balance(name, "energy", *ledgers[0].energy))
+    return found
+
+
+def _balance(unit: str, quantity: str, inflow, outflow, accumulation, fed=0.0) -> Balance:
+    gap = inflow - outflow - accumulation
+    size = max(map(abs, (inflow, outflow, accumulation, fed)))
+    relative = float(gap / size) if size > 0 else 0.0
+    return Balance(unit, quantity, float(inflow), float(outflow), float(accumulation), relative)
+
+
+def _species(streams: Iterable[Stream]) -> np.ndarray:
+    """[S] kmol dissolved and in crystals."""
+    return np.sum([each.species + each.solid for each in streams], axis=0)
+
+
+def _solvent(streams: Iterable[Stream]) -> float:
+    return sum(float(each.solvent + each.antisolvent) for each in streams)

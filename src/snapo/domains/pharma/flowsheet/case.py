@@ -1,0 +1,68 @@
+"""A pharmaceutical process as resolved data: its flowsheet, and the questions to it.
+
+Conventions for every record. Numbers are in the domain's own units, to which reading converts:
+K, s, m, m3, kg, kmol/m3 (the same number as mol/L), kg/m3, Pa, J/mol, W, and "1" for a pure
+number; shares are fractions, but attributes are in the unit that their measure states. A `Given`
+named "unit.field" becomes an input with a sensitivity under that name; where it is used it is
+`given.values[given.index]`. Plain NumPy arrays, floats, integers and names have no gradient.
+S is the number of species, R of reactions.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from snapo.case.settings import EvaluationTable, TrainingTable
+
+from ..control.records import Control, Goal
+from ..quality.records import Attribute, DesignSpace, Estimation, Parameter, Uncertainty
+from ..recipe.records import Optimise
+from ..time.numerics import Numerics
+from ..units.operation import Unit
+from .feed import Feed
+from .network import Network
+
+
+@dataclass(frozen=True)
+class Connection:
+    """One outlet feeds one inlet: names of a feed or unit, and of their ports ("" for a feed)."""
+
+    source: str
+    outlet: str
+    target: str
+    inlet: str
+
+
+@dataclass(frozen=True, eq=False)
+class PharmaCase:
+    """A whole case; `units` stand in the order in which material flows.
+
+    - `purpose`: a sentence for the report. `assumptions`: the owner's, beside those of the units.
+    - `pairs`: pairs of parameter names for second derivatives of every attribute.
+    - `held`: names of `Given`s that are no inputs.
+    - `control`, `design_space`, `estimation`, `optimise`: None where it does not ask for them.
+    """
+
+    file: Path
+    title: str
+    purpose: str
+    network: Network
+    feeds: tuple[Feed, ...]
+    units: tuple[Unit, ...]
+    connections: tuple[Connection, ...]
+    parameters: tuple[Parameter, ...]
+    attributes: tuple[Attribute, ...]
+    uncertainty: Uncertainty
+    control: Control | None
+    goal: Goal
+    design_space: DesignSpace | None
+    estimation: Estimation | None
+    pairs: tuple[tuple[str, str], ...]
+    held: frozenset[str]
+    numerics: Numerics
+    training: TrainingTable
+    evaluation: EvaluationTable
+    assumptions: tuple[str, ...]
+    notes: tuple[str, ...]
+    optimise: Optimise | None = None
+
+    kind = "pharma"

@@ -1,0 +1,38 @@
+"""The delivery of a unit, and the terms of its balance beside its streams."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .stream import Stream
+
+
+class Ledger(NamedTuple):
+    """The terms of a unit's balance beside its streams, all of one batch.
+
+    - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
+      the end than at the start, or not taken in. `solvent_added`, `solvent_held`: kg.
+    - `energy`: (into, out of, accumulated) J where a heat balance is part of the unit.
+    """
+
+    made: Float[Array, " S"]
+    added: Float[Array, " S"]
+    held: Float[Array, " S"]
+    solvent_added: Float[Array, ""]
+    solvent_held: Float[Array, ""]
+    energy: tuple[Array, Array, Array] | None = None
+
+
+def ledger(species: int, **entries: Any) -> Ledger:
+    """A ledger in which all is zero but these entries."""
+    none, zero = jnp.zeros(species), jnp.zeros(())
+    return Ledger(none, none, none, zero, zero)._replace(**entries)
+
+
+class Finish(NamedTuple):
+    """The delivery of a unit: its outlets in order, its measures and ledger."""
+
+    outlets: tuple[Stream, ...]
+    measures: dict[str, Array]
+    ledger: Ledger

@@ -1,0 +1,249 @@
+"""The time loops of many batches by the native engine: its lanes are batches, its steps the mesh's.
+
+Between the units all is algebra, which XLA does for many batches side by side. What takes time,
+a unit's steps, is one kernel. Derivatives go forward beside the values, and a unit carries only
+those by numbers that act on it.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.extend import core as jex
+from jaxtyping import Float
+
+from snapo.engine import Native
+from snapo.problem.actions import Box
+from snapo.problem.policy import Constant
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.smooth import Exact
+
+from ..given import Entry
+from ..time.dynamics import Dynamics
+from ..time.mesh import break_up, edges_of, local_points, steps_per_piece
+from ..time.runge_kutta import runge_kutta
+from ..units.operation import Timed, timed
+from .flow import flow, problem_of
+
+if TYPE_CHECKING:
+    from .process import Process
+
+ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
+
+Kind = Literal["shared", "drawn", "moving"]  # the same for all batches, or not, or with derivatives
+
+
+class March(Simulator):
+    """A unit's steps for one batch, from a state that is given.
+
+    State: `y` [m]; `drawn` and `moving`, numbers of these kinds that the steps read; `dy` [C, m]
+    and `d_moving`, derivatives by C numbers. What is `shared` are the constants.
+    """
+
+    horizon: int = eqx.field(static=True)
+    advance: Callable = eqx.field(static=True)
+    kinds: tuple[Kind, ...] = eqx.field(static=True)
+    action = Box(1)
+    noise_size = 0
+
+    def prepare(self, inputs) -> Schedule:
+        raise NotImplementedError("The schedule of a march comes with it.")
+
+    def initial(self, constants, noise):
+        raise NotImplementedError("A march begins where it is told to.")
+
+    def observe(self, constants, now, state):
+        return jnp.zeros(1)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        def after(y, moving):
+            held = {"shared": constants, "drawn": state["drawn"], "moving": moving}
+            held = {kind: iter(numbers) for kind, numbers in held.items()}
+            return self.advance(y, now, *(next(held[kind]) for kind in self.kinds))
+
+        if not len(state["dy"]):
+            return state | {"y": after(state["y"], state["moving"])}, {}
+        y, push = jax.linearize(after, state["y"], state["moving"])
+        return state | {"y": y, "dy": jax.vmap(push)(state["dy"], state["d_moving"])}, {}
+
+
+class _Leg(NamedTuple):
+    """One unit: its `march`, the march's `steps`, which of the sensitivities reach it (`columns`),
+    the size of its y, and `enter(draws, ends, d_ends, inputs)`, what is shared and the state
+    before the first step."""
+
+    march: March
+    steps: dict[str, np.ndarray]
+    columns: np.ndarray
+    size: int
+    enter: Callable
+
+
+class Marches:
+    """Attributes of many batches on the mesh, and their derivatives by `by`, at draws of `entries`.
+
+    Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
+    """
+
+    def __init__(self, process: "Process", entries: Sequence[Entry], by: Sequence[Entry]):
+        self.process, self.entries, self.by = process, tuple(entries), tuple(by)
+        self.legs: dict[str, _Leg] = {}
+        with jax.enable_x64(True):
+            for unit in timed(process.case.units):
+                self.legs[unit.name] = self._leg(unit)
+        self.leave = jax.jit(jax.vmap(self._leave, in_axes=(0, 0, 0, None)))
+
+    def __call__(
+        self, draws: Float[np.ndarray, "N E"], inputs: dict[str, np.ndarray]
+    ) -> tuple[Float[np.ndarray, "N Q"], Float[np.ndarray, "N Q P"]]:
+        """The attributes, and their derivatives by `by`."""
+        ends: dict[str, np.ndarray] = {}
+        d_ends: dict[str, np.ndarray] = {}
+        for name, leg in self.legs.items():
+            with jax.enable_x64(True):
+                shared, state = leg.enter(draws, ends, d_ends, inputs)
+            schedule, policy = Schedule(shared, leg.steps), Constant(np.zeros(1))
+            noise = Pseudo(0).draws(np.arange(len(draws)), leg.march)
+            found = ENGINE.values(leg.march, policy, schedule, noise, Exact(), start=state)
+            ends[name] = found.state["y"]
+            d_ends[name] = np.zeros((len(draws), len(self.by), leg.size))
+            d_ends[name][:, leg.columns] = found.state["dy"]
+        with jax.enable_x64(True):
+            values, jacobian = self.leave(draws, ends, d_ends, inputs)
+            return np.asarray(values), np.asarray(jacobian)
+
+    def _given(self, numbers, draw, inputs):
+        """The inputs of one batch, with `numbers` at the places of `by`."""
+        shifted = self.process.shifted
+        return shifted(numbers, self.by, shifted(draw, self.entries, inputs))
+
+    def _numbers(self, draw, inputs) -> list:
+        """What stands at the places of `by` in one batch."""
+        drawn = self.process.shifted(draw, self.entries, inputs)
+        return [drawn[name][position] for name, position in self.by]
+
+    def _leave(self, draw, ends, d_ends, inputs):
+        def attributes(numbers, ends):
+            found = flow(self.process.case, self._given(numbers, draw, inputs), ends=ends)
+            return self.process.of_measures(found.measures)
+
+        every = np.arange(len(self.by))
+        values, rows = _pushed(attributes, every, self._numbers(draw, inputs), ends, d_ends)
+        return values, rows.T
+
+    def _leg(self, unit: Timed) -> _Leg:
+        """The unit's leg, once those before it are there."""
+        made = {}
+
+        def start(numbers, draw, ends, inputs):
+            """y, and all numbers that a step reads."""
+            problem = problem_of(self.process.case, unit, self._given(numbers, draw, inputs), ends)
+            advance, made["pieces"] = _advance(problem)
+            now = {"piece": jnp.zeros((), jnp.int32), "local": jnp.zeros((3, 3))}
+            made["advance"], held = jax.closure_convert(advance, problem.start, now)
+            return [problem.start, *held]
+
+        shapes, reached = self._reached(start)
+        columns = np.flatnonzero([any(row) for row in np.transpose(reached)[:-1]])
+        kinds: tuple[Kind, ...] = tuple(_kind(row) for row in reached[1:])
+        steps = _steps(made["pieces"], self.process.case.numerics.steps)
+        march = March(  # pyright: ignore[reportCallIssue]
+            horizon=len(steps["piece"]), advance=made["advance"], kinds=kinds
+        )
+        return _Leg(march, steps, columns, shapes[0].shape[0], self._enter(start, kinds, columns))
+
+    def _reached(self, start: Callable):
+        """The outputs of `start`, and for each [P + 1] whether it depends on each of `by`, and
+        whether on the draw."""
+        count, inputs = len(self.by), self.process.given()
+        numbers, draw = [np.float64(0)] * count, np.zeros(len(self.entries))
+        ends = {name: np.zeros(leg.size) for name, leg in self.legs.items()}
+        closed, shapes = jax.make_jaxpr(start, return_shape=True)(numbers, draw, ends, inputs)
+        each = np.eye(count + 1, dtype=bool)
+        marks = (
+            list(each[:count]),
+            each[count],
+            {name: each[[*leg.columns, count]].any(0) for name, leg in self.legs.items()},
+            {name: np.zeros_like(each[count]) for name in inputs},
+        )
+        return shapes, spread(closed.jaxpr, jax.tree.leaves(marks))
+
+    def _enter(self, start: Callable, kinds: tuple[Kind, ...], columns: np.ndarray) -> Callable:
+        def of(kind: Kind, held: list) -> list:
+            return [each for each, own in zip(held, kinds) if own == kind]
+
+        def one(draw, ends, d_ends, inputs):
+            def moving(numbers, ends):
+                y, *held = start(numbers, draw, ends, inputs)
+                return (y, of("moving", held)), held
+
+            (y, moved), (dy, d_moved), held = _pushed(
+                moving, columns, self._numbers(draw, inputs), ends, d_ends, has_aux=True
+            )
+            state = {"y": y, "dy": dy, "moving": moved, "d_moving": d_moved}
+            return of("shared", held), state | {"drawn": of("drawn", held)}
+
+        return jax.jit(jax.vmap(one, in_axes=(0, 0, 0, None), out_axes=(None, 0)))
+
+
+def _kind(reached) -> Kind:
+    *columns, drawn = reached
+    return "moving" if any(columns) else "drawn" if drawn else "shared"
+
+
+def _steps(pieces: int, steps: int) -> dict[str, np.ndarray]:
+    """The schedule of a march: [T] number of the piece, [T, 3, 3] start, middle and end of the
+    step within the piece, for each grading."""
+    n = steps_per_piece(steps, pieces)
+    points = local_points(n)
+    start, end = points[:, :-1], points[:, 1:]
+    local = np.moveaxis(np.stack([start, (start + end) / 2, end], -1), 1, 0)
+    number = np.repeat(np.arange(pieces, dtype=np.int32), n)
+    return {"piece": number, "local": np.tile(local, (pieces, 1, 1))}
+
+
+def _advance(problem: Dynamics) -> tuple[Callable, int]:
+    """One step of the mesh, (y, {"piece", "local"}) -> y, and the number of pieces."""
+    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
+    ends = [pieces.ends(*each) for each in problem.controls]
+    seconds = problem.duration * jnp.diff(pieces.breaks)
+
+    def advance(y, now):
+        k = now["piece"]
+        local = pieces.grading[k] @ now["local"]
+        controls = (first[k] + (last[k] - first[k]) * local for first, last in ends)
+        return runge_kutta(
+            problem.rate, y, seconds[k] * (local[2] - local[0]), problem.drive(*controls)
+        )
+
+    return advance, len(pieces.source)
+
+
+def _pushed(function, columns: np.ndarray, numbers: list, ends: dict, d_ends: dict, **aux):
+    """A function of numbers and of the ends, and its derivatives [C, ...] by some `columns` of the
+    numbers, through the ends as well."""
+    value, push, *rest = jax.linearize(function, numbers, ends, **aux)
+    if not len(columns):
+        nothing = jax.tree.map(lambda each: jnp.zeros((0, *each.shape)), value)
+        return value, nothing, *rest
+    eye = np.eye(len(numbers))[columns]
+    own = [eye[:, k] for k in range(len(numbers))]
+    through = {name: each[columns] for name, each in d_ends.items()}
+    return value, jax.vmap(push)(own, through), *rest
+
+
+def spread(jaxpr: Any, marks: Sequence) -> list[np.ndarray]:
+    """Of each output, the marks of all arguments on which it depends."""
+    known, none = dict(zip(jaxpr.invars, marks)), np.zeros_like(marks[0])
+
+    def of(variables) -> np.ndarray:
+        found = [known[v] for v in variables if not isinstance(v, jex.Literal) and v in known]
+        return np.any([none, *found], 0)
+
+    for equation in jaxpr.eqns:
+        known.update(dict.fromkeys(equation.outvars, of(equation.invars)))
+    return [of([v]) for v in jaxpr.outvars]

@@ -1,0 +1,74 @@
+"""Mass action: the reactions of a case, and how fast each goes at a temperature and composition."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+
+from ..given import use
+
+GAS_CONSTANT = 8.314  # J/mol/K, as the published kinetics use it
+
+
+@dataclass(frozen=True, eq=False)
+class Network:
+    """Mass-action reactions: r_i = k_i exp(-E_i / (R T)) prod_s c_s^order_is, in kmol/m3/s.
+
+    With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that
+    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it.
+
+    - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
+    - `stoichiometry`: [R, S], negative for what is used; `molar_mass` times a row adds up to zero.
+    - `order`: [R, S] exponents, not negative; those of the reactants unless the case says else.
+    - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
+      with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.
+    - `heat`: "kinetics.heat", [R], J/mol of reaction extent, negative where heat is released.
+    - `reference`: T_ref in K; None for plain Arrhenius.
+    """
+
+    species: tuple[str, ...]
+    molar_mass: np.ndarray
+    reactions: tuple[str, ...]
+    stoichiometry: np.ndarray
+    order: np.ndarray
+    prefactor: Given
+    activation: Given
+    heat: Given
+    reference: float | None
+
+
+def rate_constants(network: Network, inputs: dict[str, Any], temperature) -> Float[Array, "... R"]:
+    """k_i exp(-E_i / R (1/T - 1/T_ref)), in (m3/kmol)^(n-1)/s; 1/T_ref is 0 for plain Arrhenius."""
+    inverse = 1 / jnp.asarray(temperature)[..., None]
+    if network.reference is not None:
+        inverse = inverse - 1 / network.reference
+    energy = use(inputs, network.activation) / GAS_CONSTANT
+    return use(inputs, network.prefactor) * jnp.exp(-energy * inverse)
+
+
+def rates(network: Network, constants: Array, concentration: Sequence[Array]) -> list[Array]:
+    """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
+
+    Written out reaction by reaction: species of order 0 do not appear, so 0^0 never does.
+    """
+    found = []
+    for i in range(len(network.reactions)):
+        rate = constants[..., i]
+        for s, order in enumerate(network.order[i]):
+            if order:
+                rate = rate * _power(concentration[s], float(order))
+        found.append(rate)
+    return found
+
+
+def _power(c: Array, order: float) -> Array:
+    """c^order; a fractional power of a number that round-off made negative is 0."""
+    if order.is_integer():
+        return c ** int(order)
+    present = c > 0
+    return jnp.where(present, jnp.where(present, c, 1.0) ** order, 0.0)

@@ -1,0 +1,242 @@
+"""A flowsheet as one differentiable function: from its inputs to its quality attributes."""
+
+import os
+from collections.abc import Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.engine import Unsupported
+
+from ..derivatives.mode import of_method
+from ..given import Entry
+from .case import PharmaCase
+from .flow import Flow, flow
+from .inputs import pharma_inputs
+from .march import Marches
+from .stream import Stream
+
+_Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
+
+
+class Run(NamedTuple):
+    """One batch through the flowsheet.
+
+    - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
+      the domain's unit}; `attributes`: {name: number in the owner's unit}.
+    - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
+    - `status`: "ok", or "unit: did not converge at t s".
+    """
+
+    streams: dict[str, Stream]
+    measures: dict[str, float]
+    attributes: dict[str, float]
+    trajectories: dict[str, dict[str, np.ndarray]]
+    status: str
+
+
+class Batch(NamedTuple):
+    """Many batches: `values` [N, Q], `jacobian` [N, Q, E] or None, `ok` [N] whether all finite."""
+
+    values: np.ndarray
+    jacobian: np.ndarray | None
+    ok: np.ndarray
+
+
+class Process:
+    """A case with its compiled functions: made once, called often without compiling again.
+
+    - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
+      `entries`: [P] where they stand. `traces` counts how often the flowsheet was traced.
+    """
+
+    def __init__(self, case: PharmaCase):
+        self.case = case
+        self.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+        self.names = tuple(each.name for each in case.attributes)
+        self.parameters = tuple(each.name for each in case.parameters)
+        self.entries: tuple[Entry, ...] = tuple((p.input, p.entry) for p in case.parameters)
+        self.traces = 0
+        self._compiled: dict[Any, Callable] = {}
+        self._natives: dict[_Key, Callable] = {}
+
+    def attributes(self, inputs: dict[str, Array], along: bool = False) -> Float[Array, " Q"]:
+        """The quality attributes in their owner's units; plain JAX, to be traced. `along` as in
+        `Numerics`."""
+        return self.of_measures(self.flow(inputs, along=along).measures)
+
+    def of_measures(self, measures: dict[str, Array]) -> Float[Array, " Q"]:
+        """The attributes from the measures of all units."""
+        return jnp.stack([each.scale * measures[each.measure] for each in self.case.attributes])
+
+    def flow(self, inputs: dict[str, Array], record: bool = False, along: bool = False) -> Flow:
+        """All streams and measures; plain JAX, to be traced."""
+        self.traces += 1
+        numerics = replace(self.case.numerics, along=along)
+        return flow(replace(self.case, numerics=numerics), inputs, record)
+
+    def values(self, inputs=None) -> np.ndarray:
+        """[Q] attributes at `inputs`, by default the nominal ones."""
+        return self.compiled("values", lambda: self.attributes)(self.given(inputs))
+
+    def given(self, inputs=None) -> dict[str, np.ndarray]:
+        """The nominal inputs with those of `inputs` in their place, float64."""
+        found = self.inputs | (inputs or {})
+        return {name: np.asarray(each, np.float64) for name, each in found.items()}
+
+    def compiled(self, key: Any, make: Callable[[], Callable]) -> Callable:
+        """The function that `make` gives, compiled once for each `key`; float64, NumPy out."""
+        if key not in self._compiled:
+            self._compiled[key] = jax.jit(make())
+        function = self._compiled[key]
+
+        def call(*arguments):
+            with jax.enable_x64(True):
+                return jax.tree.map(np.asarray, function(*arguments))
+
+        return call
+
+    def run(self, inputs=None) -> Run:
+        """One batch with all streams, measures and trajectories."""
+        found = self.compiled("run", lambda: self._everything)(self.given(inputs))
+        streams, measures, attributes, trajectories, times = found
+        status = "ok"
+        for unit in self.case.units:
+            duration, reached = times[unit.name]
+            if status == "ok" and reached < duration:
+                status = f"{unit.name}: did not converge at {reached:.6g} s"
+        return Run(
+            streams,
+            {name: float(each) for name, each in measures.items()},
+            {name: float(each) for name, each in zip(self.names, attributes)},
+            trajectories,
+            status,
+        )
+
+    def _everything(self, inputs):
+        found = self.flow(inputs, record=True)
+        trajectories, times = {}, {}
+        for name, outcome in found.outcomes.items():
+            times[name] = outcome.duration, outcome.reached
+            track, states = outcome.track, outcome.states
+            if track is not None and states is not None:
+                rows = jax.vmap(lambda y, c, states=states: states(y, *c))
+                trajectories[name] = {"time": track.time} | rows(track.state, track.controls)
+        attributes = self.of_measures(found.measures)
+        return found.streams, found.measures, attributes, trajectories, times
+
+    def shifted(self, changes, entries: Sequence[Entry], inputs) -> dict:
+        """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, to be traced."""
+        found = {name: jnp.asarray(each) for name, each in inputs.items()}
+        for i, (name, position) in enumerate(entries):
+            found[name] = found[name].at[position].set(changes[i])
+        return found
+
+    def at(self, entries: Sequence[Entry], inputs=None) -> np.ndarray:
+        """[E] the numbers at `entries`."""
+        found = self.given(inputs)
+        return np.array([found[name][position] for name, position in entries])
+
+    def batch(
+        self,
+        entries: Sequence[Entry],
+        draws: np.ndarray,
+        sensitivities: Sequence[Entry] = (),
+        chunk: int = 512,
+        inputs=None,
+        engine: Literal["auto", "native", "xla"] = "auto",
+    ) -> Batch:
+        """Attributes, and derivatives by `sensitivities`, at `draws` [N, E] of `entries`.
+
+        The rest stands as in `inputs`. Chunks are of one shape: the last is filled up with its own
+        first row. They run on all cores. "auto" takes the native engine where it can run the case.
+        """
+        key = tuple(entries), tuple(sensitivities)
+        nominal, draws = self.given(inputs), np.asarray(draws, np.float64)
+        call = self._xla(key)
+
+        def run(start: int) -> list[np.ndarray]:
+            rows = draws[start : start + chunk]
+            short = min(chunk, len(draws)) - len(rows)
+            filled = np.concatenate([rows, np.repeat(rows[:1], short, 0)])
+            return [each[: len(rows)] for each in call(filled, nominal)]
+
+        try:
+            if engine != "xla":
+                call = self._native(key)
+            parts = [run(0)]
+        except Unsupported:
+            if engine == "native":
+                raise
+            call = self._natives[key] = self._xla(key)
+            parts = [run(0)]
+        # One chunk keeps one core busy: the others run beside it, now that it is compiled.
+        with ThreadPoolExecutor(os.cpu_count()) as threads:
+            parts += threads.map(run, range(chunk, len(draws), chunk))
+        values, jacobian = (np.concatenate(each) for each in zip(*parts))
+        ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
+        return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
+
+    def _native(self, key: _Key) -> Callable:
+        """Many batches by the native engine, or by its substitute."""
+        if key not in self._natives:
+            if self.case.numerics.method != "mesh":
+                raise Unsupported("The native engine steps on a mesh; these steps are free.")
+            self._natives[key] = Marches(self, *key)
+        return self._natives[key]
+
+    def _xla(self, key: _Key) -> Callable:
+        return self.compiled(("batch", *key), lambda: jax.vmap(self._one(*key), in_axes=(0, None)))
+
+    def _one(self, entries: tuple[Entry, ...], by: tuple[Entry, ...]) -> Callable:
+        """One batch's attributes and their derivatives; plain JAX."""
+
+        def one(draw, inputs):
+            drawn = self.shifted(draw, entries, inputs)
+            if not by:
+                return self.attributes(drawn, along=True), jnp.zeros((len(self.names), 0))
+
+            def moved(numbers):
+                found = self.attributes(self.shifted(numbers, by, drawn), along=True)
+                return found, found
+
+            numbers = jnp.stack([drawn[name][position] for name, position in by])
+            derivative = of_method(self.case.numerics.method)
+            jacobian, found = derivative(moved, has_aux=True)(numbers)
+            return found, jacobian
+
+        return one
+
+    def observe(self, inputs, unit: str, states: Sequence[str], times) -> Float[Array, " n"]:
+        """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.
+
+        Between mesh points by cubic Hermite interpolation of what was integrated.
+        """
+        outcome = self.flow(inputs, record=True).outcomes[unit]
+        track, of_row = outcome.track, outcome.states
+        if track is None or of_row is None:
+            raise ValueError(f"{unit} has no states over time.")
+        times = jnp.asarray(times)
+        grid = jnp.asarray(track.time)
+        left = jnp.clip(jnp.searchsorted(grid, times, side="right") - 1, 0, len(grid) - 2)
+        width = grid[left + 1] - grid[left]
+        share = jnp.clip((times - grid[left]) / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
+        state = _hermite(track, left, width, share)
+        controls = jnp.asarray(track.controls)
+        control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
+        rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
+        return jnp.stack([rows[name][i] for i, name in enumerate(states)])
+
+
+def _hermite(track, left, width, share) -> Float[Array, "n m"]:
+    """The cubic through both mesh points' states and slopes."""
+    state, slope = jnp.asarray(track.state), jnp.asarray(track.slope)
+    s, h = share[:, None], width[:, None]
+    rise = s * s * (3 - 2 * s)
+    bend = s * (1 - s) ** 2 * slope[left] - s * s * (1 - s) * slope[left + 1]
+    return (1 - rise) * state[left] + rise * state[left + 1] + h * bend

@@ -1,0 +1,90 @@
+"""Streams between units: the material of one batch, in amounts."""
+
+from dataclasses import replace
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+from jaxtyping import Array, Float
+
+from .grid import NO_CRYSTALS, Sizes
+
+MOMENTS = 6
+
+
+class Stream(eqx.Module):
+    """Material of one batch, or of `duration` seconds of a continuous run. S species.
+
+    - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was
+      added as seed.
+    - `solvent`, `antisolvent`: kg. `volume`: m3, to which concentrations refer; it does not change
+      by mixing, reaction or crystallisation.
+    - `temperature`: K. `duration`: s, 0 for a batch.
+    - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
+    - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
+    - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
+    - `grid`: `NO_CRYSTALS` of a clear liquid; None where the moments alone are known.
+    """
+
+    species: Float[Array, " S"]
+    solid: Float[Array, " S"]
+    seed: Float[Array, " S"]
+    solvent: Float[Array, ""]
+    antisolvent: Float[Array, ""]
+    volume: Float[Array, ""]
+    temperature: Float[Array, ""]
+    duration: Float[Array, ""]
+    moments: Float[Array, " 6"]
+    density: Float[Array, ""]
+    shape: Float[Array, ""]
+    numbers: Float[Array, " N"]
+    grid: Sizes = eqx.field(static=True)
+
+    def concentration(self) -> Float[Array, " S"]:
+        """kmol/m3 of the dissolved species."""
+        return self.species / self.volume
+
+    def crystals(self) -> Float[Array, ""]:
+        """kg of crystals."""
+        return self.density * self.shape * self.moments[3]
+
+    def replace(self, **fields: Any) -> "Stream":
+        """The stream with other `fields`."""
+        return replace(self, **fields)
+
+
+def clear(species, solvent, volume, temperature, duration: Any = 0.0) -> Stream:
+    """A stream without crystals."""
+    nothing, number = jnp.zeros_like(species), jnp.zeros(())
+    return Stream(
+        species=species,
+        solid=nothing,
+        seed=nothing,
+        solvent=solvent,
+        antisolvent=number,
+        volume=volume,
+        temperature=temperature,
+        duration=jnp.asarray(duration, float),
+        moments=jnp.zeros(MOMENTS),
+        density=number,
+        shape=number,
+        numbers=jnp.zeros(0),
+        grid=NO_CRYSTALS,
+    )
+
+
+def blank(species: int, sizes: Sizes) -> Stream:
+    """A stream of zeros with this many species and crystals counted on this grid."""
+    stream = clear(jnp.zeros(species), *(jnp.zeros(()) for _ in range(3)))
+    return stream.replace(numbers=jnp.zeros(sizes.cells if sizes else 0), grid=sizes)
+
+
+def flat(stream: Stream) -> Float[Array, " K"]:
+    """The stream as one vector, fields in order; `unflat` undoes it."""
+    return ravel_pytree(stream)[0]
+
+
+def unflat(vector: Float[Array, " K"], like: Stream) -> Stream:
+    """The stream that `flat` made a vector of; `like` has its shapes."""
+    return ravel_pytree(like)[1](vector)

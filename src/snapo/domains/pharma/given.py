@@ -1,0 +1,54 @@
+"""Numbers that the owner gave, where they are used."""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.case.given import Given
+
+Entry = tuple[str, int]  # the name of a `Given`, and a position in its values
+
+
+def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
+    """All numbers, in order."""
+    return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
+
+
+def every_given(record: Any) -> Iterator[Given]:
+    """All numbers given in a record, in the records within it and in tuples of records."""
+    if isinstance(record, Given):
+        if record.values.size:
+            yield record
+    elif isinstance(record, tuple):
+        for each in record:
+            yield from every_given(each)
+    elif is_dataclass(record):
+        for field in fields(record):
+            yield from every_given(getattr(record, field.name))
+
+
+def use(inputs: Mapping[str, Any], given: Given) -> Array:
+    """The numbers where they are used: input or number held fixed, at `given.index`."""
+    if not given.values.size:
+        return jnp.zeros(given.index.shape)
+    # NumPy's integers of 64 bits are no index where JAX counts with 32.
+    index = int(given.index) if given.index.ndim == 0 else given.index.astype(np.int32)
+    value = inputs[given.name] if given.name in inputs else fixed(given.values)
+    return jnp.asarray(value)[index]
+
+
+def absent(inputs: Mapping[str, Any], given: Given) -> bool:
+    """Whether a term can be left out: its factor is zero and no input."""
+    return given.name not in inputs and not given.used().any()
+
+
+def fixed(array: np.ndarray) -> Array:
+    """A table as an array of JAX in the precision of the trace at hand.
+
+    From a copy: JAX keeps one constant for each NumPy array, in the precision that it met first.
+    """
+    return jnp.asarray(np.array(array, jnp.result_type(float)))

@@ -1,0 +1,1 @@
+"""Batches that differ: capability, design space, proven ranges, estimation."""

@@ -1,0 +1,146 @@
+"""The design space: the probability that all limits hold, over two or three parameters."""
+
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..flowsheet.case import PharmaCase
+from ..given import Entry
+from . import batches
+from .limits import Limits
+from .records import Parameter
+
+if TYPE_CHECKING:
+    from ..flowsheet.process import Process
+
+
+class Point(NamedTuple):
+    """What n draws say at one set point or more: leading axes are the points'.
+
+    - `probability`: that all limits hold; `error`: its standard error, binomial.
+    - `each`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
+    - `binding`: the attribute that most often breaks its limits, -1 where none does.
+    - `failed`: the share of runs without a finite result; they break every limit.
+    """
+
+    probability: np.ndarray
+    error: np.ndarray
+    each: np.ndarray
+    mean: np.ndarray
+    binding: np.ndarray
+    failed: np.ndarray
+
+
+class Map(NamedTuple):
+    """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array."""
+
+    axes: tuple[str, ...]
+    grid: tuple[np.ndarray, ...]
+    at: Point
+    samples: int
+
+
+def probability_map(process: "Process", seed: int) -> Map:
+    """The map that the case's `[design_space]` asks for; the same draws at every point."""
+    case: PharmaCase = process.case
+    space = case.design_space
+    if space is None:
+        raise ValueError("the case has no [design_space]")
+    chosen = tuple(parameter(case, name) for name in space.axes)
+    grid = [np.linspace(each.low, each.high, n) for each, n in zip(chosen, space.points)]
+    points = np.stack([x.ravel() for x in np.meshgrid(*grid, indexing="ij")], -1)
+    entries = [(each.input, each.entry) for each in chosen]
+    changes = [dict(zip(entries, point)) for point in points]
+    found = at_points(process, changes, space.samples, seed)
+    shape = tuple(space.points)
+    found = Point(*(x.reshape(shape + x.shape[1:]) for x in found))
+    own = tuple(owners(each, x) for each, x in zip(chosen, grid))
+    return Map(space.axes, own, found, space.samples)
+
+
+def at_points(
+    process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
+) -> Point:
+    """[n] probabilities at set points, each moved by its `changes` in the domain's unit."""
+    rows = np.concatenate([batches.drawn(process, each, samples, seed) for each in changes])
+    values = batches.attributes(process, rows)
+    return judge(process.case, values.reshape(len(changes), samples, -1))
+
+
+def judge(case: PharmaCase, values: np.ndarray) -> Point:
+    """Counts over the draws of `values` [n, samples, Q]."""
+    samples = values.shape[1]
+    kept = Limits.of(case).hold(values)
+    all_kept = kept.all(-1).mean(-1)
+    broken = (~kept).sum(1)
+    finite = np.asarray(np.isfinite(values).all(-1))
+    total = np.where(finite[..., None], values, 0.0).sum(1)
+    with np.errstate(invalid="ignore"):
+        mean = total / finite.sum(1)[:, None]
+    return Point(
+        probability=all_kept,
+        error=np.sqrt(all_kept * (1 - all_kept) / samples),
+        each=kept.mean(1),
+        mean=mean,
+        binding=np.where(broken.max(-1) > 0, broken.argmax(-1), -1),
+        failed=1 - finite.mean(1),
+    )
+
+
+def parameter(case: PharmaCase, name: str) -> Parameter:
+    """The parameter of that name."""
+    return next(each for each in case.parameters if each.name == name)
+
+
+def owners(each: Parameter, value):
+    """A number of the domain in the owner's unit."""
+    return (value - each.offset) / each.scale
+
+
+class Box(NamedTuple):
+    """A box inside the design space, in owners' units, [axes] each; `volume`: share of the map."""
+
+    low: np.ndarray
+    high: np.ndarray
+    volume: float
+
+
+def largest_box(found: Map, nominal: Sequence[float], required: float) -> Box | None:
+    """The largest box between grid points that holds the set point and only good points.
+
+    Exact search: every pair of grid points on each axis that encloses `nominal` (owner's units),
+    points counted by a summed-area table. None where the set point's own cell is not good.
+    """
+    bad = np.pad((found.at.probability < required).astype(np.int64), [(1, 0)] * len(found.axes))
+    for axis in range(bad.ndim):
+        bad = bad.cumsum(axis)
+    pairs = []
+    for grid, here in zip(found.grid, nominal):
+        low = np.flatnonzero(grid <= here + 1e-9 * np.ptp(grid))
+        high = np.flatnonzero(grid >= here - 1e-9 * np.ptp(grid))
+        both = [(i, j) for i in low for j in high if i < j]
+        pairs.append(np.array(both))
+    count = _inside(bad, pairs)
+    sides = [grid[pair[:, 1]] - grid[pair[:, 0]] for grid, pair in zip(found.grid, pairs)]
+    volume = np.ones(count.shape)
+    for axis, (side, grid) in enumerate(zip(sides, found.grid)):
+        shape = [1] * volume.ndim
+        shape[axis] = len(side)
+        volume = volume * (side / np.ptp(grid)).reshape(shape)
+    volume = np.where(count == 0, volume, -1.0)
+    best = np.unravel_index(int(volume.argmax()), volume.shape)
+    if volume[best] < 0:
+        return None
+    ends = [pair[i] for pair, i in zip(pairs, best)]
+    low = np.array([grid[end[0]] for grid, end in zip(found.grid, ends)])
+    high = np.array([grid[end[1]] for grid, end in zip(found.grid, ends)])
+    return Box(low, high, float(volume[best]))
+
+
+def _inside(summed: np.ndarray, pairs: list[np.ndarray]) -> np.ndarray:
+    """[pairs of axis 0, pairs of axis 1, …] bad points in every box, both ends included."""
+    for axis, pair in enumerate(pairs):
+        upper = np.take(summed, pair[:, 1] + 1, axis)
+        summed = upper - np.take(summed, pair[:, 0], axis)
+    return summed

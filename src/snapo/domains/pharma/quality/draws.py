@@ -1,0 +1,113 @@
+"""Batches that differ: values of everything uncertain, and of parameters that do not hold exactly.
+
+Every draw starts as a standard normal, so that two set points see the same batches. Draw i is the
+same however many are drawn.
+"""
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from scipy.special import ndtr, ndtri
+
+from ..flowsheet.case import PharmaCase
+from ..given import Entry, every_given
+from .records import Distribution
+
+
+def entries(case: PharmaCase) -> tuple[Entry, ...]:
+    """[U] (input, entry) of the model parameters that are not known exactly."""
+    return tuple(zip(case.uncertainty.inputs, case.uncertainty.entries))
+
+
+def process_entries(case: PharmaCase) -> tuple[Entry, ...]:
+    """(input, entry) of the process parameters that vary about their set point."""
+    return tuple((each.input, each.entry) for each in case.parameters if each.distribution)
+
+
+def all_entries(case: PharmaCase) -> tuple[Entry, ...]:
+    """[V] the uncertain model parameters, and after them the process parameters that vary."""
+    return entries(case) + process_entries(case)
+
+
+def draw(
+    case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
+) -> np.ndarray:
+    """[n, U] values of `entries(case)` in the domain's units, about the inputs `about`."""
+    found = entries(case)
+    return values(case.uncertainty.distributions, normals(case, n, seed)[:, : len(found)],
+                  nominal(case, found, about))  # fmt: skip
+
+
+def process_draws(
+    case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
+) -> np.ndarray:
+    """[n, P] values of `process_entries(case)`, about the inputs `about`."""
+    found = process_entries(case)
+    kinds = [each.distribution for each in case.parameters if each.distribution]
+    given = normals(case, n, seed)[:, len(entries(case)) :]
+    return values(kinds, given, nominal(case, found, about))
+
+
+def all_draws(
+    case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
+) -> np.ndarray:
+    """[n, V] values of `all_entries(case)`: `draw` and `process_draws` side by side."""
+    return np.hstack([draw(case, n, seed, about), process_draws(case, n, seed, about)])
+
+
+def nominal(
+    case: PharmaCase, which: Iterable[Entry], about: Mapping[str, np.ndarray] | None = None
+) -> np.ndarray:
+    """Values of some entries, in `about` where it has them and else as the case gives them."""
+    given = {each.name: each.values for each in _givens(case)} | dict(about or {})
+    return np.array([given[name][entry] for name, entry in which], np.float64)
+
+
+def _givens(case: PharmaCase):
+    return every_given((case.network, case.feeds, case.units))
+
+
+def normals(case: PharmaCase, n: int, seed: int) -> np.ndarray:
+    """[n, V] standard normals behind `all_draws`, correlated as the uncertainty says."""
+    size = len(all_entries(case))
+    uniform = np.random.Generator(np.random.Philox(key=seed)).random((n, size))
+    # Half of the generator's last digit keeps the inverse normal away from minus infinity.
+    free = ndtri(uniform + 2.0**-54)
+    known = len(entries(case))
+    if known:
+        free[:, :known] = free[:, :known] @ np.linalg.cholesky(case.uncertainty.correlation).T
+    return free
+
+
+def values(
+    distributions: Sequence[Distribution], normal: np.ndarray, centre: np.ndarray
+) -> np.ndarray:
+    """[n, V] values from standard normals [n, V] and nominal values [V]."""
+    found = np.empty(normal.shape)
+    for i, each in enumerate(distributions):
+        found[:, i] = value(each, normal[:, i], centre[i])
+    return found
+
+
+def value(distribution: Distribution, z: np.ndarray, centre) -> np.ndarray:
+    """The values that standard normals stand for; exact formulas in `Distribution`."""
+    spread = distribution.spread
+    match distribution.kind:
+        case "normal":
+            return centre + spread * z
+        case "lognormal":
+            return centre * np.exp(spread * z - spread**2 / 2)
+        case "uniform":
+            return centre + spread * (2 * ndtr(z) - 1)
+
+
+def deviation(distribution: Distribution, centre: float) -> float:
+    """Standard deviation of a distribution about `centre`, in the domain's unit."""
+    match distribution.kind:
+        case "normal":
+            return distribution.spread
+        case "lognormal":
+            return abs(centre) * math.sqrt(math.expm1(distribution.spread**2))
+        case "uniform":
+            return distribution.spread / math.sqrt(3)

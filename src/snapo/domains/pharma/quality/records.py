@@ -1,0 +1,139 @@
+"""The questions to a process: parameters, attributes, uncertain numbers, experiments."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Distribution:
+    """How a number varies from batch to batch, about its nominal value.
+
+    - "normal": standard deviation `spread`; "lognormal": nominal times exp(spread z - spread^2/2),
+      so that the mean is the nominal; "uniform": nominal plus or minus `spread`. The unit of
+      `spread` is that of the number, a pure number for "lognormal".
+    """
+
+    kind: Literal["normal", "lognormal", "uniform"]
+    spread: float
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """A process parameter, as a filing lists it: one entry of one `Given`.
+
+    - `name`: in tables; `input`, `entry`: the `Given`'s name and the position in its `values`.
+    - `unit`: the owner's unit, `scale`: the domain's unit per owner's unit (a sensitivity per
+      owner's unit is `scale` times the raw one), `offset`: domain value = scale * owner's + offset.
+    - `low`, `high`: proven or studied range; `normal_low`, `normal_high`: normal operating range,
+      both in the domain's unit.
+    - `distribution`: its variation about the set point; None where it holds exactly.
+    - `control`: whether the designer may choose it; False for a material attribute.
+    """
+
+    name: str
+    input: str
+    entry: int
+    unit: str
+    scale: float
+    offset: float
+    low: float
+    high: float
+    normal_low: float
+    normal_high: float
+    distribution: Distribution | None
+    control: bool
+    source: str
+
+
+@dataclass(frozen=True)
+class Attribute:
+    """A quality attribute: a measure of a unit and the limit that it must keep.
+
+    - `measure`: "unit.measure", such as "dryer.solvent"; `unit`: of the limits and of all tables;
+      attribute = `scale` times the measure in the domain's unit.
+    - `low`, `high`: limits in `unit`; None where there is none. `citation`: where the limit stands
+      (guideline, version, table), or that it is the owner's own; never empty where one is set.
+    - `margin`: what counts as a small difference in `unit`, above 0: smooth indicators' width.
+    """
+
+    name: str
+    measure: str
+    unit: str
+    scale: float
+    low: float | None
+    high: float | None
+    citation: str
+    margin: float
+
+
+@dataclass(frozen=True, eq=False)
+class Uncertainty:
+    """Model parameters that are not known exactly, jointly lognormal or normal, and disturbances.
+
+    U numbers; each is one entry of one `Given`, like a `Parameter`. The policy does not see them.
+
+    - `inputs`: [U] names of `Given`s; `entries`: [U] positions; `distributions`: [U].
+    - `correlation`: [U, U] of the underlying standard normals.
+    - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
+      decision step (a temperature that is not held exactly).
+    """
+
+    inputs: tuple[str, ...]
+    entries: tuple[int, ...]
+    distributions: tuple[Distribution, ...]
+    correlation: np.ndarray
+    when: tuple[Literal["batch", "step"], ...]
+
+
+@dataclass(frozen=True)
+class DesignSpace:
+    """Where the probability of keeping all limits is mapped.
+
+    - `axes`: two or three names of `Parameter`s, over their `low` to `high`; `points`: per axis.
+    - `samples`: draws of the uncertainty per point, the same at every point.
+    - `levels`: contours, such as (0.85, 0.95, 0.99); `required`: the probability that the space,
+      the proven ranges and the largest box must keep.
+    """
+
+    axes: tuple[str, ...]
+    points: tuple[int, ...]
+    samples: int
+    levels: tuple[float, ...]
+    required: float
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """One measured batch: its settings, and its measurements with their times.
+
+    - `settings`: ((`Given` name, entry, value in the domain's unit), …) other than the case's.
+    - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
+      domain's unit, `error`: [n] standard deviation, above 0.
+    """
+
+    name: str
+    settings: tuple[tuple[str, int, float], ...]
+    time: np.ndarray
+    state: tuple[str, ...]
+    value: np.ndarray
+    error: np.ndarray
+
+
+@dataclass(frozen=True)
+class Estimation:
+    """Which numbers are fitted to which experiments.
+
+    - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
+    - `low`, `high`: [P] bounds in the domain's unit.
+    - `level`: of the confidence intervals.
+    """
+
+    inputs: tuple[str, ...]
+    entries: tuple[int, ...]
+    logarithm: tuple[bool, ...]
+    low: tuple[float, ...]
+    high: tuple[float, ...]
+    experiments: tuple[Experiment, ...]
+    level: float

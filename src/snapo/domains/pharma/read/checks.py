@@ -1,0 +1,116 @@
+"""Checks of a whole case: decisions, held and varied numbers, and doses fit the flowsheet."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.case.error import CaseError
+
+from ..control.stages import staged
+from ..flowsheet.case import Connection, PharmaCase
+from ..flowsheet.feed import Feed
+from ..flowsheet.order import ancestors
+from ..quality.draws import process_entries
+from ..time.profile import Profile
+from ..units.operation import Unit, timed
+
+
+def check_decided(case: PharmaCase) -> None:
+    """A policy decides profiles of units that take time, and numbers of units after these."""
+    control = case.control
+    if control is None:
+        return
+    by_name = {unit.name: unit for unit in case.units}
+    before = ancestors(case.units, case.connections)
+    over_time = timed(case.units)
+    needed = set().union(*(before[unit.name] for unit in staged(case)))
+    for i, each in enumerate(control.manipulated):
+        name = each.input.partition(".")[0]
+        unit = by_name.get(name)
+        if unit is None:
+            what = "a policy decides on units, and this number is none of a unit"
+        elif unit in over_time:
+            profiles = [profile.value.name for profile in unit.profiles]
+            if each.input in profiles:
+                continue
+            what = f"of {name} a policy decides what may change over time: {', '.join(profiles)}"
+        elif name in needed:
+            what = f"{name} runs before a unit over whose time a policy decides or measures"
+        else:
+            continue
+        raise CaseError(str(case.file), f"control.manipulated[{i}].of", each.input, what)
+
+
+def check_moved(case: PharmaCase) -> None:
+    """What is decided or uncertain cannot be held."""
+    tables = {
+        "optimise.decisions": case.optimise.decisions if case.optimise else (),
+        "control.manipulated": case.control.manipulated if case.control else (),
+    }
+    moved = [(f"{key}[{i}]", x.input) for key, xs in tables.items() for i, x in enumerate(xs)]
+    moved += [("uncertainty", name) for name in case.uncertainty.inputs]
+    for where, name in moved:
+        if name in case.held:
+            what = "this number is among those `held`, which do not move"
+            raise CaseError(str(case.file), f"{where}.of", name, what)
+
+
+def check_varied_once(case: PharmaCase) -> None:
+    """A number varies as a process parameter or as an uncertain one, not both."""
+    uncertain = set(zip(case.uncertainty.inputs, case.uncertainty.entries))
+    for name, entry in process_entries(case):
+        if (name, entry) in uncertain:
+            what = "this number has a distribution under [[parameters]] as well"
+            raise CaseError(str(case.file), "uncertainty", f"{name}[{entry}]", what)
+
+
+def check_amounts(
+    file,
+    feeds: Sequence[Feed],
+    units: Sequence[Unit],
+    connections: Sequence[Connection],
+    notes: list[str],
+) -> None:
+    """Continuous units need a feed with a duration; a dose adds up to its feed."""
+    by_name = {feed.name: feed for feed in feeds}
+    for unit in units:
+        fed = {c.inlet: by_name.get(c.source) for c in connections if c.target == unit.name}
+        for inlet in unit.inlets:
+            feed = fed.get(inlet.name)
+            if feed is not None and inlet.dosed is not None:
+                _check_dose(file, unit, feed, inlet.dosed)
+            if feed is not None and inlet.lasting and feed.duration is None:
+                what = f"unit {unit.name} runs continuously and needs to know over which time"
+                raise CaseError(str(file), f"feeds.{feed.name}.duration", None, what)
+        if unit.time is not None:
+            for profile in unit.profiles:
+                notes += _steep(profile, float(unit.time.values[0]))
+
+
+def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:
+    assert unit.time is not None
+    duration = float(unit.time.values[0])
+    value, share = dosing.value.values, dosing.share
+    mean = (value[1:] + value[:-1]) / 2 if dosing.kind == "linear" else value
+    dosed = duration * float(np.sum(mean * np.diff(share)))
+    held = float(feed.volume.values[0])
+    if abs(dosed - held) > 1e-9 * held:
+        what = (
+            f"over {duration:g} s it doses {dosed:.10g} m3, and feed {feed.name} holds "
+            f"{held:.10g} m3"
+        )
+        raise CaseError(str(file), f"units.{unit.name}.dosing", None, what)
+
+
+def _steep(profile: Profile, duration: float) -> list[str]:
+    """A remark where an open-loop profile moves faster than its ramp allows."""
+    if profile.ramp is None or profile.kind == "constant":
+        return []
+    slope = np.abs(np.diff(profile.value.values) / np.diff(profile.share)) / duration
+    if slope.max() <= profile.ramp * (1 + 1e-9):
+        return []
+    unit = profile.value.unit
+    return [
+        f"{profile.value.name} moves by {60 * slope.max():.3g} {unit}/min at most, and its ramp "
+        f"allows {60 * profile.ramp:.3g} {unit}/min."
+    ]

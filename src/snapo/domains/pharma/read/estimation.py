@@ -1,0 +1,102 @@
+"""Reads `[estimation]`: the numbers to fit, and experiments with their measured data."""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
+from ..quality.records import Estimation, Experiment
+from ..units.operation import Unit
+from .entries import Numbers
+from .numbers import NOT_NEGATIVE, POSITIVE, quantity, suggest
+from .tables import EstimationTable, ExperimentTable, FitTable
+
+COLUMNS = ("time", "state", "value", "error")
+
+
+def read_estimation(
+    file, raw: dict | None, numbers: Numbers, species, units: Sequence[Unit], notes
+) -> Estimation | None:
+    """Which numbers are fitted, within which bounds, to which experiments."""
+    if raw is None:
+        return None
+    table = parse(EstimationTable, raw, str(file), "estimation")
+    which, lows, highs, logarithms = [], [], [], []
+    for i, each in enumerate(table.fit):
+        section = Section(file, f"estimation.fit[{i}]", notes)
+        fit = parse(FitTable, each, str(file), section.name)
+        entry = numbers.one(section, "of", fit.of)
+        if entry in which:
+            raise section.error("of", fit.of, "this number stands there twice")
+        unit = numbers.unit(*entry)
+        low = quantity(section, "low", fit.low, unit)
+        high = quantity(section, "high", fit.high, unit)
+        if not low < high:
+            raise section.error("high", fit.high, "high must lie above low")
+        if fit.logarithm and low <= 0:
+            raise section.error("low", fit.low, "a logarithm needs bounds above 0")
+        start = numbers.value(entry)
+        if not low < start < high:
+            what = f"the case's own value, {start:g} {unit}, must lie between low and high"
+            raise section.error("low", fit.low, what)
+        which.append(entry)
+        lows.append(low)
+        highs.append(high)
+        logarithms.append(fit.logarithm)
+    known = {f"{u.name}.{state}": unit for u in units for state, unit in u.states(species).items()}
+    experiments = tuple(
+        _experiment(file, each, i, numbers, known, notes)
+        for i, each in enumerate(table.experiments)
+    )
+    measured = sum(len(each.time) for each in experiments)
+    if measured <= len(which):
+        section = Section(file, "estimation", notes)
+        what = f"{measured} measurements are too few to fit {len(which)} numbers"
+        raise section.error("experiments", None, what)
+    return Estimation(
+        tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(logarithms),
+        tuple(lows), tuple(highs), experiments, table.level,
+    )  # fmt: skip
+
+
+def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment:
+    section = Section(file, f"estimation.experiments[{i}]", notes)
+    table = parse(ExperimentTable, raw, str(file), section.name)
+    settings = []
+    for text, given in table.settings.items():
+        entry = numbers.one(section, f"settings.{text}", text)
+        value = quantity(section, f"settings.{text}", given, numbers.unit(*entry))
+        settings.append((*entry, value))
+    rows = read_rows(Mention(section, "data", table.data), COLUMNS)
+    times = np.array([_cell(row, "time", "s") for row in rows])
+    names = []
+    for row in rows:
+        state = row.cells["state"]
+        if state not in known:
+            hint = suggest(state, known, "state")
+            raise row.error("state", f"there is no such state; {hint}")
+        names.append(state)
+    values = np.array([_cell(row, "value", known[row.cells["state"]]) for row in rows])
+    errors = np.array([_cell(row, "error", known[row.cells["state"]], True) for row in rows])
+    return Experiment(table.name, tuple(settings), times, tuple(names), values, errors)
+
+
+def _cell(row: Row, column: str, unit: str, error: bool = False) -> float:
+    """A quantity in a cell, "600 s"; mistakes name the line."""
+    bounds = POSITIVE if error else NOT_NEGATIVE
+    place = _Cell(row, column)
+    return quantity(place, column, row.cells[column], unit, bounds, difference=error)
+
+
+class _Cell(NamedTuple):
+    """A cell as the place of a mistake."""
+
+    row: Row
+    column: str
+
+    def error(self, key: str, value: Any, allowed: str) -> CaseError:
+        return self.row.error(self.column, allowed)

@@ -1,0 +1,46 @@
+"""Fields of a table: each description is the text that an error message quotes as allowed."""
+
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from snapo.case.table import Table
+
+NUMBER = "a number, such as 1.32"
+
+
+Text = Annotated[str, Field(min_length=1)]
+
+
+Texts = Annotated[list[Text], Field(min_length=1)]
+
+
+def quantity(what: str, default: Any = ..., words: str | None = None) -> Any:
+    """A field for a number with a unit, required without a default. `words`: its meaning."""
+    text = f"a quantity in quotation marks, such as {what}"
+    return Field(default, description=text, title=words)
+
+
+def number(what: str = NUMBER, default: Any = ..., words: str | None = None) -> Any:
+    """A field for a pure number."""
+    return Field(default, description=what, title=words)
+
+
+def profile(default: Any = ..., words: str | None = None) -> Any:
+    """A field for a temperature, or any control, over time."""
+    what = 'a quantity such as "313.15 K", or { nodes = ["313 K", "278 K"] }'
+    return Field(default, description=what, title=words)
+
+
+def word(*words: str, default: Any = ...) -> Any:
+    """A field for one of a few words."""
+    return Field(default, description=" or ".join(f'"{each}"' for each in words))
+
+
+class ProfileTable(Table):
+    """{ nodes = ["313.15 K", "278.15 K"], at = [0, 1], kind = "linear", ramp = "0.5 K/min" }"""
+
+    nodes: Any = Field(description='a list of quantities, such as ["313 K", "278 K"]')
+    at: Any = Field(None, description="shares of the unit's duration, rising from 0 to 1")
+    kind: Literal["linear", "constant"] = word("linear", "constant", default="linear")
+    ramp: Any = quantity('"0.5 K/min"', None)

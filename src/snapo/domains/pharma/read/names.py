@@ -1,0 +1,20 @@
+"""Names that an owner gives: of species, feeds, units and ports."""
+
+import re
+from typing import Any
+
+from snapo.case.table import Section
+
+NAME = re.compile(r"[A-Za-z][A-Za-z0-9_-]*")
+
+
+RESERVED = ("process", "kinetics")
+
+
+def check_name(section: Section, key: str, name: Any) -> str:
+    """A name of letters, digits, - and _, so that "unit.measure" can be taken apart."""
+    if not isinstance(name, str) or NAME.fullmatch(name) is None or name in RESERVED:
+        what = "a name has letters, digits, - and _, and begins with a letter"
+        reserved = " and ".join(f'"{each}"' for each in RESERVED)
+        raise section.error(key, name, f"{what}; {reserved} are taken")
+    return name

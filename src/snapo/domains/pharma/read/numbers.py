@@ -1,0 +1,204 @@
+"""From the raw value of a key to numbers in the domain's units: quantities, lists, profiles."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, nearest, parse
+
+from ..time.profile import Profile
+from .fields import ProfileTable
+from .quantities import PURE, UnitError, conversion, split
+
+ZERO_CELSIUS = 273.15
+EXAMPLES = {"K": "313.15 K", "s": "3600 s", "m": "20 um", "kmol/m3": "0.33 mol/L", "m3": "60 L"}
+
+
+class Place(Protocol):
+    """Where a quantity stands: a key of a table, or a cell of a file."""
+
+    def error(self, key: str, value: Any, allowed: str) -> CaseError:
+        """The mistake at this place."""
+        ...
+
+
+class Bounds(NamedTuple):
+    """A closed or open interval in the domain's unit, and its words."""
+
+    low: float
+    high: float
+    open_low: bool
+    words: str
+
+    def holds(self, number: float) -> bool:
+        above = number > self.low if self.open_low else number >= self.low
+        return above and number <= self.high
+
+
+ANY = Bounds(-math.inf, math.inf, False, "a finite number")
+POSITIVE = Bounds(0.0, math.inf, True, "above 0")
+NOT_NEGATIVE = Bounds(0.0, math.inf, False, "at least 0")
+SHARE = Bounds(0.0, 1.0, False, "a share from 0 to 1")
+INSIDE = Bounds(0.0, float(np.nextafter(1.0, 0.0)), True, "between 0 and 1, without either")
+
+
+def quantity(
+    section: Place,
+    key: str,
+    raw: Any,
+    unit: str,
+    bounds: Bounds = ANY,
+    difference: bool = False,
+) -> float:
+    """The number under `key` in the domain's `unit`; see `conversion` for a `difference`."""
+    number, name = _split(section, key, raw, unit)
+    try:
+        value = conversion(name, unit, difference)(number)
+    except UnitError as error:
+        raise section.error(key, raw, str(error)) from None
+    if not math.isfinite(value) or not bounds.holds(value):
+        raise section.error(key, raw, f"allowed is {bounds.words}")
+    return value
+
+
+def unit_of(section: Section, key: str, raw: Any, unit: str) -> str:
+    """The unit that the owner wrote under `key`, for a quantity in the domain's `unit`."""
+    return _split(section, key, raw, unit)[1] or "1"
+
+
+def _split(section: Place, key: str, raw: Any, unit: str) -> tuple[float, str]:
+    if isinstance(raw, bool) or not isinstance(raw, str | int | float):
+        raise section.error(key, raw, f"allowed is {_example(unit)}")
+    if not isinstance(raw, str):
+        if unit not in PURE:
+            raise section.error(key, raw, f"a quantity needs its unit, {_example(unit)}")
+        return float(raw), ""
+    try:
+        number, name = split(raw)
+    except UnitError as error:
+        raise section.error(key, raw, f"{error}, {_example(unit)}") from None
+    if not name and unit not in PURE:
+        raise section.error(key, raw, f"a quantity needs its unit, {_example(unit)}")
+    return number, name
+
+
+def _example(unit: str) -> str:
+    if unit in PURE:
+        return "a number without a unit, or in %"
+    return f'such as "{EXAMPLES.get(unit, f"1.5 {unit}")}"'
+
+
+def given(
+    name: str, values: np.ndarray, labels: Sequence[str], unit: str,
+    index: np.ndarray | None = None, words: str = "", own: str = "",
+) -> Given:  # fmt: skip
+    """Numbers of a case with all that is said about them; used in order unless `index` says else.
+
+    `own`: the owner's unit. Temperatures are moved by a kelvin, all else by a share of itself.
+    """
+    size = float(np.max(np.abs(values), initial=0.0))
+    return Given(
+        name,
+        values,
+        tuple(labels),
+        unit,
+        np.arange(len(values)) if index is None else index,
+        bump=1e-5 * size or None,
+        move=1.0 if unit == "K" else None,
+        trade_unit=own if own not in PURE else "",
+        trade_factor=1.0 if own in PURE else 1 / conversion(own, unit, difference=True).scale,
+        group=name.partition(".")[0],
+        words=words,
+    )
+
+
+def single(
+    section: Section, name: str, key: str, raw: Any, unit: str, bounds: Bounds = ANY,
+    words: str = "",
+) -> Given:  # fmt: skip
+    """One number, index [], called `name` in tables of sensitivities."""
+    value = quantity(section, key, raw, unit, bounds)
+    own = unit_of(section, key, raw, unit)
+    return given(name, np.array([value]), ("",), unit, np.array(0), words, own)
+
+
+def listed(section: Section, key: str, raw: Any, unit: str, bounds: Bounds = ANY) -> list[float]:
+    """The numbers of ["308 K", "295 K"], or of { value = [308, 295], unit = "K" }."""
+    if isinstance(raw, dict):
+        if set(raw) != {"value", "unit"} or not isinstance(raw["unit"], str):
+            what = f"allowed is {{ value = [1.0, 2.0], unit = {_example(unit)[8:]} }}"
+            raise section.error(key, raw, what)
+        found = raw["value"]
+        numbers = isinstance(found, list) and all(
+            isinstance(each, int | float) and not isinstance(each, bool) for each in found
+        )
+        if not numbers:
+            raise section.error(f"{key}.value", found, "allowed is a list of numbers")
+        raw = [f"{each!r} {raw['unit']}" for each in found]
+    if not isinstance(raw, list) or not raw:
+        what = f"allowed is a list of quantities, each {_example(unit)}"
+        raise section.error(key, raw, what)
+    return [quantity(section, f"{key}[{i}]", each, unit, bounds) for i, each in enumerate(raw)]
+
+
+def several(
+    section: Section, name: str, key: str, raw: Any, unit: str, labels: Sequence[str] | str = "",
+    bounds: Bounds = ANY, words: str = "",
+) -> Given:  # fmt: skip
+    """A list of numbers, index [n]; labels are `labels`, or that text with the entry's number."""
+    values = np.array(listed(section, key, raw, unit, bounds))
+    if isinstance(labels, str):
+        labels = tuple(f"{labels}{i}" for i in range(len(values)))
+    return given(name, values, labels, unit, words=words)
+
+
+def absent(name: str, unit: str) -> Given:
+    """A number that the case does not have: no values, index [0]."""
+    return Given(name, np.zeros(0), (), unit, np.zeros(0, np.int64))
+
+
+def profile(
+    section: Section, name: str, key: str, raw: Any, unit: str, bounds: Bounds = ANY,
+    words: str = "",
+) -> Profile:  # fmt: skip
+    """A control over a unit's time: one quantity, or a table with nodes."""
+    if not isinstance(raw, dict):
+        value = single(section, name, key, raw, unit, bounds, words)
+        return Profile("constant", np.array([0.0, 1.0]), replace(value, index=np.arange(1)), None)
+    table = parse(ProfileTable, raw, str(section.file), f"{section.name}.{key}")
+    inner = Section(section.file, f"{section.name}.{key}", section.notes)
+    values = listed(inner, "nodes", table.nodes, unit, bounds)
+    if table.kind == "linear" and len(values) < 2:
+        raise inner.error("nodes", table.nodes, 'kind "linear" needs two nodes or more')
+    edges = len(values) if table.kind == "linear" else len(values) + 1
+    shares = np.linspace(0.0, 1.0, edges) if table.at is None else _shares(inner, table.at, edges)
+    labels = tuple(f"node {i}" for i in range(len(values)))
+    numbers = given(name, np.array(values), labels, unit, words=words)
+    ramp = None
+    if table.ramp is not None:
+        ramp = quantity(inner, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)
+    return Profile(table.kind, shares, numbers, ramp)
+
+
+def _shares(section: Section, raw: Any, count: int) -> np.ndarray:
+    found = np.array(listed(section, "at", raw, "1", SHARE))
+    if len(found) != count:
+        raise section.error("at", raw, f"allowed are {count} shares of the unit's duration")
+    if found[0] != 0 or found[-1] != 1 or (np.diff(found) <= 0).any():
+        raise section.error("at", raw, "the shares must rise from 0 to 1")
+    return found
+
+
+def suggest(name: str, known, noun: str) -> str:
+    """The known name nearest to one that is not known, or all that are."""
+    plural = noun if noun.endswith("s") else f"{noun}s"
+    return (
+        nearest(name, known)
+        .replace("known keys", f"known {plural}", 1)
+        .replace("known key", f"known {noun}", 1)
+    )

@@ -1,0 +1,81 @@
+"""Reads `[optimise]`: decisions within their bounds, and the goal."""
+
+from collections.abc import Mapping
+from typing import Any
+
+from snapo.case.table import Section, parse
+
+from ..recipe.records import Decision, Optimise, Term
+from .entries import Numbers
+from .numbers import quantity, suggest, unit_of
+from .quantities import UnitError, conversion
+from .tables_optimise import DecisionTable, OptimiseTable, TermTable
+
+
+def read_optimise(
+    file, raw: dict | None, numbers: Numbers, measures: Mapping[str, str], notes
+) -> Optimise | None:
+    """`measures`: {name: its unit in the domain} of all that can be measured."""
+    if raw is None:
+        return None
+    table = parse(OptimiseTable, raw, str(file), "optimise")
+    sense: Any = 1 if table.sense == "maximise" else -1
+
+    def terms(key: str) -> tuple[Term, ...]:
+        found = getattr(table, key)
+        sections = [Section(file, f"optimise.{key}[{i}]", notes) for i in range(len(found))]
+        return tuple(_term(s, each, numbers, measures) for s, each in zip(sections, found))
+
+    decisions: list[Decision] = []
+    for i, each in enumerate(table.decisions):
+        section = Section(file, f"optimise.decisions[{i}]", notes)
+        for decision in _decisions(section, each, numbers):
+            if (decision.input, decision.entry) in [(d.input, d.entry) for d in decisions]:
+                raise section.error("of", each.get("of"), "this number is decided twice")
+            decisions.append(decision)
+    return Optimise(
+        sense, terms("terms"), terms("per"), tuple(decisions), table.reserve, table.starts
+    )
+
+
+def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, str]) -> Term:
+    table = parse(TermTable, raw, str(section.file), section.name)
+    entry, domain = None, measures.get(table.of)
+    name = table.of
+    if domain is None:
+        if name.partition("[")[0] not in numbers.givens:
+            hint = suggest(name, [*measures, *numbers.givens], "name")
+            raise section.error("of", name, f"there is no such measure or number; {hint}")
+        name, entry = numbers.one(section, "of", table.of)
+        domain = numbers.unit(name, entry)
+    try:
+        change = conversion(table.unit, domain)
+    except UnitError as error:
+        raise section.error("unit", table.unit, str(error)) from None
+    if change.offset:
+        raise section.error("unit", table.unit, "a term needs a unit with a true zero")
+    return Term(name, entry, table.unit, 1 / change.scale, table.weight)
+
+
+def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
+    """One for each entry that `of` stands for, all with the same bounds."""
+    table = parse(DecisionTable, raw, str(section.file), section.name)
+    found = []
+    for name, entry in numbers.all(section, "of", table.of):
+        unit, start = numbers.unit(name, entry), numbers.value((name, entry))
+        low, high = (quantity(section, key, getattr(table, key), unit) for key in ("low", "high"))
+        if not low < high:
+            raise section.error("high", table.high, "high must lie above low")
+        own = unit_of(section, "low", table.low, unit)
+        change = conversion(own, unit)
+        if not low <= start <= high:
+            value = f"{(start - change.offset) / change.scale:.10g}"
+            value += "" if own == "1" else f" {own}"
+            what = f"the case's own number, {value}, must lie within the bounds: it is the start"
+            raise section.error("low", [table.low, table.high], what)
+        several = len(numbers.givens[name].labels) > 1
+        label = f"{name}[{entry}]" if several else name
+        found.append(
+            Decision(label, name, entry, own, change.scale, change.offset, low, high, start)
+        )
+    return found

@@ -1,0 +1,198 @@
+"""Reads parameters, attributes with limits, and uncertain numbers."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
+from ..flowsheet.feed import Feed
+from ..flowsheet.network import Network
+from ..given import Entry
+from ..quality.records import Attribute, Distribution, Parameter, Uncertainty
+from ..units.operation import Unit
+from .entries import Numbers
+from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
+from .quantities import UnitError, conversion
+from .tables import (
+    AttributeTable,
+    CorrelationTable,
+    DistributionTable,
+    ParameterTable,
+    UncertaintyTable,
+)
+
+SMALL = 0.02  # of the room between limits, or of a limit: a small difference
+
+
+def read_distribution(section: Section, raw, unit: str) -> Distribution:
+    """A spread is a difference in the number's unit; that of "lognormal" is a pure number."""
+    table = parse(DistributionTable, raw, str(section.file), f"{section.name}.distribution")
+    inner = Section(section.file, f"{section.name}.distribution", section.notes)
+    own = "1" if table.kind == "lognormal" else unit
+    spread = quantity(inner, "spread", table.spread, own, POSITIVE, difference=True)
+    return Distribution(table.kind, spread)
+
+
+def read_parameters(file, raw: list[dict], numbers: Numbers, notes) -> tuple[Parameter, ...]:
+    """`[[parameters]]`, each one entry of the case, with its ranges around the nominal value."""
+    found: list[Parameter] = []
+    for i, each in enumerate(raw):
+        section = Section(file, f"parameters[{i}]", notes)
+        parameter = _parameter(
+            section, parse(ParameterTable, each, str(file), section.name), numbers
+        )
+        for other in found:
+            if other.name == parameter.name:
+                raise section.error("name", other.name, "another parameter has this name")
+            if (other.input, other.entry) == (parameter.input, parameter.entry):
+                raise section.error("of", each["of"], f"parameter {other.name} is this number too")
+        found.append(parameter)
+    return tuple(found)
+
+
+def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Parameter:
+    name, entry = numbers.one(section, "of", table.of)
+    unit, nominal = numbers.unit(name, entry), numbers.value((name, entry))
+    own = unit_of(section, "range[0]", table.range[0], unit)
+    low, high = _pair(section, "range", table.range, unit)
+    inner = _pair(section, "normal", table.normal, unit)
+    change = conversion(own, unit)
+
+    def said(number: float) -> str:
+        return f"{(number - change.offset) / change.scale:.10g}{'' if own == '1' else f' {own}'}"
+
+    if not low <= nominal <= high:
+        what = f"the nominal value of {table.of}, {said(nominal)}, must lie in the range"
+        raise section.error("range", table.range, what)
+    if not low <= inner[0] <= inner[1] <= high:
+        what = f"the normal range must lie in the range, {said(low)} to {said(high)}"
+        raise section.error("normal", table.normal, what)
+    if not inner[0] <= nominal <= inner[1]:
+        what = f"the nominal value of {table.of}, {said(nominal)}, must lie in the normal range"
+        raise section.error("normal", table.normal, what)
+    spread = None
+    if table.distribution is not None:
+        spread = read_distribution(section, table.distribution, unit)
+    return Parameter(
+        table.name, name, entry, own, change.scale, change.offset, low, high, *inner, spread,
+        table.control, table.source,
+    )  # fmt: skip
+
+
+def _pair(section: Section, key: str, raw: list, unit: str) -> tuple[float, float]:
+    low, high = (quantity(section, f"{key}[{i}]", each, unit, ANY) for i, each in enumerate(raw))
+    if not low < high:
+        raise section.error(key, raw, "the first number must lie below the second")
+    return low, high
+
+
+def read_attributes(
+    file, raw: list[dict], network: Network, feeds: Sequence[Feed], units: Sequence[Unit], notes
+) -> tuple[Attribute, ...]:
+    """`[[attributes]]`: a measure of a unit, in the owner's unit, with cited limits."""
+    known = every_measure(network, units)
+    found: list[Attribute] = []
+    for i, each in enumerate(raw):
+        section = Section(file, f"attributes[{i}]", notes)
+        table = parse(AttributeTable, each, str(file), section.name)
+        attribute = _attribute(section, table, known)
+        if attribute.name in [other.name for other in found]:
+            raise section.error("name", table.name, "another attribute has this name")
+        found.append(attribute)
+    return tuple(found)
+
+
+def every_measure(network: Network, units: Sequence[Unit]) -> dict[str, str]:
+    """{"unit.measure": its unit in the domain} of all units and of the process."""
+    found = {
+        f"{unit.name}.{measure}": domain
+        for unit in units
+        for measure, domain in unit.measures(network.species).items()
+    }
+    species = network.species
+    found |= {
+        f"process.yield.{made}.{key}": "1" for made in species for key in species if made != key
+    }
+    return found | {f"process.product.{made}": "kg" for made in species}
+
+
+def _attribute(section: Section, table: AttributeTable, known: dict[str, str]) -> Attribute:
+    if table.measure not in known:
+        hint = suggest(table.measure, known, "measure")
+        raise section.error("measure", table.measure, f"there is no such measure; {hint}")
+    try:
+        change = conversion(table.unit, known[table.measure])
+    except UnitError as error:
+        raise section.error("unit", table.unit, str(error)) from None
+    if change.offset:
+        raise section.error("unit", table.unit, "a quality attribute needs a unit with a true zero")
+    limits = {
+        key: None
+        if raw is None
+        else quantity(section, key, raw, known[table.measure]) / change.scale
+        for key, raw in (("low", table.low), ("high", table.high))
+    }
+    # A limit written in the attribute's unit keeps its digits through both conversions.
+    low, high = (None if x is None else float(f"{x:.14g}") for x in limits.values())
+    if low is not None and high is not None and not low < high:
+        what = f"the lower limit, {low:g} {table.unit}, must lie below it"
+        raise section.error("high", table.high, what)
+    if (low is not None or high is not None) and not table.citation.strip():
+        raise section.error("citation", None, "a limit needs its source, or that it is your own")
+    if table.margin is None:
+        margin = _margin(low, high)
+    else:
+        margin = quantity(section, "margin", table.margin, known[table.measure], POSITIVE)
+        margin /= change.scale
+    return Attribute(
+        table.name, table.measure, table.unit, 1 / change.scale, low, high, table.citation, margin
+    )
+
+
+def _margin(low: float | None, high: float | None) -> float:
+    if low is not None and high is not None:
+        return SMALL * (high - low)
+    return SMALL * abs(low if low is not None else high or 0.0) or 1.0
+
+
+def read_uncertainty(
+    file, raw: list[dict], correlations: list[dict], numbers: Numbers, notes
+) -> Uncertainty:
+    """`[[uncertainty]]` and `[[correlations]]`; without an entry, every number varies alike."""
+    which: list[Entry] = []
+    spreads, when = [], []
+    for i, each in enumerate(raw):
+        section = Section(file, f"uncertainty[{i}]", notes)
+        table = parse(UncertaintyTable, each, str(file), section.name)
+        for entry in numbers.all(section, "of", table.of):
+            if entry in which:
+                raise section.error("of", table.of, "this number stands there twice")
+            unit = numbers.unit(*entry)
+            distribution = read_distribution(section, table.distribution, unit)
+            if distribution.kind == "lognormal" and numbers.value(entry) <= 0:
+                what = f'"lognormal" needs a nominal value above 0; {table.of} has another'
+                raise section.error("distribution", table.distribution, what)
+            which.append(entry)
+            spreads.append(distribution)
+            when.append(table.when)
+    matrix = np.eye(len(which))
+    for i, each in enumerate(correlations):
+        section = Section(file, f"correlations[{i}]", notes)
+        table = parse(CorrelationTable, each, str(file), section.name)
+        one, other = (numbers.one(section, "between", text) for text in table.between)
+        for entry, text in zip((one, other), table.between):
+            if entry not in which:
+                raise section.error("between", text, "this number is not under [[uncertainty]]")
+        if one == other:
+            raise section.error("between", table.between, "a number correlates with another")
+        row, column = which.index(one), which.index(other)
+        matrix[row, column] = matrix[column, row] = table.value
+    if which and np.linalg.eigvalsh(matrix).min() <= 1e-12:
+        what = "the correlations together are not those of any numbers (not positive definite)"
+        raise CaseError(str(file), "correlations", None, what)
+    return Uncertainty(
+        tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(spreads),
+        matrix, tuple(when),
+    )  # fmt: skip

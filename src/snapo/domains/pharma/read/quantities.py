@@ -1,0 +1,105 @@
+"""Quantities with units: an owner's text, "40 degC", becomes a number in the domain's unit.
+
+A text is taken apart here and only the name of its unit goes to pint, so nothing that stands in a
+case is ever evaluated. The domain's own units are written as in `records`: "kmol/m3", "1/s", "1".
+"""
+
+import re
+from functools import cache
+from typing import NamedTuple
+
+import pint
+
+NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
+QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.ASCII | re.DOTALL)
+UNIT = re.compile(
+    r"[A-Za-zµμ°Ω%_][A-Za-zµμ°Ω%_0-9*/^.() ·-]{0,60}|1(?:/[A-Za-z0-9*/^.() -]{1,60})?"
+)
+# Shares name their basis; as numbers they are all the same.
+BASIS = re.compile(r"\s+(w/w|v/v|m/m|n/n)$")
+PURE = ("", "1")
+
+
+class UnitError(ValueError):
+    """A unit that does not exist, or of another dimension; the message is a clause."""
+
+
+class Conversion(NamedTuple):
+    """domain value = `scale` * owner's value + `offset`."""
+
+    scale: float
+    offset: float
+
+    def __call__(self, number: float) -> float:
+        return self.scale * number + self.offset
+
+
+def split(text: str) -> tuple[float, str]:
+    """Number and unit of "313.15 K"; the unit of a pure number is "".
+
+    **Raises:** `UnitError` where there is no such number.
+    """
+    found = QUANTITY.fullmatch(text)
+    if found is None:
+        raise UnitError("a quantity is a number and its unit")
+    return float(found[1]), found[2]
+
+
+@cache
+def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
+    """From `unit` to the domain's unit `target`.
+
+    A `difference` of temperatures (a spread, a ramp) has no offset: 2 degC are 2 K.
+
+    **Raises:** `UnitError` where the unit is unknown, or measures something else.
+    """
+    own, domain = _parse(unit), _parse(target)
+    if own.dimensionality != domain.dimensionality:
+        wanted = _dimension(domain) + ("" if target in PURE else f", {target}")
+        raise UnitError(f"{shown(unit)} is {_dimension(own)}, and this is {wanted}")
+    registry = _registry()
+    start = registry.Quantity(0.0, own).to(domain).magnitude
+    if difference and own == registry.degC:
+        own = registry.delta_degC
+    if difference and own == registry.degF:
+        own = registry.delta_degF
+    zero = registry.Quantity(0.0, own).to(domain).magnitude
+    scale = registry.Quantity(1.0, own).to(domain).magnitude - zero
+    # Factors between units have few digits; the rest is rounding on the way.
+    return Conversion(float(f"{scale:.16g}"), 0.0 if difference else float(f"{start:.16g}"))
+
+
+def dimension(unit: str) -> str:
+    """What a unit measures, "[length] / [time]"."""
+    return _dimension(_parse(unit))
+
+
+def shown(unit: str) -> str:
+    """A unit in a sentence."""
+    return "a pure number" if unit.strip() in PURE else unit
+
+
+@cache
+def _registry() -> pint.UnitRegistry:
+    return pint.UnitRegistry(cache_folder=None, autoconvert_offset_to_baseunit=False)
+
+
+@cache
+def _parse(unit: str) -> pint.Unit:
+    text = BASIS.sub("", unit.strip())
+    if text in PURE:
+        return _registry().Unit("")
+    if UNIT.fullmatch(text) is None:
+        raise UnitError(f"{unit!r} is not the name of a unit")
+    text = re.sub(r"(?<=[A-Za-zµμ])([23])\b", r"^\1", text.replace("·", "*").replace("°C", "degC"))
+    if re.search(r"\^\s*\(?-?\d{3}", text):
+        raise UnitError(f"{unit!r} is not the name of a unit")
+    try:
+        return _registry().Unit(text)
+    except Exception:  # pint has many ways to say that it does not understand
+        raise UnitError(f"there is no unit {unit!r}") from None
+
+
+def _dimension(unit: pint.Unit) -> str:
+    found = unit.dimensionality
+    return "a pure number" if not found else str(found)

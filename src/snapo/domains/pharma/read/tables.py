@@ -1,0 +1,249 @@
+"""The tables of a pharma case as they stand in the TOML file, each key with its meaning.
+
+A quantity is any value here: whether its number and unit are right is decided by `numbers`. Tables
+of units are those of the unit operations.
+"""
+
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import Field
+
+from snapo.case.table import Table
+
+from .fields import Text, quantity, word
+
+
+class SpeciesTable(Table):
+    """`[species]`, one line for each."""
+
+    molar_mass: Any = quantity('"150 g/mol"')
+
+
+class ReactionTable(Table):
+    """`[[reactions]]`"""
+
+    name: Text = Field(description="a name")
+    equation: Text = Field(description='an equation such as "A + 2 B -> C"')
+    prefactor: Any = quantity('"2.65e4 L/mol/s"', words="prefactor of the rate")
+    activation: Any = quantity('"40 kJ/mol"', words="activation energy")
+    heat: Any = quantity('"-50 kJ/mol"', "0 J/mol", words="heat of reaction")
+    order: dict[str, Any] = Field({}, description="exponents such as { A = 2 }")
+
+
+class FeedTable(Table):
+    """`[feeds.NAME]`"""
+
+    volume: Any = quantity('"60 L"', words="volume fed")
+    temperature: Any = quantity('"313.15 K"', words="temperature of the feed")
+    concentration: dict[str, Any] = Field(
+        {}, description='concentrations such as { A = "0.33 mol/L" }'
+    )
+    solvent: Any = quantity('"887.6 kg/m^3"', words="solvent per volume fed")
+    duration: Any = quantity('"2 h"', None)
+
+
+# `from` is a word of Python, so this table is not written as a class.
+ENDS: dict[str, Any] = {
+    "from": (Text, Field(description='a feed, or "unit.outlet"')),
+    "to": (Text, Field(description='"unit.inlet"')),
+}
+ConnectionTable = pydantic.create_model("ConnectionTable", __base__=Table, **ENDS)
+
+
+class DistributionTable(Table):
+    """{ kind = "lognormal", spread = 0.1 }"""
+
+    kind: Literal["normal", "lognormal", "uniform"] = word("normal", "lognormal", "uniform")
+    spread: Any = Field(description='a number, or a quantity such as "0.5 K"')
+
+
+class ParameterTable(Table):
+    """`[[parameters]]`"""
+
+    name: Text = Field(description="a name")
+    of: Text = Field(description='a number of the case, such as "crystalliser.temperature[1]"')
+    range: Annotated[list[Any], Field(min_length=2, max_length=2)] = Field(
+        description='two quantities such as ["303 K", "323 K"]'
+    )
+    normal: Annotated[list[Any], Field(min_length=2, max_length=2)] = Field(
+        description='two quantities such as ["312 K", "314 K"]'
+    )
+    distribution: dict | None = Field(None, description='{ kind = "normal", spread = "0.5 K" }')
+    control: bool = Field(True, description="true or false")
+    source: Text = Field(description="a sentence on where the range comes from")
+
+
+class AttributeTable(Table):
+    """`[[attributes]]`"""
+
+    name: Text = Field(description="a name")
+    measure: Text = Field(description='a measure such as "dryer.solvent"')
+    unit: str = Field(description='a unit such as "um", or "1"')
+    low: Any = quantity('"80 um"', None)
+    high: Any = quantity('"100 um"', None)
+    citation: str = Field("", description="a sentence on where the limit stands")
+    margin: Any = quantity('"1 um"', None)
+
+
+class UncertaintyTable(Table):
+    """`[[uncertainty]]`"""
+
+    of: Text = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
+    distribution: dict = Field(description='{ kind = "lognormal", spread = 0.1 }')
+    when: Literal["batch", "step"] = word("batch", "step", default="batch")
+
+
+class CorrelationTable(Table):
+    """`[[correlations]]`"""
+
+    between: Annotated[list[Text], Field(min_length=2, max_length=2)] = Field(
+        description="two of the numbers under [[uncertainty]]"
+    )
+    value: Annotated[float, Field(gt=-1, lt=1)] = Field(description="a number between -1 and 1")
+
+
+class ManipulatedTable(Table):
+    """`[[control.manipulated]]`"""
+
+    of: Text = Field(description='a control of a unit, such as "crystalliser.temperature"')
+    low: Any = quantity('"273 K"')
+    high: Any = quantity('"313 K"')
+    ramp: Any = quantity('"0.5 K/min"', None)
+
+
+class MeasurementTable(Table):
+    """`[[control.measurements]]`"""
+
+    state: Text = Field(description='a state of a unit, such as "crystalliser.concentration"')
+    error: Any = quantity('"0.1 kg/m^3"')
+    centre: Any = quantity('"10 kg/m^3"')
+    width: Any = quantity('"5 kg/m^3"')
+
+
+class ControlTable(Table):
+    """`[control]`"""
+
+    manipulated: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[control.manipulated]]"
+    )
+    measurements: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[control.measurements]]"
+    )
+    steps: dict[str, Annotated[int, Field(ge=1, le=1000)]] = Field(
+        description="decisions per unit, such as { crystalliser = 12 }"
+    )
+    substeps: Annotated[int, Field(ge=1, le=64)] = Field(
+        32, description="a whole number from 1 to 64"
+    )
+    solubility_margin: Any = Field(None, description="a number above 0")
+
+
+class GoalTable(Table):
+    """`[goal]`"""
+
+    kind: Literal["mean", "cvar", "probability"] = word(
+        "mean", "cvar", "probability", default="probability"
+    )
+    attribute: str = Field("", description="the name of an attribute")
+    sense: Literal["maximise", "minimise"] = word("maximise", "minimise", default="maximise")
+    level: Annotated[float, Field(gt=0, lt=1)] = Field(0.95, description="between 0 and 1")
+    penalty: Annotated[float, Field(ge=0)] = Field(1.0, description="a number, 0 or more")
+
+
+class DesignSpaceTable(Table):
+    """`[design_space]`"""
+
+    axes: Annotated[list[Text], Field(min_length=2, max_length=3)] = Field(
+        description="the names of two or three parameters"
+    )
+    points: Annotated[int, Field(ge=3, le=201)] = Field(
+        17, description="a whole number from 3 to 201, of points along each axis"
+    )
+    samples: Annotated[int, Field(ge=16, le=10**6)] = Field(
+        256, description="a whole number, 16 or more, of draws at each point"
+    )
+    levels: Annotated[list[Annotated[float, Field(gt=0, lt=1)]], Field(min_length=1)] = Field(
+        [0.85, 0.95, 0.99], description="probabilities between 0 and 1"
+    )
+    required: Annotated[float, Field(gt=0, lt=1)] = Field(
+        0.9, description="a probability between 0 and 1"
+    )
+
+
+class FitTable(Table):
+    """`[[estimation.fit]]`"""
+
+    of: Text = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
+    low: Any = quantity('"1e3 L/mol/s"')
+    high: Any = quantity('"1e6 L/mol/s"')
+    logarithm: bool = Field(False, description="true or false")
+
+
+class ExperimentTable(Table):
+    """`[[estimation.experiments]]`"""
+
+    name: Text = Field(description="a name")
+    data: Text = Field(description="a CSV file with columns time,state,value,error")
+    settings: dict[str, Any] = Field(
+        {}, description='numbers that differ, such as { "charge.temperature" = "303 K" }'
+    )
+
+
+class EstimationTable(Table):
+    """`[estimation]`"""
+
+    fit: Annotated[list[dict], Field(min_length=1)] = Field(description="tables [[estimation.fit]]")
+    experiments: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[estimation.experiments]]"
+    )
+    level: Annotated[float, Field(gt=0, lt=1)] = Field(0.95, description="between 0 and 1")
+
+
+class NumericsTable(Table):
+    """`[numerics]`"""
+
+    method: Literal["auto", "mesh", "adaptive"] = word("auto", "mesh", "adaptive", default="auto")
+    steps: Annotated[int, Field(ge=8, le=100_000)] = Field(
+        320, description="a whole number, 8 or more"
+    )
+    tolerance: Annotated[float, Field(gt=0, lt=0.1)] = Field(
+        1e-10, description="a number above 0, such as 1e-10"
+    )
+    max_steps: Annotated[int, Field(ge=1)] = Field(20_000, description="a whole number, 1 or more")
+    refine: bool = Field(True, description="true or false")
+
+
+class PharmaTable(Table):
+    """The whole file."""
+
+    kind: Literal["pharma"] = word("pharma")
+    title: str = Field("Pharmaceutical process", description="a text in quotation marks")
+    purpose: str = Field("", description="a sentence on what the model is for")
+    assumptions: list[str] = Field([], description="sentences for the report")
+    held: list[Text] = Field([], description="numbers of the case that get no sensitivity")
+    reference_temperature: Any = quantity('"313.15 K"', None)
+    species: dict = Field(description='lines such as A = { molar_mass = "100 g/mol" }')
+    reactions: list[dict] = Field([], description="tables [[reactions]]")
+    feeds: dict = Field(description="tables [feeds.NAME]")
+    units: dict = Field(description="tables [units.NAME]")
+    connections: list[dict] = Field([], description="tables [[connections]]")
+    parameters: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[parameters]]"
+    )
+    attributes: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[attributes]]"
+    )
+    uncertainty: list[dict] = Field([], description="tables [[uncertainty]]")
+    correlations: list[dict] = Field([], description="tables [[correlations]]")
+    pairs: list[Annotated[list[Text], Field(min_length=2, max_length=2)]] = Field(
+        [], description='pairs of parameters, such as [["T_R", "W"]]'
+    )
+    control: dict | None = Field(None, description="the table [control]")
+    goal: dict = Field({}, description="the table [goal]")
+    design_space: dict | None = Field(None, description="the table [design_space]")
+    estimation: dict | None = Field(None, description="the table [estimation]")
+    optimise: dict | None = Field(None, description="the table [optimise]")
+    numerics: dict = Field({}, description="the table [numerics]")
+    training: dict = Field({}, description="the table [training]")
+    evaluation: dict = Field({}, description="the table [evaluation]")

@@ -1,0 +1,1 @@
+"""The best recipe of the nominal model."""

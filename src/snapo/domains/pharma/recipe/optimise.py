@@ -1,0 +1,265 @@
+"""The best recipe of the nominal model: `[optimise]` of a case, solved with its conditions."""
+
+import time
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..derivatives.jacobian import choose
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.process import Process
+from ..given import Entry, every_given
+from ..quality import batches
+from ..quality.limits import Limits
+from .optimum import TOLERANCE, Recipe, Traced, optimum
+from .records import Optimise, Term
+
+BATCHES = 1024  # fresh ones, for the chance to keep all limits before and after
+
+
+class Bound(NamedTuple):
+    """A limit of attribute number `which`: `sign` (value - `limit`) >= `reserve`; over `size` it
+    is of order one."""
+
+    name: str
+    unit: str
+    which: int
+    sign: int
+    limit: float
+    reserve: float
+    size: float
+
+
+class Ramp(NamedTuple):
+    """Between two nodes of a profile: most change per second over a share of the duration."""
+
+    name: str
+    unit: str
+    input: str
+    entry: int
+    duration: str
+    share: float
+    most: float
+
+
+class Optimum(NamedTuple):
+    """`recipe`: x are the decisions, constraints those of `bounds` and then two of each of
+    `ramps`. `before`: the goal at the start; `ends`: the goal at the end from each start.
+    `mode`: how it was differentiated; `compiling`, `solving`: seconds.
+    """
+
+    recipe: Recipe
+    bounds: tuple[Bound, ...]
+    ramps: tuple[Ramp, ...]
+    before: float
+    mode: str
+    compiling: float
+    solving: float
+    ends: tuple[float, ...]
+
+
+def optimise(process: Process, seed: int = 0) -> Optimum:
+    """Chooses the decisions of the case's `[optimise]`; all limits are constraints.
+
+    Several starts: the best of those that meet the conditions, else the best of all.
+    """
+    case = process.case
+    ask = case.optimise
+    if ask is None:
+        raise ValueError("optimise: the case has no [optimise].")
+    limits, steep = bounds(case), ramps(case)
+    count = 1 + len(limits) + 2 * len(steep)
+    mode, reason = choose(process, count, len(ask.decisions), "auto")
+    traced = Traced(goal_and_room(process, limits, steep), mode)
+    low, high, own = (
+        np.array([getattr(each, key) for each in ask.decisions]) for key in ("low", "high", "start")
+    )
+    traced.compile(own)
+    started = time.perf_counter()
+    before = float(traced(own)[0][0])
+    random = np.random.default_rng(seed).uniform(size=(ask.starts - 1, len(own)))
+    found: list[Recipe] = []
+    for start in (own, *(low + (high - low) * random)):
+        scale = abs(float(traced(start)[0][0])) or 1.0
+        found.append(optimum(traced, start, low, high, sense=ask.sense, scale=scale))
+    best = max(found, key=lambda each: (each.converged, ask.sense * each.value))
+    solving = time.perf_counter() - started
+    ends = tuple(each.value for each in found)
+    recipe = best._replace(evaluations=traced.evaluations)
+    return Optimum(recipe, limits, steep, before, reason, traced.compiling, solving, ends)
+
+
+def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp, ...]):
+    """From decisions [n] to the goal, the room to every limit, and both of every ramp."""
+    case, nominal = process.case, process.given()
+    ask = case.optimise
+    assert ask is not None
+    entries = tuple((each.input, each.entry) for each in ask.decisions)
+    held = {each.name: each.values for each in every_given((case.network, case.feeds, case.units))}
+
+    def function(x):
+        inputs = process.shifted(x, entries, nominal)
+        measures = process.flow(inputs, along=True).measures
+        inputs = held | inputs
+        attributes = process.of_measures(measures)
+        goal = _sum(ask.terms, measures, inputs)
+        if ask.per:
+            goal = goal / _sum(ask.per, measures, inputs)
+        room = [
+            (each.sign * (attributes[each.which] - each.limit) - each.reserve) / each.size
+            for each in limits
+        ]
+        for each in steep:
+            allowed = each.most * each.share * inputs[each.duration][0]
+            change = inputs[each.input][each.entry + 1] - inputs[each.input][each.entry]
+            room += [1 - change / allowed, 1 + change / allowed]
+        return jnp.stack([goal, *room])
+
+    return function
+
+
+def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
+    """`inputs` has every number of the case, held ones too."""
+    total = jnp.zeros(())
+    for each in terms:
+        value = measures[each.of] if each.entry is None else inputs[each.of][each.entry]
+        total = total + each.weight * each.scale * value
+    return total
+
+
+def bounds(case: PharmaCase) -> tuple[Bound, ...]:
+    """The limits of all attributes as inequalities, less the reserve."""
+    ask = case.optimise
+    assert ask is not None
+    found = []
+    for q, each in enumerate(case.attributes):
+        reserve = ask.reserve * each.margin
+        for sign, limit in ((1, each.low), (-1, each.high)):
+            if limit is not None:
+                size = abs(limit) or each.margin
+                found.append(Bound(each.name, each.unit, q, sign, limit, reserve, size))
+    return tuple(found)
+
+
+def ramps(case: PharmaCase) -> tuple[Ramp, ...]:
+    """Ramps of the profiles that a decision bends or stretches."""
+    ask = case.optimise
+    assert ask is not None
+    decided = {each.input for each in ask.decisions}
+    found = []
+    for unit in case.units:
+        for profile in unit.profiles:
+            name, duration = profile.value.name, f"{unit.name}.duration"
+            most = profile.ramp
+            if most is None or profile.kind != "linear" or not decided & {name, duration}:
+                continue
+            for i, share in enumerate(np.diff(profile.share).tolist()):
+                said = f"{name}[{i}] to [{i + 1}]"
+                found.append(Ramp(said, profile.value.unit, name, i, duration, share, most))
+    return tuple(found)
+
+
+def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
+    """The tables of a run: decisions, limits and ramps with their multipliers, the chance
+    to keep all limits before and after, and how the answer was found. Owners' units."""
+    ask, recipe = process.case.optimise, found.recipe
+    assert ask is not None
+    start = np.array([each.start for each in ask.decisions])
+    values, chances = zip(*(_at(process, ask, x, seed) for x in (start, recipe.x)))
+    conditions = recipe.conditions
+    return {
+        "sense": "maximise" if ask.sense > 0 else "minimise",
+        "terms": [_shown(each) for each in ask.terms],
+        "per": [_shown(each) for each in ask.per],
+        "unit": _unit(ask),
+        "reserve": ask.reserve,
+        "before": found.before,
+        "value": recipe.value,
+        "decisions": [
+            {
+                "name": d.name, "unit": d.unit, "start": d.owners(d.start), "value": d.owners(x),
+                "low": d.owners(d.low), "high": d.owners(d.high),
+                "slope": float(slope) * d.scale,
+                "at_low": float(below) * d.scale, "at_high": float(above) * d.scale,
+            }
+            for d, x, slope, below, above in zip(
+                ask.decisions, recipe.x, recipe.gradient, conditions.low, conditions.high
+            )
+        ],
+        "limits": _limit_rows(found, *values),
+        "ramps": _ramp_rows(found),
+        "chance": [{"probability": p, "error": e} for p, e in chances],
+        "batches": BATCHES,
+        "stationarity": conditions.stationarity,
+        "violation": conditions.violation,
+        "tolerance": TOLERANCE,
+        "converged": recipe.converged,
+        "iterations": recipe.iterations,
+        "evaluations": recipe.evaluations,
+        "ends": list(found.ends),
+        "mode": found.mode,
+        "compiling": found.compiling,
+        "solving": found.solving,
+    }  # fmt: skip
+
+
+def _at(process: Process, ask: Optimise, x: np.ndarray, seed: int):
+    """[Q] nominal attributes, and the chance to keep all limits with its standard error."""
+    case = process.case
+    changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(ask.decisions, x)}
+    rows = batches.drawn(process, changes, BATCHES, seed)
+    nominal = np.repeat(batches.nominally(process, changes), batches.CHUNK, 0)
+    inputs = batches.moved(process, changes)
+    found = process.batch(
+        batches.varied(case), np.concatenate([nominal, rows]), chunk=batches.CHUNK, inputs=inputs
+    )
+    kept = Limits.of(case).hold(found.values[batches.CHUNK :]).all(-1)
+    share = float(kept.mean())
+    return found.values[0], (share, float(np.sqrt(share * (1 - share) / BATCHES)))
+
+
+def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> list[dict[str, Any]]:
+    """One row for each limit; "worth": the gain of the goal by one unit more room."""
+    rows = []
+    for i, each in enumerate(found.bounds):
+        rows.append(
+            {
+                "attribute": each.name, "unit": each.unit,
+                "side": "at least" if each.sign > 0 else "at most", "limit": each.limit,
+                "start": start[each.which], "value": after[each.which],
+                "room": each.sign * (after[each.which] - each.limit),
+                "worth": float(found.recipe.conditions.above[i]) / each.size,
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _ramp_rows(found: Optimum) -> list[dict[str, Any]]:
+    """One row for each piece of a profile: the share of its ramp that is used."""
+    first, rows = len(found.bounds), []
+    for i, each in enumerate(found.ramps):
+        room = found.recipe.constraints[first + 2 * i : first + 2 * i + 2]
+        worth = found.recipe.conditions.above[first + 2 * i : first + 2 * i + 2]
+        rows.append(
+            {
+                "piece": each.name, "most": 60 * each.most, "unit": f"{each.unit}/min",
+                "used": float(1 - room.min()), "worth": float(worth.max()),
+            }
+        )  # fmt: skip
+    return rows
+
+
+def _shown(term: Term) -> dict[str, Any]:
+    """A term as a reader sees it."""
+    return {"of": term.of, "unit": term.unit, "weight": term.weight}
+
+
+def _unit(ask: Optimise) -> str:
+    """The goal's unit where its terms share one, "kg/h"."""
+    units = [{each.unit for each in terms} - {"1"} for terms in (ask.terms, ask.per)]
+    if any(len(each) > 1 for each in units):
+        return ""
+    above, below = ("".join(each) for each in units)
+    return f"{above or '1'}/{below}" if below else above

@@ -1,0 +1,247 @@
+"""Optimisation of a traceable function, with its first-order conditions shown.
+
+Sequential quadratic programming (SciPy's SLSQP) on exact derivatives of one compiled function
+that has the goal and all constraints; without constraints L-BFGS-B. Its result is judged apart
+from it: multipliers are fitted to the gradients at the solution.
+"""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from scipy.optimize import lsq_linear, minimize
+
+from ..derivatives.mode import DERIVATIVES, Mode
+
+TOLERANCE = 1e-6  # of the first-order conditions
+ACTIVE = 1e-7  # a bound or inequality closer than this counts as active
+# A few dozen calls: the compiler's last optimisations cost more than they save.
+QUICK: dict[str, Any] = {"xla_backend_optimization_level": 1}
+ROUNDS = 3  # a solver that stops short starts again from where it stopped
+
+
+class Conditions(NamedTuple):
+    """The Karush-Kuhn-Tucker conditions at a point, in variables scaled to 0..1.
+
+    With f the goal to be made small (minus the goal where it is made large), grad f is the sum of
+    multipliers, none negative, times the gradients of what is active (x - low, high - x and what
+    shall not be below 0): relaxing one of these by one unit improves the goal by its multiplier.
+
+    - `stationarity`: the largest entry of what multipliers of the right sign do not explain;
+      `violation`: the largest violation of a constraint. Both are relative: goal over `scale`.
+    - `low`, `high`: [n] multipliers of the bounds; `equal` [k] (of any sign), `above` [m].
+    """
+
+    stationarity: float
+    violation: float
+    low: np.ndarray
+    high: np.ndarray
+    equal: np.ndarray
+    above: np.ndarray
+
+    @property
+    def residual(self) -> float:
+        return max(self.stationarity, self.violation)
+
+
+class Recipe(NamedTuple):
+    """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` says
+    whether it `converged`; `constraints` [k + m] at x; how much work it was."""
+
+    x: np.ndarray
+    value: float
+    gradient: np.ndarray
+    conditions: Conditions
+    constraints: np.ndarray
+    iterations: int
+    evaluations: int
+    converged: bool
+
+    @property
+    def residual(self) -> float:
+        return self.conditions.residual
+
+
+class Traced:
+    """A traceable function of x [n] (and of further arguments) to [K] numbers, compiled once.
+
+    A call gives the numbers and their derivative [K, n] by x; the last one is remembered, since
+    optimisers ask for values and derivatives one after the other. `compiling`: seconds.
+    """
+
+    def __init__(self, function: Callable, mode: Mode = "adjoint"):
+        derivative = DERIVATIVES[mode]
+
+        def both(x, *arguments):
+            def twice(x):
+                found = function(x, *arguments)
+                return found, found
+
+            slope, found = derivative(twice, has_aux=True)(x)
+            return found, slope
+
+        self._function, self._compiled = jax.jit(both), None
+        self._key, self._found = None, (np.zeros(0), np.zeros(0))
+        self.evaluations, self.compiling = 0, 0.0
+
+    def compile(self, x, *arguments) -> None:
+        """Compiles for arguments of these shapes."""
+        started = time.perf_counter()
+        with jax.enable_x64(True):
+            lowered = self._function.lower(*_float64(x, *arguments))
+            self._compiled = lowered.compile(compiler_options=QUICK)
+        self.compiling += time.perf_counter() - started
+
+    def __call__(self, x, *arguments) -> tuple[np.ndarray, np.ndarray]:
+        given = _float64(x, *arguments)
+        key = tuple(each.tobytes() for each in given)
+        if key != self._key:
+            if self._compiled is None:
+                self.compile(x, *arguments)
+            assert self._compiled is not None
+            with jax.enable_x64(True):
+                found = self._compiled(*given)
+                self._found = np.asarray(found[0]), np.asarray(found[1])
+            self._key = key
+            self.evaluations += 1
+        return self._found
+
+
+def _float64(*arrays) -> tuple[np.ndarray, ...]:
+    return tuple(np.asarray(each, np.float64) for each in arrays)
+
+
+def best(
+    function: Callable,
+    start: np.ndarray,
+    low: np.ndarray,
+    high: np.ndarray,
+    equality: Callable | None = None,
+    inequality: Callable | None = None,
+    sense: Literal[-1, 1] = 1,
+) -> Recipe:
+    """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
+    `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one)."""
+    parts, count = [each for each in (function, equality, inequality) if each is not None], 0
+    if equality is not None:
+        with jax.enable_x64(True):
+            count = jax.eval_shape(lambda x: jnp.ravel(equality(x)), *_float64(start)).size
+    traced = Traced(lambda x: jnp.concatenate([jnp.ravel(each(x)) for each in parts]))
+    return optimum(traced, start, low, high, equalities=count, sense=sense)
+
+
+def optimum(
+    traced: Traced,
+    start: Sequence[float] | np.ndarray,
+    low: Sequence[float] | np.ndarray,
+    high: Sequence[float] | np.ndarray,
+    arguments: tuple = (),
+    equalities: int = 0,
+    sense: Literal[-1, 1] = 1,
+    scale: float = 1.0,
+) -> Recipe:
+    """The best point of a function whose first number is the goal; the next `equalities` shall be
+    0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
+    low, high = np.asarray(low, float), np.asarray(high, float)
+    problem = _Scaled(traced, arguments, low, high, sense, scale, equalities)
+    before = traced.evaluations
+    u, iterations = np.clip((np.asarray(start, float) - low) / (high - low), 0.0, 1.0), 0
+    for _ in range(ROUNDS):
+        u, steps = _solve(problem, u)
+        iterations += steps
+        conditions = problem.conditions(u)
+        if conditions.residual <= TOLERANCE:
+            break
+    values, slopes = traced(low + (high - low) * u, *arguments)
+    return Recipe(
+        low + (high - low) * u,
+        float(values[0]),
+        slopes[0],
+        conditions,
+        values[1:],
+        iterations,
+        traced.evaluations - before,
+        bool(conditions.residual <= TOLERANCE),
+    )
+
+
+class _Scaled(NamedTuple):
+    """The problem as SciPy wants it: made small, in variables u of 0..1."""
+
+    traced: Traced
+    arguments: tuple
+    low: np.ndarray
+    high: np.ndarray
+    sense: int
+    scale: float
+    equalities: int
+
+    def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Numbers [K] and derivatives [K, n]; the goal's with the sign to make it small."""
+        width = self.high - self.low
+        values, slopes = self.traced(self.low + width * u, *self.arguments)
+        sign = np.ones(len(values))
+        sign[0] = -self.sense / self.scale
+        return values * sign, slopes * sign[:, None] * width
+
+    def conditions(self, u: np.ndarray) -> Conditions:
+        """Multipliers by least squares, those of inequalities not negative."""
+        values, slopes = self.at(u)
+        n, k, width = len(u), self.equalities, self.high - self.low
+        equal, above = values[1 : 1 + k], values[1 + k :]
+        at_low, at_high = u <= ACTIVE, u >= 1 - ACTIVE
+        tight = above <= ACTIVE
+        rows = np.concatenate(
+            [np.eye(n)[at_low], -np.eye(n)[at_high], slopes[1 : 1 + k], slopes[1 + k :][tight]]
+        )
+        least = np.zeros(len(rows))
+        first = int(at_low.sum() + at_high.sum())
+        least[first : first + k] = -np.inf
+        found, rest = np.zeros(0), slopes[0]
+        if len(rows):
+            fit = lsq_linear(rows.T, slopes[0], (least, np.inf), method="bvls")
+            found, rest = fit.x, fit.fun
+        parts = np.split(found * self.scale, np.cumsum([at_low.sum(), at_high.sum(), k]))
+        wrong = np.concatenate([[0.0], np.abs(equal), -above])
+        return Conditions(
+            float(np.max(np.abs(rest))),
+            float(wrong.max()),
+            _spread(parts[0], at_low) / width,
+            _spread(parts[1], at_high) / width,
+            parts[2],
+            _spread(parts[3], tight),
+        )
+
+
+def _spread(values: np.ndarray, where: np.ndarray) -> np.ndarray:
+    """The values where they belong, zero elsewhere."""
+    found = np.zeros(len(where))
+    found[where] = values
+    return found
+
+
+def _solve(problem: _Scaled, u: np.ndarray) -> tuple[np.ndarray, int]:
+    """One run of the solver: where it ended, and its iterations."""
+    count, k = len(problem.at(u)[0]), problem.equalities
+    ranges = [("eq", slice(1, 1 + k)), ("ineq", slice(1 + k, count))]
+    constraints = [
+        {"type": kind, "fun": lambda u, s=s: problem.at(u)[0][s],
+         "jac": lambda u, s=s: problem.at(u)[1][s]}
+        for kind, s in ranges if s.stop > s.start
+    ]  # fmt: skip
+    options: dict[str, Any] = {"maxiter": 500, "ftol": 1e-15}
+    if not constraints:
+        options |= {"gtol": 1e-10, "maxcor": 30, "maxfun": 5000}
+    found = minimize(
+        lambda u: float(problem.at(u)[0][0]),
+        u,
+        jac=lambda u: problem.at(u)[1][0],
+        bounds=[(0.0, 1.0)] * len(u),
+        constraints=constraints,
+        method="SLSQP" if constraints else "L-BFGS-B",
+        options=options,
+    )
+    return np.clip(found.x, 0.0, 1.0), int(found.nit)

@@ -1,0 +1,93 @@
+"""Quality by design as tables of plain data: capability, design space, ranges, estimation."""
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+from ..derivatives import sensitivities
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.process import Process
+from ..quality import design_space, estimation, ranges
+from ..quality.capability import capability
+from ..recipe import optimise
+
+BATCHES, RANGE_SAMPLES = 4096, 128
+
+
+def capability_rows(process: Process, seed: int) -> dict[str, Any]:
+    """Spread, Cpk and shares out of specification, over fresh batches."""
+    count = min(process.case.evaluation.paths, BATCHES)
+    return capability(process, count, seed)._asdict()
+
+
+def spread_rows(case: PharmaCase, matrix: dict[str, Any]) -> dict[str, Any]:
+    """Where the spread comes from, to first order, to stand beside the drawn batches."""
+    return sensitivities.spread(case, np.asarray(matrix["varied"]))._asdict()
+
+
+def best_recipe(process: Process, sampled: Process, seed: int) -> dict[str, Any]:
+    """The recipe that `[optimise]` asks for; `sampled` measures its chance to keep all limits."""
+    return optimise.table(sampled, optimise.optimise(process, seed), seed + 2)
+
+
+def map_tables(process: Process, seed: int) -> dict[str, Any]:
+    """The map, its sampling error and binding attribute, and the largest box inside."""
+    case = process.case
+    found = design_space.probability_map(process, seed)
+    space = case.design_space
+    assert space is not None
+    chosen = [design_space.parameter(case, name) for name in space.axes]
+    here = [float(design_space.owners(p, ranges.set_point(process, p))) for p in chosen]
+    box = design_space.largest_box(found, here, space.required)
+    return {
+        "axes": list(found.axes),
+        "units": [each.unit for each in chosen],
+        "grid": list(found.grid),
+        **found.at._asdict(),
+        "samples": found.samples,
+        "levels": list(space.levels),
+        "required": space.required,
+        "nominal": here,
+        "normal": [
+            [design_space.owners(p, p.normal_low), design_space.owners(p, p.normal_high)]
+            for p in chosen
+        ],
+        "box": None if box is None else box._asdict(),
+    }
+
+
+def range_rows(process: Process, seed: int) -> list[dict[str, Any]]:
+    """Both proven ranges of every parameter that the designer may choose."""
+    space = process.case.design_space
+    assert space is not None
+    found = ranges.proven_ranges(process, space.required, RANGE_SAMPLES, seed)
+    return [
+        {
+            "parameter": each.parameter, "unit": each.unit, "required": space.required,
+            "samples": RANGE_SAMPLES, "nominal": each.nominal._asdict(),
+            "probable": each.probable._asdict(),
+        }
+        for each in found
+    ]  # fmt: skip
+
+
+def estimation_rows(process: Process) -> dict[str, Any]:
+    given = process.case.estimation
+    assert given is not None
+    found = estimation.fit(process, given)
+    start = [process.inputs[name][entry] for name, entry in zip(given.inputs, given.entries)]
+    return {
+        **found._asdict(), "start": start, "level": given.level,
+        "state": [state for each in given.experiments for state in each.state],
+        "time": np.concatenate([each.time for each in given.experiments]),
+        "experiment": [each.name for each in given.experiments for _ in each.time],
+    }  # fmt: skip
+
+
+def space_rows(found: dict[str, Any]) -> tuple[tuple[str, ...], Iterable[tuple]]:
+    """Header and rows of `design_space.csv`: one row per point of the map."""
+    grid = [x.ravel() for x in np.meshgrid(*found["grid"], indexing="ij")]
+    names = tuple(f"{name} [{unit}]" for name, unit in zip(found["axes"], found["units"]))
+    columns = [*grid, *(np.ravel(found[key]) for key in ("probability", "error", "binding"))]
+    return (*names, "probability", "standard_error", "binding"), zip(*(c.tolist() for c in columns))

@@ -1,0 +1,180 @@
+"""A run of a pharma case: one part for every table that its report shows."""
+
+import hashlib
+from collections.abc import Callable, Sequence
+from functools import cached_property, partial
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.solver.versions import versions
+from snapo.study.domain import Options
+from snapo.study.run_folder import case_files
+from snapo.study.study import Part, Study, StudyRun
+
+from .control.parts import ClosedLoop
+from .flowsheet.case import PharmaCase
+from .flowsheet.process import Process
+from .quality.sampling import on_steps, sampler
+from .results import batch, derivatives, quality
+from .results.headline import result
+from .results.statement import statement
+
+PROFILE, SPACE = "profile.csv", "design_space.csv"
+SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
+
+BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "mesh of statistics"
+
+
+def study(case: PharmaCase, options: Options) -> Study:
+    """The recipe as it stands, then, where there is something to decide, the closed loop."""
+    if options.reference:
+        what = "a process has no exact reference to compute; its certificate is part of every run"
+        raise CaseError("--reference", "", None, what)
+    open_loop = OpenLoop(case)
+    if case.control is None:
+        return Study(case.kind, about(case), open_loop.parts(), partial(result, case))
+    loop = ClosedLoop(case, options.engine)
+    parts = [*open_loop.parts(), *loop.parts()]
+    return Study(case.kind, about(case), parts, partial(result, case), loop.setup)
+
+
+def about(case: PharmaCase) -> dict[str, Any]:
+    """Everything that is known before a number is computed."""
+    files = {each.name: each.read_bytes() for each in case_files(case.file.parent)}
+    found = {
+        "title": case.title,
+        **statement(case),
+        "notes": list(case.notes),
+        "libraries": _libraries(),
+        "hashes": {name: hashlib.sha256(content).hexdigest() for name, content in files.items()},
+    }
+    if case.control is None:  # else the training says them
+        found |= {"versions": versions(), "seed": case.training.seed}
+    return found
+
+
+def _libraries() -> dict[str, str]:
+    found = {}
+    for name in ("diffrax", "pint", "scipy"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found
+
+
+class OpenLoop:
+    """The parts of the recipe as it stands; they share a process, compiled once."""
+
+    def __init__(self, case: PharmaCase):
+        self.case, self.seed = case, case.training.seed
+        self._sampled: Process | None = None
+
+    @cached_property
+    def process(self) -> Process:
+        return Process(self.case)
+
+    def sampled(self, run: StudyRun) -> Process:
+        """The process for statistics, on the mesh that was found to do for them."""
+        if self._sampled is None:
+            steps = int(run.get("sampling.steps", self.case.numerics.steps))
+            self._sampled = on_steps(self.process, steps)
+        return self._sampled
+
+    def parts(self) -> Sequence[Part]:
+        """In the order in which they are done."""
+        found = [Part(BATCH, self.one_batch), Part(SOUND, self.sound, (BATCH,))]
+        return [*found, *self.checked(), *self.derivatives(), *self.statistics()]
+
+    def of(self, name: str, key: str, make: Callable[[Process], Any], *needs: str) -> Part:
+        """A part with one table, made of the process, once it is known that it can be solved."""
+        return Part(name, lambda run: {key: make(self.process)}, (SOUND, *needs))
+
+    def one_batch(self, run: StudyRun) -> dict[str, Any]:
+        found = self.process.run()
+        table = batch.one_batch(self.case, found)
+        if found.status == "ok":
+            header = ("unit", "time_s", "state", "value", "state_unit")
+            run.write_csv(PROFILE, header, batch.profile_rows(self.case, table))
+        return {"run": table}
+
+    def sound(self, run: StudyRun) -> dict[str, Any]:
+        """Nothing else can be found out about a batch that could not be integrated."""
+        if run.get("run.status") != "ok":
+            raise ArithmeticError(run.get("run.status"))
+        return {}
+
+    def checked(self) -> list[Part]:
+        """Whether the numbers can be believed."""
+        found = [self.of("balances", "balances", lambda p: batch.balance_rows(p))]
+        if self.case.numerics.refine:
+            found.append(
+                self.of("convergence", "convergence", lambda p: derivatives.convergence_rows(p))
+            )
+        certificate = self.of(
+            "certificate", "certificate", lambda p: derivatives.certificate_rows(p, self.seed)
+        )
+        return [*found, certificate]
+
+    def derivatives(self) -> list[Part]:
+        """What every attribute depends on."""
+        found = [
+            self.of(MATRIX, "matrix", lambda p: derivatives.matrix_tables(p)),
+            Part("all sensitivities", self.slopes, (SOUND,)),
+            Part("attribution", self.attribution, (MATRIX,)),
+            self.of(
+                "profile sensitivities", "profiles",
+                lambda p: derivatives.profile_gradients(self.case),
+            ),
+        ]  # fmt: skip
+        if self.case.pairs:
+            second = self.of("second derivatives", "second", lambda p: derivatives.second_rows(p))
+            found.append(second)
+        return found
+
+    def slopes(self, run: StudyRun) -> dict[str, Any]:
+        header = ("attribute", "input", "label", "value", "unit")
+        run.write_csv(SLOPES, header, derivatives.every_sensitivity(self.process))
+        return {}
+
+    def attribution(self, run: StudyRun) -> dict[str, Any]:
+        return {"attribution": derivatives.attribution_rows(self.process, run.get("matrix"))}
+
+    def statistics(self) -> list[Part]:
+        """What holds over batches that differ."""
+        case, seed = self.case, self.seed
+
+        def of(name: str, key: str, make: Callable[[Process], Any]) -> Part:
+            return Part(name, lambda run: {key: make(self.sampled(run))}, (MESH,))
+
+        found = [
+            Part(MESH, self.mesh, (SOUND,)),
+            of("capability", "capability", lambda p: quality.capability_rows(p, seed + 1)),
+            Part("spread", self.spread, (MATRIX,)),
+        ]
+        if case.optimise is not None:
+            found.append(Part("best recipe", self.best_recipe, (MESH,)))
+        if case.design_space is not None:
+            found.append(Part("design space", self.design_space, (MESH,)))
+            found.append(of("proven ranges", "ranges", lambda p: quality.range_rows(p, seed)))
+        if case.estimation is not None:
+            fit = self.of("estimation", "estimation", lambda p: quality.estimation_rows(p))
+            found.append(fit)
+        return found
+
+    def mesh(self, run: StudyRun) -> dict[str, Any]:
+        self._sampled, found = sampler(self.process)
+        return {"sampling": found}
+
+    def spread(self, run: StudyRun) -> dict[str, Any]:
+        return {"spread": quality.spread_rows(self.case, run.get("matrix"))}
+
+    def best_recipe(self, run: StudyRun) -> dict[str, Any]:
+        sampled = self.sampled(run)
+        return {"optimise": quality.best_recipe(self.process, sampled, self.seed)}
+
+    def design_space(self, run: StudyRun) -> dict[str, Any]:
+        found = quality.map_tables(self.sampled(run), self.seed)
+        run.write_csv(SPACE, *quality.space_rows(found))
+        return {"design_space": found}

@@ -1,0 +1,114 @@
+"""Time integration: classical Runge-Kutta on a broken mesh, or error-controlled by diffrax."""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import diffrax
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .dynamics import Dynamics, Track
+from .mesh import Mesh, edges_of, make_mesh
+from .numerics import Numerics
+from .profile import values_at
+from .runge_kutta import last_state, runge_kutta
+
+MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
+
+
+class Solved(NamedTuple):
+    """The `final` y, the control values at the end, the time `reached` in s (the duration where
+    all went well, and where not), and how it went over time, if asked for."""
+
+    final: Float[Array, " m"]
+    controls: list[Array]
+    reached: Float[Array, ""]
+    track: Track | None
+
+
+def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> Solved:
+    """Solves the unit's initial value problem; with `record`, its track on the mesh."""
+    edges = edges_of(tuple(profile for profile, _ in problem.controls))
+    mesh = make_mesh(edges, numerics.steps, problem.event)
+    solve = _on_mesh if numerics.method == "mesh" else _adaptive
+    states, final, share = solve(problem, numerics, mesh, record)
+    ends = [value[-1] for _, value in problem.controls]
+    reached = problem.duration * share
+    if states is None:
+        return Solved(final, ends, reached, None)
+    controls = jnp.stack([mesh.point_values(*each) for each in problem.controls], -1)
+    slope = jax.vmap(problem.rate)(states, problem.drive(*controls.T))
+    time = problem.duration * mesh.times()
+    return Solved(final, ends, reached, Track(time, states, slope, controls))
+
+
+def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
+    """The result of `integrate` where the final y is known already."""
+    return Solved(final, [value[-1] for _, value in problem.controls], problem.duration, None)
+
+
+def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
+    """States [n + 1, m] or None, the last of them, and the share of the time that is finite."""
+    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
+    step = problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0])
+
+    def advance(y, now):
+        after = runge_kutta(problem.rate, y, *now)
+        return after, after if record else None
+
+    if not (record or numerics.along) and len(step) * problem.start.size**2 <= MEMORY:
+        final, later = last_state(problem.rate, problem.start, step, drive), None
+    else:
+        final, later = jax.lax.scan(advance, problem.start, (step, drive))
+    share = jnp.where(jnp.all(jnp.isfinite(final)), 1.0, 0.0)
+    if later is None:
+        return None, final, share
+    finite = jnp.all(jnp.isfinite(later), axis=1)
+    share = jnp.where(jnp.all(finite), 1.0, mesh.stages[jnp.argmin(finite), 0])
+    return jnp.concatenate([problem.start[None], later]), final, share
+
+
+class _Field(eqx.Module):
+    """The right-hand side over the share of the duration; the arrays that it closes over become
+    arguments, through which derivatives flow."""
+
+    function: Callable
+
+    def __call__(self, share, y, _):
+        return self.function(share, y)
+
+
+def _adaptive(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
+    def right_hand_side(share, y):
+        controls = [values_at(*each, share) for each in problem.controls]
+        return problem.duration * problem.rate(y, problem.drive(*controls))
+
+    closed = eqx.filter_closure_convert(right_hand_side, jnp.zeros(()), problem.start)
+    # Control values jump or bend at the edges, and the solution at the event: no step across.
+    breaks = jnp.asarray(mesh.pieces.edges[1:-1])
+    if problem.event is not None:
+        breaks = jnp.sort(jnp.append(breaks, jax.lax.stop_gradient(problem.event)))
+    control = diffrax.PIDController(rtol=numerics.tolerance, atol=numerics.tolerance)
+    if len(breaks):
+        control = diffrax.ClipStepSizeController(control, jump_ts=breaks)
+    course = [diffrax.SubSaveAt(ts=mesh.times())] if record else []
+    solution = diffrax.diffeqsolve(
+        diffrax.ODETerm(_Field(closed)),  # pyright: ignore[reportArgumentType]
+        diffrax.Kvaerno5() if problem.stiff else diffrax.Dopri8(),
+        t0=0.0,
+        t1=1.0,
+        dt0=1e-6,
+        y0=problem.start,
+        stepsize_controller=control,
+        saveat=diffrax.SaveAt(subs=[diffrax.SubSaveAt(t1=True), *course]),
+        adjoint=diffrax.RecursiveCheckpointAdjoint(),
+        max_steps=numerics.max_steps,
+        throw=False,
+    )
+    assert solution.ys is not None and solution.ts is not None
+    final, states = solution.ys[0][-1], solution.ys[1] if record else None
+    good = (solution.result == diffrax.RESULTS.successful) & jnp.all(jnp.isfinite(final))
+    # Where the solver gave up, the last time saved is how far it came.
+    return states, final, jnp.where(good, 1.0, jnp.minimum(solution.ts[0][-1], 0.999))

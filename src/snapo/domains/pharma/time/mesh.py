@@ -1,0 +1,114 @@
+"""Time steps that are broken where the solution has kinks, and graded towards an event.
+
+A fixed mesh converges to the derivatives of the solution only if no step straddles a kink. So
+the mesh is broken at every profile node, and at the event (supersaturation crosses zero), which
+moves with the parameters and is differentiated with them. Growth starts there like a broken
+power of the time since, hence steps that shrink towards it on both sides.
+"""
+
+from math import ceil
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .profile import Profile, values_in
+
+GRADING = 3  # power of the grading: the error of derivatives falls like that of values
+
+
+class Pieces(NamedTuple):
+    """A unit's time, broken into K pieces at the nodes of its profiles and at its event.
+
+    `breaks`: [K + 1] shares of the duration. `source`: [K] number of the interval of `edges` in
+    which the piece lies. `grading`: [K, 3] 1 at the row of `local_points` that the piece follows.
+    `edges`: all nodes of the unit's profiles.
+    """
+
+    breaks: Float[Array, " K+1"]
+    source: Int[Array, " K"]
+    grading: Float[Array, "K 3"]
+    edges: np.ndarray
+
+    def of(self, profile: Profile) -> Int[Array, " K"]:
+        """The number of the profile's own piece in which each piece lies."""
+        middle = (self.edges[:-1] + self.edges[1:]) / 2
+        own = np.searchsorted(profile.share[1:-1], middle, side="right")
+        return jnp.asarray(own)[self.source]
+
+    def ends(self, profile: Profile, value) -> tuple[Float[Array, " K"], Float[Array, " K"]]:
+        """The profile where each piece begins and where it ends; in between it is straight."""
+        own = self.of(profile)
+        first = values_in(profile, value, own, self.breaks[:-1])
+        return first, values_in(profile, value, own, self.breaks[1:])
+
+
+class Mesh(NamedTuple):
+    """n steps over one unit's time, in shares of its duration.
+
+    `stages`: [n, 3] start, middle and end of each step. `pieces`: the pieces that they divide.
+    """
+
+    stages: Float[Array, "n 3"]
+    pieces: Pieces
+
+    def times(self) -> Float[Array, " n+1"]:
+        """Shares of the duration at which the steps begin and end."""
+        return jnp.concatenate([self.stages[:1, 0], self.stages[:, 2]])
+
+    def values(self, profile: Profile, value: Float[Array, " N"]) -> Float[Array, "n 3"]:
+        """The profile at every stage."""
+        own, steps = self.pieces.of(profile), len(self.stages) // len(self.pieces.source)
+        own = jnp.repeat(own, steps, total_repeat_length=len(self.stages))
+        piece = jnp.broadcast_to(own[:, None], self.stages.shape)
+        return values_in(profile, value, piece, self.stages)
+
+    def point_values(self, profile: Profile, value) -> Float[Array, " n+1"]:
+        """The profile at `times`, at a jump the earlier value."""
+        found = self.values(profile, value)
+        return jnp.concatenate([found[:1, 0], found[:, 2]])
+
+
+def edges_of(profiles: tuple[Profile, ...]) -> np.ndarray:
+    """All nodes of the profiles, as shares of the duration."""
+    return np.unique(np.concatenate([[0.0, 1.0], *(each.share for each in profiles)]))
+
+
+def steps_per_piece(steps: int, pieces: int) -> int:
+    """`steps` in each of a few pieces; many pieces share about three times as many."""
+    return steps if pieces <= 4 else max(8, ceil(3 * steps / pieces))
+
+
+def local_points(n: int) -> Float[np.ndarray, "3 n+1"]:
+    """From 0 to 1 in n steps: even ones, ones that shrink towards 1, and ones that grow from 0."""
+    even = np.linspace(0.0, 1.0, n + 1)
+    return np.stack([even, 1 - (1 - even) ** GRADING, even**GRADING])
+
+
+def break_up(edges: np.ndarray, event: Float[Array, ""] | None) -> Pieces:
+    """The pieces between the edges, and on both sides of an event at a share of the duration.
+
+    Their number does not depend on where the event is: next to an edge, a piece has length zero.
+    """
+    number = np.arange(len(edges) - 1 + (event is not None))
+    if event is None:
+        evenly = np.broadcast_to([1.0, 0.0, 0.0], (len(number), 3))
+        return Pieces(jnp.asarray(edges), jnp.asarray(number), jnp.asarray(evenly), edges)
+    position = jnp.sum(edges <= event)
+    breaks = jnp.sort(jnp.append(jnp.asarray(edges), event))
+    source = jnp.clip(jnp.where(number < position, number, number - 1), 0, len(edges) - 2)
+    before, after = number == position - 1, number == position
+    grading = jnp.stack([~(before | after), before, after], -1).astype(breaks.dtype)
+    return Pieces(breaks, source, grading, edges)
+
+
+def make_mesh(edges: np.ndarray, steps: int, event: Float[Array, ""] | None) -> Mesh:
+    """The same number of steps in every piece; those of a piece of length zero do no harm."""
+    pieces = break_up(edges, event)
+    n = steps_per_piece(steps, len(pieces.source))
+    local = pieces.grading @ local_points(n)
+    points = pieces.breaks[:-1, None] + jnp.diff(pieces.breaks)[:, None] * local
+    start, end = points[:, :-1], points[:, 1:]
+    stages = jnp.stack([start, (start + end) / 2, end], -1).reshape(-1, 3)
+    return Mesh(stages, pieces)

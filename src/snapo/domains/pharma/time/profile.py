@@ -1,0 +1,57 @@
+"""Profiles: a control over a unit's time, and its value anywhere."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from snapo.case.given import Given
+
+from ..given import fixed
+
+
+@dataclass(frozen=True, eq=False)
+class Profile:
+    """A control over a unit's time: N nodes, piecewise linear or piecewise constant.
+
+    - `share`: "linear": [N] times of the nodes as shares of the unit's duration, 0 to 1, strictly
+      rising from 0 to 1. "constant": [N + 1] edges of the pieces. One constant piece is a number.
+    - `value`: index [N], in the quantity's unit.
+    - `ramp`: most change per second, None without limit; open loop it is checked and reported.
+    """
+
+    kind: Literal["linear", "constant"]
+    share: np.ndarray
+    value: Given
+    ramp: float | None
+
+
+def values_in(
+    profile: Profile, value: Float[Array, " N"], piece: Int[Array, "..."], share
+) -> Float[Array, "..."]:
+    """The profile at shares of the duration that lie in its pieces number `piece`.
+
+    The piece is given, not searched for: at a jump both sides can be asked for, and the adjoint
+    to the nodes is a gather.
+    """
+    if profile.kind == "constant":
+        return jnp.broadcast_to(value[piece], jnp.shape(share))
+    start = fixed(profile.share)[piece]
+    slope = jnp.diff(value) / np.diff(profile.share)
+    return value[piece] + slope[piece] * (share - start)
+
+
+def values_at(profile: Profile, value: Float[Array, " N"], share) -> Float[Array, "..."]:
+    """The profile at any shares of the duration; at a jump the later value."""
+    inner = fixed(profile.share[1:-1])
+    return values_in(profile, value, jnp.searchsorted(inner, share, side="right"), share)
+
+
+def mean_value(profile: Profile, value: Float[Array, " N"]) -> Float[Array, ""]:
+    """The mean over the duration."""
+    width = np.diff(profile.share)
+    if profile.kind == "constant":
+        return jnp.sum(width * value)
+    return jnp.sum(width * (value[1:] + value[:-1])) / 2

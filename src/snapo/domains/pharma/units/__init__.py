@@ -1,0 +1,1 @@
+"""The unit operations: a file each, found by `registry`."""

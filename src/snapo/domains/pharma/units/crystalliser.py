@@ -1,0 +1,341 @@
+"""Batch crystalliser: cooling, anti-solvent, seed and nuclei.
+
+Its crystals are a `Population`, by moments or by finite volumes. Dissolved solute follows from
+them, c = c_0 + rho kv (mu3_0 - mu3), so that mass closes by construction; with dosing all of it
+in amounts per m3 of the first charge.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+
+from ..flowsheet.grid import NO_CRYSTALS, Grid
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import MOMENTS, Stream
+from ..given import absent, fixed, use
+from ..read.fields import Text, number, profile, quantity, word
+from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.reader import Reader
+from ..time.dynamics import Dynamics
+from ..time.event import saturation_share
+from ..time.profile import Profile
+from .crystals.finite_volumes import by_finite_volumes
+from .crystals.kinetics import Kinetics, KineticsTable, kinetics, read_kinetics
+from .crystals.moments import by_moments
+from .crystals.population import NUMBER, SIZE, UNITS, Population, mean_sizes
+from .crystals.quantiles import QUANTILES
+from .crystals.seed import Seed, SeedTable, read_seed, seed_moments, seed_numbers
+from .crystals.sizes import SizesTable, check_seed, read_edges
+from .crystals.solubility import (
+    Solubility,
+    SolubilityTable,
+    antisolvent_factor,
+    read_solubility,
+    solubility,
+)
+from .operation import Inlet, Timed
+
+
+class CrystalliserTable(Table):
+    """`type = "crystalliser"`"""
+
+    type: Literal["crystalliser"]
+    method: Literal["moments", "finite-volumes"] = word(
+        "moments", "finite-volumes", default="moments"
+    )
+    sizes: dict | None = Field(None, description="the table sizes")
+    solute: Text = Field(description="the name of a species")
+    duration: Any = quantity('"7200 s"', words="time of crystallisation")
+    temperature: Any = profile(words="temperature of the crystalliser")
+    initial_concentration: Any = quantity(
+        '"49 kg/m^3"', None, words="concentration of the solute at the start"
+    )
+    solubility: dict = Field(description="the table solubility")
+    kinetics: dict = Field(description="the table kinetics")
+    seed: dict = Field(description="the table seed")
+    shape: Any = number(
+        "a number above 0, such as 0.5236", words="volume of a crystal per cube of its size"
+    )
+    density: Any = quantity('"1200 kg/m^3"', words="density of crystals")
+    nuclei_size: Any = quantity('"1 um"', "0 m", words="size of new crystals")
+    separate: bool = Field(False, description="true or false")
+    dosing: Any = profile(None, words="flow of anti-solvent")
+
+
+@dataclass(frozen=True, eq=False)
+class Crystalliser(Timed):
+    """Batch crystalliser; anti-solvent is dosed at `dosing` m3/s.
+
+    - `solute`: species; `initial_concentration`: kg/m3, [], where it replaces the feed's (a
+      crystalliser alone); None otherwise.
+    - `shape`: kv, []; `density`: of crystals, kg/m3, []; `nuclei_size`: m, [].
+    - `separate`: whether seed and nuclei keep moments of their own.
+    - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
+      volumes; crystals of the feed are then counted on the same. None: by the moments 0 to 5.
+    """
+
+    solute: str
+    temperature: Profile
+    initial_concentration: Given | None
+    solubility: Solubility
+    kinetics: Kinetics
+    shape: Given
+    density: Given
+    nuclei_size: Given
+    seed: Seed
+    separate: bool
+    dosing: Profile | None
+    edges: np.ndarray | None = None
+
+    type = "crystalliser"
+    variant = ""
+    title = "crystalliser"
+    table = CrystalliserTable
+    reacts = False
+    symbols = (
+        ("c", "concentration"),
+        ("c*", "solubility"),
+        ("S", "supersaturation"),
+        ("L", "size and n its density by number"),
+        ("μₖ", "moments of the size"),
+        ("kᵥ", "shape"),
+    )
+    assumptions = (
+        "Crystals are pure; impurities come with the liquor that the cake keeps.",
+        "A stream holds one population of crystals, of one density and shape.",
+    )
+
+    @classmethod
+    def read(cls, read, species):
+        table = read.table
+        seed = read_seed(read.inner("seed", SeedTable))
+        return cls(
+            name=read.name,
+            solute=read.known("solute", species, "species"),
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            initial_concentration=read.perhaps("initial_concentration", "kg/m3", POSITIVE),
+            solubility=read_solubility(read.inner("solubility", SolubilityTable)),
+            kinetics=read_kinetics(read.inner("kinetics", KineticsTable)),
+            shape=read.number("shape", "1", POSITIVE),
+            density=read.number("density", "kg/m3", POSITIVE),
+            nuclei_size=read.number("nuclei_size", "m", NOT_NEGATIVE),
+            seed=seed,
+            separate=table.separate,
+            dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
+            edges=_edges(read, seed),
+        )
+
+    @property
+    def inlets(self):
+        grid = None if self.edges is None else Grid.of(self.edges)
+        found = (Inlet("feed", "allowed", grid=grid),)
+        if self.dosing is None:
+            return found
+        return (*found, Inlet("antisolvent", "refused", dosed=self.dosing))
+
+    @property
+    def outlets(self):
+        return ("slurry",)
+
+    @property
+    def error_controlled(self):
+        """The concentration changes while nothing grows, or cells set how long a step may be."""
+        dissolves = bool(self.kinetics.dissolution.values.any())
+        return dissolves or self.dosing is not None or self.edges is not None
+
+    def sizes(self, inlets):
+        return (None if self.edges is None else Grid.of(self.edges),)
+
+    def measures(self, species):
+        sizes = {"d32": "m", "d43": "m"}
+        found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
+        if self.separate:
+            found |= {"seed_volume": "m3/m3", "nuclei_volume": "m3/m3"}
+        if self.edges is not None:
+            sizes |= QUANTILES | {"span": "1", "at_largest": "1"}
+        return found | sizes
+
+    def states(self, species):
+        """ "mu0" to "mu5" are m^k per m3."""
+        found = {"concentration": "kg/m3", "supersaturation": "1", "temperature": "K"}
+        moments = {f"mu{k}": "1/m3" if k == 0 else f"m^{k}/m3" for k in range(MOMENTS)}
+        sizes = {"d43": "m", "d32": "m"} | (QUANTILES if self.edges is not None else {})
+        return found | sizes | moments
+
+    def equations(self):
+        return [
+            "S = (c − c*)/c*, S₊ its rounded positive part",
+            "growth G = g S₊^a − d S₋^b; nucleation B = B₁ S₊^p + B₂ S₊^q (kᵥ μ₃)^r",
+            self.balance(),
+            f"solubility c*: {self.solubility.kind} in temperature",
+        ]
+
+    def balance(self) -> str:
+        """The population balance in the form that is solved."""
+        if self.edges is None:
+            return "μ₀' = B, μₖ' = k G μₖ₋₁ + B L₀^k, k = 1 … 5; solute by difference of μ₃"
+        low, high = 1e6 * self.edges[[0, -1]]
+        return (
+            f"n_t + (G n)_L = 0, B at the smallest size; {len(self.edges) - 1} cells from "
+            f"{low:.4g} to {high:.4g} µm, limited slopes (van Albada); solute by difference of the "
+            "cells' μ₃"
+        )
+
+    def population(self, feed: Stream, inputs: dict[str, Any]) -> Population:
+        """Seed, and crystals of the feed, at the start."""
+        shape, density = use(inputs, self.shape), use(inputs, self.density)
+        if self.edges is not None:
+            seed = seed_numbers(self.seed, inputs, shape, density, self.edges / SIZE)
+            fed = None if feed.grid == NO_CRYSTALS else feed.numbers / (feed.volume * NUMBER)
+            return by_finite_volumes(self.edges, seed, fed)
+        size = None if absent(inputs, self.nuclei_size) else use(inputs, self.nuclei_size)
+        seed = seed_moments(self.seed, inputs, shape, density)
+        return by_moments(shape, size, self.separate, seed, feed.moments / feed.volume)
+
+    def dynamics(self, network, inlets, inputs):
+        """y: the crystals' `Population` per first volume, then with dosing the volume dosed, per
+        first volume too."""
+        feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
+        solute, mass = network.species.index(self.solute), network.molar_mass
+        shape, density = use(inputs, self.shape), use(inputs, self.density)
+        duration, dosed = use(inputs, self.duration), dose is not None
+        volume, temperature = feed.volume, use(inputs, self.temperature.value)
+        charge = feed.concentration()
+        if self.initial_concentration is not None:
+            replaced = use(inputs, self.initial_concentration) / mass[solute]
+            charge = charge.at[solute].set(replaced)
+        crystals = self.population(feed, inputs)
+        weight = density * shape  # kg/m3 of slurry per m3/m3 of mu3
+        dissolved = charge[solute] * mass[solute]
+        dosed_solute = dose.concentration()[solute] * mass[solute] if dose is not None else 0.0
+        units, count = fixed(UNITS), len(crystals.start)
+        first = crystals.moments(crystals.start)[3]
+        controls = [(self.temperature, temperature)]
+        if self.dosing is not None:
+            controls.append((self.dosing, use(inputs, self.dosing.value)))
+
+        def scaled(y) -> tuple[Array, Array]:
+            """Scaled moments of all crystals per first volume, and the volume per first volume."""
+            return crystals.moments(y[:count]), 1 + y[-1] if dosed else jnp.ones(())
+
+        def liquid(y):
+            """Solute in kg/m3, solubility's factor by anti-solvent, mu3 per first volume."""
+            moments, size = scaled(y)
+            mu3 = moments[3] * units[3]
+            solute_amount = dissolved + weight * units[3] * (first - moments[3])
+            if dose is None:
+                return solute_amount, 1.0, mu3
+            other = (feed.antisolvent + y[-1] * volume * dose.solvent / dose.volume) / volume
+            fraction = other / (other + feed.solvent / volume)
+            factor = antisolvent_factor(self.solubility, inputs, fraction)
+            return (solute_amount + y[-1] * dosed_solute) / size, factor, mu3
+
+        def supersaturation(y, saturated):
+            c, factor, _ = liquid(y)
+            return (c - saturated * factor) / (saturated * factor)
+
+        def rate(y, drive):
+            size = scaled(y)[1]
+            speed = kinetics(
+                self.kinetics, inputs, supersaturation(y, drive[0]), shape * liquid(y)[2] / size
+            )
+            born = speed.nucleation * size / NUMBER
+            slope = crystals.slope(y[:count], speed.growth / SIZE, born)
+            return jnp.append(slope, drive[1] / volume) if dosed else slope
+
+        def drive(control, *dosing):
+            saturated = solubility(self.solubility, inputs, control)
+            return jnp.stack([saturated, *dosing], -1)
+
+        def states(y, control, *_):
+            moments, size = scaled(y)
+            moments = moments * units / size
+            saturated = solubility(self.solubility, inputs, control)
+            found = {f"mu{k}": moments[k] for k in range(MOMENTS)} | mean_sizes(moments)
+            found |= crystals.states(y[:count])
+            found["concentration"] = liquid(y)[0]
+            return found | {
+                "supersaturation": supersaturation(y, saturated),
+                "temperature": control,
+            }
+
+        def finish(y, control, *_):
+            moments, size = scaled(y)
+            moments, slurry = moments * units, volume * size
+            c, _, mu3 = liquid(y)
+            saturated = solubility(self.solubility, inputs, control)
+            measures = {
+                "concentration": c,
+                "crystals": weight * mu3 / size,
+                "supersaturation": supersaturation(y, saturated),
+            } | mean_sizes(moments)
+            measures |= crystals.measures(y[:count] / size)
+            kmol = volume / mass[solute]
+            nothing = jnp.zeros_like(charge)
+            seeded = nothing.at[solute].set(weight * crystals.seed * units[3] * kmol)
+            species, left, solvent_left, antisolvent = charge * volume, nothing, jnp.zeros(()), 0.0
+            if dose is not None:
+                share = y[-1] * volume / dose.volume
+                species = species + share * dose.species
+                left, solvent_left = (1 - share) * dose.species, (1 - share) * dose.solvent
+                antisolvent = share * dose.solvent
+            slurry_out = Stream(
+                species=species.at[solute].set(c * slurry / mass[solute]),
+                solid=nothing.at[solute].set(weight * mu3 * kmol),
+                seed=feed.seed + seeded,
+                solvent=feed.solvent,
+                antisolvent=feed.antisolvent + antisolvent,
+                volume=slurry,
+                temperature=control,
+                duration=jnp.zeros(()),
+                moments=moments * volume,
+                density=density,
+                shape=shape,
+                numbers=crystals.numbers(y[:count]) * NUMBER * volume,
+                grid=self.sizes(tuple(each.grid for each in inlets))[0],
+            )
+            added = seeded + (charge - feed.concentration()) * volume
+            book = ledger(len(mass), added=added, held=left, solvent_held=solvent_left)
+            return Finish((slurry_out,), measures, book)
+
+        def excess(control):
+            """Solubility less concentration at the start, at any temperature."""
+            c, factor, _ = liquid(start)
+            return solubility(self.solubility, inputs, control) * factor - c
+
+        start = jnp.append(crystals.start, 0.0) if dosed else crystals.start
+        event = saturation_share(excess, self.temperature, temperature)
+        return Dynamics(start, rate, drive, tuple(controls), duration, event, states, finish, False)
+
+
+def _edges(read: Reader, seed: Seed) -> np.ndarray | None:
+    """Edges of the cells over size, in m, for finite volumes; else None."""
+    table, method = read.table, read.table.method
+    if method == "moments":
+        if table.sizes is not None:
+            what = 'method "moments" has no such key; it belongs to "finite-volumes"'
+            raise read.section.error("sizes", table.sizes, what)
+        return None
+    if table.sizes is None:
+        raise read.section.error("sizes", None, f'method "{method}" needs this key')
+    for key, owned in (("separate", "keeps no moments apart"),
+                       ("nuclei_size", "has nuclei of the smallest size")):  # fmt: skip
+        if key in table.model_fields_set:
+            what = f'method "{method}" {owned} and has no such key'
+            raise read.section.error(key, getattr(table, key), what)
+    if seed.spread is None:
+        seeded = Section(read.section.file, f"{read.section.name}.seed", read.section.notes)
+        what = f'method "{method}" needs a seed with loading, size and spread'
+        raise seeded.error("spread", None, what)
+    inner = read.inner("sizes", SizesTable)
+    edges = read_edges(inner)
+    check_seed(inner, edges, seed)
+    return edges

@@ -1,0 +1,1 @@
+"""Crystals in a suspension: rates, solubility, seed, and their distribution over size."""

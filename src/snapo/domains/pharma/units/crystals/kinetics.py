@@ -1,0 +1,100 @@
+"""How fast crystals grow, dissolve and appear at a supersaturation."""
+
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ...given import absent, use
+from ...read.fields import NUMBER, quantity
+from ...read.numbers import NOT_NEGATIVE, POSITIVE
+from ...read.reader import Reader
+
+
+@dataclass(frozen=True, eq=False)
+class Kinetics:
+    """Growth, nucleation and dissolution with S = (c - c*) / c* and its positive part S+.
+
+    S+ = (S + sqrt(S^2 + 4 d^2)) / 2 with d = `rounding` (5e-6 gives S^2 + 1e-10); S- = S+ - S.
+    G = growth S+^growth_order - dissolution S-^dissolution_order, m/s.
+    B = primary S+^primary_order + secondary S+^secondary_order (kv mu3)^crystal_order, 1/m3/s,
+    mu3 in m3/m3 being that of all crystals. Every field is a number, index [].
+    """
+
+    growth: Given
+    growth_order: Given
+    dissolution: Given
+    dissolution_order: Given
+    primary: Given
+    primary_order: Given
+    secondary: Given
+    secondary_order: Given
+    crystal_order: Given
+    rounding: float
+
+
+class KineticsTable(Table):
+    """`[units.NAME.kinetics]`"""
+
+    growth: Any = quantity('"5 um/s"')
+    growth_order: Any = Field(description=NUMBER)
+    dissolution: Any = quantity('"1 um/s"', "0 m/s")
+    dissolution_order: Any = Field(1.0, description=NUMBER)
+    primary: Any = quantity('"3e8 1/m^3/s"', "0 1/m^3/s")
+    primary_order: Any = Field(1.0, description=NUMBER)
+    secondary: Any = quantity('"4.46e10 1/m^3/s"', "0 1/m^3/s")
+    secondary_order: Any = Field(1.0, description=NUMBER)
+    crystal_order: Any = Field(1.0, description=NUMBER)
+    rounding: Any = Field(5e-6, description="a number above 0")
+
+
+def read_kinetics(read: Reader) -> Kinetics:
+    rates = {"growth": "m/s", "dissolution": "m/s", "primary": "1/m3/s", "secondary": "1/m3/s"}
+    orders = ("growth_order", "dissolution_order", "primary_order", "secondary_order",
+              "crystal_order")  # fmt: skip
+    found = {key: read.number(key, unit, NOT_NEGATIVE) for key, unit in rates.items()}
+    found |= {key: read.number(key, "1", NOT_NEGATIVE) for key in orders}
+    return Kinetics(**found, rounding=read.plain("rounding", "1", POSITIVE))
+
+
+class Rates(NamedTuple):
+    """`growth` G in m/s (below 0 where crystals dissolve), `nucleation` B in 1/m3/s."""
+
+    growth: Float[Array, ""]
+    nucleation: Float[Array, ""]
+
+
+def positive_and_negative(S, rounding: float) -> tuple[Array, Array]:
+    """S+ = (S + sqrt(S^2 + 4 d^2)) / 2 and S- = S+ - S, both above zero without cancellation:
+    their product is d^2."""
+    square = 4 * rounding**2
+    large = (jnp.abs(S) + jnp.sqrt(S * S + square)) / 2
+    small = rounding**2 / large
+    return jnp.where(S > 0, large, small), jnp.where(S > 0, small, large)
+
+
+def kinetics(record: Kinetics, inputs: dict[str, Any], supersaturation, volume) -> Rates:
+    """Growth and nucleation; `volume` is that of all crystals, kv mu3, in m3/m3."""
+    plus, minus = positive_and_negative(supersaturation, record.rounding)
+    # Powers share one logarithm; a volume of zero (no crystals yet) counts as almost none.
+    log_plus = jnp.log(plus)
+    growth = use(inputs, record.growth) * jnp.exp(use(inputs, record.growth_order) * log_plus)
+    if not absent(inputs, record.dissolution):
+        order = use(inputs, record.dissolution_order)
+        growth = growth - use(inputs, record.dissolution) * minus**order
+    nucleation = jnp.zeros_like(growth)
+    if not absent(inputs, record.primary):
+        power = jnp.exp(use(inputs, record.primary_order) * log_plus)
+        nucleation = nucleation + use(inputs, record.primary) * power
+    if not absent(inputs, record.secondary):
+        present = volume > 1e-30
+        log_volume = jnp.log(jnp.where(present, volume, 1e-30))
+        exponent = use(inputs, record.secondary_order) * log_plus
+        exponent = exponent + use(inputs, record.crystal_order) * log_volume
+        nucleation = nucleation + use(inputs, record.secondary) * jnp.exp(exponent)
+    return Rates(growth, nucleation)

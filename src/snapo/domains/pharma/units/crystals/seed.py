@@ -1,0 +1,106 @@
+"""Seed: crystals that a crystalliser starts from."""
+
+from dataclasses import dataclass
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ...flowsheet.stream import MOMENTS
+from ...given import fixed, use
+from ...read.fields import quantity
+from ...read.numbers import POSITIVE, given
+from ...read.numbers import quantity as read_quantity
+from ...read.reader import Reader
+from .population import NUMBER, SIZE, cell_powers
+
+
+@dataclass(frozen=True, eq=False)
+class Seed:
+    """Crystals at the start: `loading` kg/m3, [], of `size` m, []; or `moments`, index [6].
+
+    Of the two, one is given and the other None; moments are m^k/m3, k = 0..5.
+    `size` is the mean by number and `spread`, [], the standard deviation as a share of it, of a
+    lognormal distribution; None where all are of one size.
+    """
+
+    loading: Given | None
+    size: Given | None
+    moments: Given | None
+    spread: Given | None = None
+
+
+def seed_moments(seed: Seed, inputs: dict[str, Any], shape, density) -> Float[Array, " 6"]:
+    """m^k/m3 of the seed: as given, or of `loading` kg/m3 crystals of mean `size`.
+
+    Lognormal with standard deviation `spread` times the mean: mu_k = N size^k s^(k (k - 1) / 2),
+    s = 1 + spread^2. Without spread all are of one size.
+    """
+    if seed.moments is not None:
+        return use(inputs, seed.moments)
+    assert seed.loading is not None and seed.size is not None
+    size, wider = use(inputs, seed.size), jnp.ones(())
+    if seed.spread is not None:
+        wider = 1 + use(inputs, seed.spread) ** 2
+    number = use(inputs, seed.loading) / (density * shape * size**3 * wider**3)
+    return number * jnp.stack([size**k * wider ** (k * (k - 1) / 2) for k in range(MOMENTS)])
+
+
+def seed_numbers(seed: Seed, inputs, shape, density, edges: np.ndarray) -> Float[Array, " N"]:
+    """Crystals of a lognormal seed in each cell; together they weigh its loading.
+
+    `size` is the mean by number, `spread` the standard deviation in units of it.
+    """
+    assert seed.loading is not None and seed.size is not None and seed.spread is not None
+    variance = jnp.log1p(use(inputs, seed.spread) ** 2)
+    median = jnp.log(use(inputs, seed.size) / SIZE) - variance / 2
+    # The logarithm of an edge at 0 would be infinite, and its derivative undefined.
+    share = ndtr((fixed(np.log(np.maximum(edges, 1e-9))) - median) / jnp.sqrt(variance))
+    numbers = jnp.diff(share)
+    weight = density * shape * NUMBER * SIZE**3
+    mass = weight * jnp.sum(fixed(cell_powers(edges)[3]) * numbers)
+    return numbers * (use(inputs, seed.loading) / mass)
+
+
+class SeedTable(Table):
+    """`[units.NAME.seed]`"""
+
+    loading: Any = quantity('"0.02 kg/m^3"', None)
+    size: Any = quantity('"20 um"', None)
+    spread: Any = Field(None, description="a number above 0, such as 0.3")
+    moments: list[Any] | None = Field(None, description="six quantities, m^k/m^3 for k = 0 to 5")
+
+
+def read_seed(read: Reader) -> Seed:
+    """A loading and a size, or six moments."""
+    table = read.table
+    if (table.moments is None) == (table.loading is None):
+        what = "a seed has a loading and a size, or else its six moments"
+        raise read.section.error("moments", table.moments, what)
+    if table.moments is None:
+        if table.size is None:
+            raise read.section.error("size", None, "a loading needs this key")
+        loading = read.number("loading", "kg/m3", POSITIVE)
+        size, spread = read.number("size", "m", POSITIVE), read.perhaps("spread", "1", POSITIVE)
+        return Seed(loading, size, None, spread)
+    for key in ("size", "spread"):
+        if getattr(table, key) is not None:
+            what = "a seed with moments has no such key"
+            raise read.section.error(key, getattr(table, key), what)
+    if len(table.moments) != 6:
+        raise read.section.error("moments", table.moments, "allowed are six moments, 0 to 5")
+    values = [
+        read_quantity(read.section, f"moments[{k}]", raw, f"m^{k}/m3" if k else "1/m3", POSITIVE)
+        for k, raw in enumerate(table.moments)
+    ]
+    labels = tuple(f"mu{k}" for k in range(6))
+    name = f"{read.name}.moments"
+    return Seed(
+        None, None, given(name, np.array(values), labels, "m^k/m3", words="moment of the seed")
+    )

@@ -1,0 +1,56 @@
+"""The cells over size by which crystals are counted, as a case gives them."""
+
+import math
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.table import Table
+
+from ...read.fields import quantity, word
+from ...read.numbers import NOT_NEGATIVE, POSITIVE
+from ...read.reader import Reader
+from .seed import Seed
+
+SEED_OUTSIDE = 0.01  # most of a seed's volume that may lie outside a grid
+
+
+class SizesTable(Table):
+    """`[units.NAME.sizes]`"""
+
+    smallest: Any = quantity('"0 um"')
+    largest: Any = quantity('"400 um"')
+    cells: Annotated[int, Field(ge=4, le=1000)] = Field(description="a whole number, 4 or more")
+    spacing: Literal["equal", "geometric"] = word("equal", "geometric", default="equal")
+
+
+def read_edges(read: Reader) -> np.ndarray:
+    """[N + 1] m, the edges of the cells."""
+    low, high = read.plain("smallest", "m", NOT_NEGATIVE), read.plain("largest", "m", POSITIVE)
+    if high <= low:
+        raise read.section.error("largest", read.table.largest, "allowed is above `smallest`")
+    if read.table.spacing == "equal":
+        return np.linspace(low, high, read.table.cells + 1)
+    if low == 0:
+        what = 'spacing "geometric" needs a smallest size above 0'
+        raise read.section.error("smallest", read.table.smallest, what)
+    return np.geomspace(low, high, read.table.cells + 1)
+
+
+def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
+    """Refuses a grid that a part of the seed lies outside of."""
+    outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
+    if outside > SEED_OUTSIDE:
+        what = f"{100 * outside:.3g} % of the seed's volume lies outside smallest to largest"
+        raise read.section.error("largest", read.table.largest, what)
+
+
+def _volume_outside(seed: Seed, low: float, high: float) -> float:
+    """Share of a lognormal seed's volume in crystals below `low` or above `high` m."""
+    assert seed.size is not None and seed.spread is not None
+    variance = math.log1p(float(seed.spread.values[0]) ** 2)
+    # By volume the distribution of the logarithm lies three variances higher than by number.
+    centre = math.log(float(seed.size.values[0])) + 2.5 * variance
+    z = [(math.log(max(each, 1e-12)) - centre) / math.sqrt(2 * variance) for each in (low, high)]
+    return (math.erfc(z[1]) + math.erfc(-z[0])) / 2

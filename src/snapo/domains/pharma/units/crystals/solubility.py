@@ -1,0 +1,93 @@
+"""Solubility by temperature and anti-solvent."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ...given import use
+from ...read.fields import Text, word
+from ...read.numbers import ZERO_CELSIUS, absent, given, several
+from ...read.quantities import UnitError, conversion
+from ...read.reader import Reader
+
+
+@dataclass(frozen=True, eq=False)
+class Solubility:
+    """c*(T, w) in kg/m3.
+
+    - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
+      (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
+    - `antisolvent`: (b1, b2), index [2] or [0]: ln c* gains b1 w + b2 w^2, w the anti-solvent's
+      mass fraction of the solute-free liquid.
+    """
+
+    kind: Literal["polynomial", "exponential"]
+    coefficients: Given
+    zero: float
+    antisolvent: Given
+
+
+class SolubilityTable(Table):
+    """`[units.NAME.solubility]`"""
+
+    kind: Literal["polynomial", "exponential"] = word(
+        "polynomial", "exponential", default="polynomial"
+    )
+    coefficients: Annotated[list[float], Field(min_length=1)] = Field(
+        description="a list of numbers, of rising powers of the temperature"
+    )
+    unit: Text = Field("kg/m^3", description='a unit such as "kg/m^3"')
+    scale: Literal["K", "degC"] = word("K", "degC", default="K")
+    antisolvent: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
+        None, description="two numbers"
+    )
+
+
+def read_solubility(read: Reader) -> Solubility:
+    """Coefficients for kg/m3, from those of the case's unit."""
+    table = read.table
+    try:
+        scale = conversion(table.unit, "kg/m3").scale
+    except UnitError as error:
+        raise read.section.error("unit", table.unit, str(error)) from None
+    values = np.array(table.coefficients)
+    if table.kind == "polynomial":
+        values = values * scale
+    else:  # the unit is a factor of the whole, which the logarithm adds
+        values[0] += np.log(scale)
+    unit = "kg/m3/K^k" if table.kind == "polynomial" else "1/K^k"
+    labels = tuple(f"t^{k}" for k in range(len(values)))
+    extra = absent(f"{read.name}.antisolvent", "1")
+    if table.antisolvent is not None:
+        extra = several(
+            read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
+        )
+    return Solubility(
+        kind=table.kind,
+        coefficients=given(read.name, values, labels, unit, words="coefficient of solubility"),
+        zero=0.0 if table.scale == "K" else ZERO_CELSIUS,
+        antisolvent=extra,
+    )
+
+
+def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float[Array, "..."]:
+    """c*(T) in kg/m3 without anti-solvent."""
+    t = jnp.asarray(temperature) - record.zero
+    coefficients = use(inputs, record.coefficients)
+    total = jnp.broadcast_to(coefficients[-1], jnp.shape(t))
+    for k in range(coefficients.shape[0] - 2, -1, -1):
+        total = total * t + coefficients[k]
+    return jnp.exp(total) if record.kind == "exponential" else total
+
+
+def antisolvent_factor(record: Solubility, inputs: dict[str, Any], fraction) -> Array:
+    """exp(b1 w + b2 w^2) at the anti-solvent's mass fraction w of the solute-free liquid."""
+    b1, b2 = use(inputs, record.antisolvent)
+    return jnp.exp(b1 * fraction + b2 * fraction**2)

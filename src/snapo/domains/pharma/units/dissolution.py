@@ -1,0 +1,99 @@
+"""The product's dissolution test: spheres of the surface-mean size that shrink in a film."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import Stream
+from ..given import use
+from ..read.fields import quantity
+from ..read.numbers import POSITIVE
+from .crystals.population import mean_sizes
+from .operation import Inlet, Instant
+
+
+class DissolutionTable(Table):
+    """`type = "dissolution"`"""
+
+    type: Literal["dissolution"]
+    diffusivity: Any = quantity('"7e-10 m^2/s"', words="diffusivity in the film")
+    solubility: Any = quantity('"0.5 kg/m^3"', words="solubility in the test's liquid")
+    film: Any = quantity('"30 um"', words="thickness of the film")
+    time: Any = quantity('"30 min"', words="time of the test")
+
+
+@dataclass(frozen=True, eq=False)
+class Dissolution(Instant):
+    """Dissolution test of the product, shrinking spheres of d32.
+
+    Dissolved share at `test_time` s: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once the sphere is gone;
+    the crystals' density comes with the stream. `diffusivity`: m2/s; `solubility`: kg/m3; `film`:
+    m; each index [].
+    """
+
+    diffusivity: Given
+    solubility: Given
+    film: Given
+    test_time: Given
+
+    type = "dissolution"
+    variant = ""
+    title = "dissolution"
+    table = DissolutionTable
+    reacts = False
+    symbols = (
+        ("D", "diffusivity"),
+        ("Cₛ", "solubility"),
+        ("h", "film of the dissolution test"),
+        ("ρₛ", "density of crystals"),
+        ("d₃₂", "mean size by surface"),
+    )
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        return cls(
+            name=read.name,
+            diffusivity=read.number("diffusivity", "m2/s", POSITIVE),
+            solubility=read.number("solubility", "kg/m3", POSITIVE),
+            film=read.number("film", "m", POSITIVE),
+            test_time=read.number("time", "s", POSITIVE),
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("product", "needed"),)
+
+    @property
+    def outlets(self):
+        return ()
+
+    def sizes(self, inlets):
+        return ()
+
+    def measures(self, species):
+        return {"dissolved": "1"}
+
+    def equations(self):
+        return ["dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, r = d₃₂/2, 1 once dissolved"]
+
+    def deliver(self, network, inlets, inputs):
+        measures = {"dissolved": self.dissolved(inlets[0], inputs)}
+        return Finish((), measures, ledger(len(network.species)))
+
+    def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
+        """1 - (1 - D Cs t / (rho h r))^3 with r = d32 / 2; 1 once the sphere is gone.
+
+        The cube makes it twice differentiable at full dissolution.
+        """
+        radius = mean_sizes(product.moments)["d32"] / 2
+        reach = use(inputs, self.diffusivity) * use(inputs, self.solubility)
+        reach = reach * use(inputs, self.test_time)
+        left = 1 - reach / (product.density * use(inputs, self.film) * radius)
+        return 1 - jnp.where(left > 0, left, 0.0) ** 3

@@ -1,0 +1,146 @@
+"""Falling-rate drying of the cake, in closed form along the temperature profile."""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import NO_CRYSTALS
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.network import GAS_CONSTANT
+from ..flowsheet.stream import Stream, clear
+from ..given import use
+from ..read.fields import profile, quantity, word
+from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..time.dynamics import Track
+from ..time.mesh import edges_of, make_mesh
+from ..time.profile import Profile
+from .crystals.population import mean_sizes
+from .operation import Inlet, Outcome, Unit
+
+STEPS = 32  # per piece of the profile, by Simpson's rule; exact where temperature is constant
+
+
+class DryerTable(Table):
+    """`type = "dryer"`, `kind = "falling-rate"`"""
+
+    type: Literal["dryer"]
+    kind: Literal["falling-rate"] = word("falling-rate", "tray", default="falling-rate")
+    duration: Any = quantity('"3 h"', words="drying time")
+    temperature: Any = profile(words="temperature of the shelf")
+    rate: Any = quantity('"1e-3 1/s"', words="drying rate at the reference")
+    activation: Any = quantity('"40 kJ/mol"', words="activation energy of drying")
+    reference_temperature: Any = quantity('"323.15 K"')
+    reference_size: Any = quantity('"40 um"', words="size to which the drying rate refers")
+
+
+@dataclass(frozen=True, eq=False)
+class Dryer(Unit):
+    """Dryer by a rate constant.
+
+    Falling rate: X' = -k X, k = rate exp(-activation / R (1/T - 1/reference_temperature))
+    (reference_size / d32); X is solvent per crystals, kg/kg. `rate`: 1/s, `reference_size`: m.
+    """
+
+    duration: Given
+    temperature: Profile
+    rate: Given
+    activation: Given
+    reference_temperature: float
+    reference_size: Given
+
+    type = "dryer"
+    variant = "falling-rate"
+    title = "dryer"
+    table = DryerTable
+    reacts = False
+    symbols = (
+        ("X", "solvent per crystals"),
+        ("d₃₂", "mean size by surface"),
+    )
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        return cls(
+            name=read.name,
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            rate=read.number("rate", "1/s", NOT_NEGATIVE),
+            activation=read.number("activation", "J/mol"),
+            reference_temperature=read.plain("reference_temperature", "K", POSITIVE),
+            reference_size=read.number("reference_size", "m", POSITIVE),
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("cake", "needed"),)
+
+    @property
+    def outlets(self):
+        return ("product", "vapour")
+
+    @property
+    def time(self):
+        return self.duration
+
+    def sizes(self, inlets):
+        return (inlets[0], NO_CRYSTALS)
+
+    def measures(self, species):
+        return {"solvent": "1", "temperature": "K"}
+
+    def states(self, species):
+        """ "solvent" is kg per kg of crystals."""
+        return {"solvent": "1", "temperature": "K"}
+
+    def equations(self):
+        return ["X' = −k X, k = k₀ exp(−E/R (1/T − 1/T₀)) (d₀/d₃₂)"]
+
+    def operate(self, network, numerics, inlets, inputs, record=False, end=None):
+        finish, track = self.dry(inlets[0], inputs)
+        zero = jnp.zeros(())
+        return Outcome(finish, zero, zero, track, of_track)
+
+    def dry(self, cake: Stream, inputs: dict[str, Any]) -> tuple[Finish, Track]:
+        """X = X0 exp(-integral of k) at the end, and over time: the track's state is X."""
+        profile, value = self.temperature, use(inputs, self.temperature.value)
+        mesh = make_mesh(edges_of((profile,)), STEPS, None)
+        duration = use(inputs, self.duration)
+        size = mean_sizes(cake.moments)["d32"]
+        inverse = 1 / mesh.values(profile, value) - 1 / self.reference_temperature
+        rate = use(inputs, self.rate) * jnp.exp(
+            -use(inputs, self.activation) / GAS_CONSTANT * inverse
+        )
+        rate = rate * use(inputs, self.reference_size) / size
+        step = duration * (mesh.stages[:, 2] - mesh.stages[:, 0])
+        integral = jnp.cumsum(step / 6 * (rate[:, 0] + 4 * rate[:, 1] + rate[:, 2]))
+        course = loading(cake) * jnp.exp(-jnp.append(0.0, integral))
+        share = jnp.exp(-integral[-1])
+        product = cake.replace(
+            solvent=cake.solvent * share,
+            antisolvent=cake.antisolvent * share,
+            temperature=value[-1],
+        )
+        vapour = clear(
+            jnp.zeros_like(cake.species), cake.solvent * (1 - share), jnp.zeros(()), value[-1]
+        ).replace(antisolvent=cake.antisolvent * (1 - share))
+        measures = {"solvent": course[-1], "temperature": value[-1]}
+        slope = -jnp.append(rate[:1, 0], rate[:, 2]) * course
+        controls = mesh.point_values(profile, value)
+        track = Track(duration * mesh.times(), course[:, None], slope[:, None], controls[:, None])
+        return Finish((product, vapour), measures, ledger(len(cake.species))), track
+
+
+def loading(cake: Stream) -> Float[Array, ""]:
+    """X0: liquid per crystals, kg/kg."""
+    return (cake.solvent + cake.antisolvent) / cake.crystals()
+
+
+def of_track(y, control) -> dict[str, Array]:
+    """States of a dryer from its track."""
+    return {"solvent": y[0], "temperature": control}

@@ -1,0 +1,221 @@
+"""Filter and wash at constant pressure: its time, and the liquor in the cake.
+
+The cake keeps a share of the liquor in its voids; of what was dissolved in it the wash leaves a
+share, and wash liquid takes the place of the liquor. The filtrate is the rest of the slurry.
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax.numpy as jnp
+from jax.scipy.special import erfc
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import NO_CRYSTALS
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import Stream, clear
+from ..given import use
+from ..read.fields import number, quantity, word
+from ..read.numbers import INSIDE, NOT_NEGATIVE, POSITIVE, SHARE
+from .crystals.population import mean_sizes
+from .operation import Inlet, Instant
+
+
+class FilterTable(Table):
+    """`type = "filter"`"""
+
+    type: Literal["filter"]
+    area: Any = quantity('"200 cm^2"', words="filter area")
+    pressure: Any = quantity('"1 bar"', words="pressure difference")
+    viscosity: Any = quantity('"0.46 mPa*s"', words="viscosity of the liquor")
+    medium_resistance: Any = quantity('"1e10 1/m"', words="resistance of the filter medium")
+    porosity: Any = number("a share between 0 and 1", words="porosity of the cake")
+    saturation: Any = number(
+        "a share between 0 and 1", words="share of the cake's voids that keeps liquor"
+    )
+    resistance: Any = quantity('"1e11 m/kg"', None, words="specific resistance of the cake")
+    wash: Literal["exponential", "dispersion"] = word(
+        "exponential", "dispersion", default="exponential"
+    )
+    wash_ratio: Any = number("a number, 0 or more", words="wash liquid per void volume")
+    efficiency: Any = number("a number above 0", None, words="efficiency of the wash")
+    peclet: Any = number("a number above 0", None, words="Peclet number of the wash")
+
+
+@dataclass(frozen=True, eq=False)
+class Filter(Instant):
+    """Filter and wash at constant pressure.
+
+    All are numbers, index []: m2, Pa, Pa s, 1/m, "1", "1", "1".
+
+    - `porosity` of the cake; `saturation`: share of its voids that keeps liquor.
+    - `wash_ratio`: W, wash liquid per void volume. `wash`: "exponential": exp(-efficiency W) of
+      a solute stays; "dispersion": Lapidus-Amundson with the Peclet number `peclet`.
+    - `resistance`: specific, m/kg, []; None: from porosity and d32 by Carman and Kozeny.
+    """
+
+    area: Given
+    pressure: Given
+    viscosity: Given
+    medium_resistance: Given
+    porosity: Given
+    saturation: Given
+    resistance: Given | None
+    wash: Literal["exponential", "dispersion"]
+    wash_ratio: Given
+    efficiency: Given | None
+    peclet: Given | None
+
+    type = "filter"
+    variant = ""
+    title = "filter"
+    table = FilterTable
+    reacts = False
+    symbols = (
+        ("ε", "porosity"),
+        ("s", "saturation"),
+        ("W", "wash ratio"),
+        ("α", "specific resistance"),
+        ("cₛ", "crystals per volume of filtrate V_f"),
+        ("R_m", "resistance of the medium"),
+        ("μ", "viscosity"),
+        ("Δp", "pressure"),
+        ("A", "area"),
+        ("ρₛ", "density of crystals"),
+        ("d₃₂", "mean size by surface"),
+    )
+    assumptions = ("Wash liquid is clean solvent and replaces liquor one to one.",)
+
+    @classmethod
+    def read(cls, read, species):
+        table = read.table
+        for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
+            given = getattr(table, key)
+            if table.wash == wash and given is None:
+                raise read.section.error(key, None, f'wash "{wash}" needs this key')
+            if table.wash != wash and given is not None:
+                what = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
+                raise read.section.error(key, given, what)
+        return cls(
+            name=read.name,
+            area=read.number("area", "m2", POSITIVE),
+            pressure=read.number("pressure", "Pa", POSITIVE),
+            viscosity=read.number("viscosity", "Pa*s", POSITIVE),
+            medium_resistance=read.number("medium_resistance", "1/m", NOT_NEGATIVE),
+            porosity=read.number("porosity", "1", INSIDE),
+            saturation=read.number("saturation", "1", SHARE),
+            resistance=read.perhaps("resistance", "m/kg", POSITIVE),
+            wash=table.wash,
+            wash_ratio=read.number("wash_ratio", "1", NOT_NEGATIVE),
+            efficiency=read.perhaps("efficiency", "1", NOT_NEGATIVE),
+            peclet=read.perhaps("peclet", "1", POSITIVE),
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("slurry", "needed"),)
+
+    @property
+    def outlets(self):
+        return ("cake", "filtrate", "washings")
+
+    def sizes(self, inlets):
+        return (inlets[0], NO_CRYSTALS, NO_CRYSTALS)
+
+    def measures(self, species):
+        found = {"time": "s", "resistance": "m/kg", "liquor": "m3/kg"}
+        return found | {f"impurity.{s}": "1" for s in species}
+
+    def equations(self):
+        wash = "exp(−η W)" if self.wash == "exponential" else "Lapidus–Amundson in W and Pe"
+        return [
+            "t = (μ/Δp) (α cₛ/2 (V_f/A)² + R_m V_f/A)",
+            "α = 180 (1 − ε)/(ε³ d₃₂² ρₛ)" if self.resistance is None else "α as given",
+            f"liquor kept h = s ε/((1 − ε) ρₛ) per kg; share of a solute that stays: {wash}",
+        ]
+
+    def deliver(self, network, inlets, inputs):
+        """Its ledger adds the wash liquid, which is the slurry's solvent."""
+        slurry = inlets[0]
+        porosity, volume = use(inputs, self.porosity), slurry.volume
+        density, mass = slurry.density, network.molar_mass
+        crystals = slurry.crystals()
+        measures = self.flow(slurry, crystals, porosity, inputs)
+        voids = porosity / ((1 - porosity) * density)  # m3 per kg of crystals
+        kept = use(inputs, self.saturation) * voids
+        stay, ratio = self.remaining(inputs), use(inputs, self.wash_ratio)
+        liquor = slurry.species / volume * kept * crystals  # kmol held before the wash
+        solvent, other = slurry.solvent / volume, slurry.antisolvent / volume
+        held, wash_volume = kept * crystals, ratio * voids * crystals
+        replaced = other * held * (1 - stay)
+        cake = slurry.replace(
+            species=liquor * stay,
+            solvent=solvent * held + replaced,
+            antisolvent=other * held * stay,
+            volume=held,
+        )
+        filtrate = clear(
+            slurry.species - liquor,
+            slurry.solvent - solvent * held,
+            volume - held,
+            slurry.temperature,
+        ).replace(antisolvent=slurry.antisolvent - other * held)
+        washings = clear(
+            liquor * (1 - stay), solvent * wash_volume - replaced, wash_volume, slurry.temperature
+        ).replace(antisolvent=replaced)
+        measures["liquor"] = kept
+        for s, name in enumerate(network.species):
+            measures[f"impurity.{name}"] = mass[s] * slurry.species[s] / volume * kept * stay
+        book = ledger(len(mass), solvent_added=solvent * wash_volume)
+        return Finish((cake, filtrate, washings), measures, book)
+
+    def flow(self, slurry: Stream, crystals, porosity, inputs) -> dict[str, Array]:
+        """t = mu / dP (alpha c_s / 2 (V_f / A)^2 + R_m V_f / A), and alpha."""
+        if self.resistance is not None:
+            resistance = use(inputs, self.resistance)
+        else:
+            d32 = mean_sizes(slurry.moments)["d32"]
+            resistance = 180 * (1 - porosity) / (porosity**3 * d32**2 * slurry.density)
+        solid = crystals / slurry.density
+        filtrate = slurry.volume - solid - solid * porosity / (1 - porosity)
+        per_area = filtrate / use(inputs, self.area)
+        cake = resistance * crystals / filtrate / 2 * per_area**2
+        medium = use(inputs, self.medium_resistance) * per_area
+        time = use(inputs, self.viscosity) / use(inputs, self.pressure) * (cake + medium)
+        return {"time": time, "resistance": resistance}
+
+    def remaining(self, inputs: dict[str, Any]) -> Float[Array, ""]:
+        """The share of a solute in the retained liquor that the wash leaves behind."""
+        ratio = use(inputs, self.wash_ratio)
+        if self.wash == "exponential":
+            assert self.efficiency is not None
+            return jnp.exp(-use(inputs, self.efficiency) * ratio)
+        assert self.peclet is not None
+        return displacement(ratio, use(inputs, self.peclet))
+
+
+def displacement(ratio, peclet) -> Float[Array, ""]:
+    """Lapidus and Amundson (1952): the share left at the outlet after `ratio` void volumes.
+
+    1 - (erfc(a) + e^Pe erfc(b)) / 2, a = (1 - W) / 2 sqrt(Pe / W), b = (1 + W) / 2 sqrt(Pe / W);
+    e^Pe erfc(b) is written exp(-a^2) erfcx(b), which does not overflow. 1 without wash.
+    """
+    washed = ratio > 0
+    w = jnp.where(washed, ratio, 1.0)
+    root = jnp.sqrt(peclet / w) / 2
+    a, b = (1 - w) * root, (1 + w) * root
+    left = 1 - (erfc(a) + jnp.exp(-a * a) * scaled_erfc(b)) / 2
+    return jnp.where(washed, left, 1.0)
+
+
+def scaled_erfc(x) -> Array:
+    """exp(x^2) erfc(x) for x >= 0: directly below 4, by Laplace's continued fraction beyond."""
+    near = jnp.minimum(x, 4.0)
+    far = jnp.maximum(x, 4.0)
+    fraction = far
+    for k in range(30, 0, -1):
+        fraction = far + k / 2 / fraction
+    return jnp.where(x < 4, jnp.exp(near * near) * erfc(near), 1 / (fraction * jnp.sqrt(jnp.pi)))

@@ -1,0 +1,253 @@
+"""Continuous crystalliser at steady state, mixed suspension and mixed product removal (MSMPR).
+
+Randolph and Larson, Theory of Particulate Processes (1971): with growth G that does not depend on
+size and residence time tau the crystals are n = n0 exp(-L / (G tau)) by number, n0 = B / G, so that
+mu_k = k! n0 (G tau)^(k + 1), and the suspension holds M_T = 6 rho kv n0 (G tau)^4. Growth is
+G = growth S^growth_order, nucleation B = nucleation (G / G_r)^i (M_T / M_r)^j at a reference, and
+the mass balance M_T = c_in - c closes it: one equation for S = (c - c*) / c*.
+
+That is solved by bisection without derivatives; two Newton steps then carry them, which is the
+implicit function theorem. With j below 1 there is one steady state with crystals, with j = 1 none
+where nuclei are washed out faster than they form: the outlet is then the feed.
+"""
+
+from dataclasses import dataclass
+from math import factorial
+from typing import Any, Literal, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import Grid
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import MOMENTS
+from ..given import fixed, use
+from ..read.fields import Text, number, quantity
+from ..read.numbers import NOT_NEGATIVE, POSITIVE, SHARE
+from .crystals.population import SIZE, cell_powers, mean_sizes
+from .crystals.sizes import SizesTable, read_edges
+from .crystals.solubility import Solubility, SolubilityTable, read_solubility, solubility
+from .operation import Inlet, Instant
+
+ROUNDS = 60  # of bisection: to the last digit
+EDGE = 1e-12  # how far inside the supersaturation of the feed the search begins and ends
+
+
+class MsmprTable(Table):
+    """`type = "msmpr"`"""
+
+    type: Literal["msmpr"]
+    solute: Text = Field(description="the name of a species")
+    volume: Any = quantity('"10 L"', words="volume of the suspension")
+    temperature: Any = quantity('"283 K"', words="temperature of the crystalliser")
+    solubility: dict = Field(description="the table solubility")
+    growth: Any = quantity('"5 um/s"', words="growth at a supersaturation of 1")
+    growth_order: Any = number(default=1.0, words="order of growth")
+    nucleation: Any = quantity('"1e7 1/m^3/s"', words="nucleation at the reference")
+    reference_growth: Any = quantity('"0.1 um/s"', words="growth to which nucleation refers")
+    reference_suspension: Any = quantity(
+        '"20 kg/m^3"', words="suspended crystals to which nucleation refers"
+    )
+    growth_power: Any = number(default=1.0, words="power of growth in nucleation")
+    suspension_power: Any = number(
+        "a share from 0 to 1", 1.0, "power of the suspended crystals in nucleation"
+    )
+    shape: Any = number("a number above 0, such as 0.5236", words="volume of a crystal per size^3")
+    density: Any = quantity('"1200 kg/m^3"', words="density of crystals")
+    sizes: dict | None = Field(None, description="the table sizes")
+
+
+class Steady(NamedTuple):
+    """The steady state: `supersaturation`, `growth` m/s, `nucleation` 1/m3/s, `crystals` kg/m3."""
+
+    supersaturation: Array
+    growth: Array
+    nucleation: Array
+    crystals: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Msmpr(Instant):
+    """Continuous crystalliser of `volume` m3, fed evenly over its feed's duration.
+
+    - `solute`: species; `temperature`: K; `shape`: kv, "1"; `density`: kg/m3.
+    - `growth`: m/s, `growth_order`; `nucleation`: 1/m3/s at `reference_growth` m/s and
+      `reference_suspension` kg/m3, with the powers i and j. Every number has index [].
+    - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
+    """
+
+    solute: str
+    volume: Given
+    temperature: Given
+    solubility: Solubility
+    growth: Given
+    growth_order: Given
+    nucleation: Given
+    reference_growth: Given
+    reference_suspension: Given
+    growth_power: Given
+    suspension_power: Given
+    shape: Given
+    density: Given
+    edges: np.ndarray | None
+
+    type = "msmpr"
+    variant = ""
+    title = "continuous crystalliser"
+    table = MsmprTable
+    reacts = False
+    symbols = (
+        ("τ", "residence time"),
+        ("n₀", "density by number at size 0"),
+        ("M_T", "crystals per volume"),
+        ("ρ", "density of crystals"),
+    )
+    assumptions = ("A continuous crystalliser is at its steady state all the time.",)
+
+    @classmethod
+    def read(cls, read, species):
+        grid = None if read.table.sizes is None else read.inner("sizes", SizesTable)
+        return cls(
+            name=read.name,
+            solute=read.known("solute", species, "species"),
+            volume=read.number("volume", "m3", POSITIVE),
+            temperature=read.number("temperature", "K", POSITIVE),
+            solubility=read_solubility(read.inner("solubility", SolubilityTable)),
+            growth=read.number("growth", "m/s", POSITIVE),
+            growth_order=read.number("growth_order", "1", POSITIVE),
+            nucleation=read.number("nucleation", "1/m3/s", POSITIVE),
+            reference_growth=read.number("reference_growth", "m/s", POSITIVE),
+            reference_suspension=read.number("reference_suspension", "kg/m3", POSITIVE),
+            growth_power=read.number("growth_power", "1", NOT_NEGATIVE),
+            suspension_power=read.number("suspension_power", "1", SHARE),
+            shape=read.number("shape", "1", POSITIVE),
+            density=read.number("density", "kg/m3", POSITIVE),
+            edges=None if grid is None else read_edges(grid),
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("feed", "refused", lasting=True),)
+
+    @property
+    def outlets(self):
+        return ("slurry",)
+
+    def sizes(self, inlets):
+        return (None if self.edges is None else Grid.of(self.edges),)
+
+    def measures(self, species):
+        found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}
+        found |= {"growth": "m/s", "nucleation": "1/m3/s", "residence_time": "s"}
+        return found | {"d32": "m", "d43": "m"}
+
+    def equations(self):
+        return [
+            "n = n₀ exp(−L/(G τ)), n₀ = B/G; M_T = 6 ρ kᵥ n₀ (G τ)⁴ = c_in − c",
+            "G = g S^a; B = B_r (G/G_r)^i (M_T/M_r)^j",
+            f"solubility c*: {self.solubility.kind} in temperature",
+        ]
+
+    def deliver(self, network, inlets, inputs):
+        feed, mass = inlets[0], network.molar_mass[network.species.index(self.solute)]
+        solute = network.species.index(self.solute)
+        temperature = use(inputs, self.temperature)
+        saturated = solubility(self.solubility, inputs, temperature)
+        entering = feed.concentration()[solute] * mass
+        residence = use(inputs, self.volume) * feed.duration / feed.volume
+        found = self.steady(entering, saturated, residence, inputs)
+        per_volume = self.moments(found, residence)
+        left = entering - found.crystals
+        grown = found.crystals * feed.volume / mass  # kmol
+        slurry = feed.replace(
+            species=feed.species.at[solute].add(-grown),
+            solid=feed.solid.at[solute].add(grown),
+            temperature=temperature,
+            moments=per_volume * feed.volume,
+            density=use(inputs, self.density),
+            shape=use(inputs, self.shape),
+            numbers=self.counted(found, per_volume, residence) * feed.volume,
+            grid=self.sizes((feed.grid,))[0],
+        )
+        measures = {
+            "concentration": left,
+            "crystals": found.crystals,
+            "supersaturation": left / saturated - 1,
+            "growth": found.growth,
+            "nucleation": found.nucleation,
+            "residence_time": residence,
+        } | mean_sizes(per_volume)
+        return Finish((slurry,), measures, ledger(len(network.species)))
+
+    def steady(self, entering, saturated, residence, inputs: dict[str, Any]) -> Steady:
+        """`entering` and `saturated` kg/m3, `residence` s."""
+        excess = entering - saturated
+        above = excess > 0
+        most = jnp.where(above, excess, saturated) / saturated  # supersaturation of the feed
+
+        def rates(level) -> tuple[Array, Array, Array]:
+            growth = use(inputs, self.growth) * level ** use(inputs, self.growth_order)
+            crystals = (most - level) * saturated
+            faster = growth / use(inputs, self.reference_growth)
+            denser = crystals / use(inputs, self.reference_suspension)
+            born = use(inputs, self.nucleation) * faster ** use(inputs, self.growth_power)
+            return growth, born * denser ** use(inputs, self.suspension_power), crystals
+
+        def gap(level):
+            """The logarithm of the crystals that grow over those of the mass balance; it rises."""
+            growth, born, crystals = rates(level)
+            weight = 6 * use(inputs, self.density) * use(inputs, self.shape)
+            return jnp.log(weight * born * growth**3 * residence**4) - jnp.log(crystals)
+
+        low, high = most * EDGE, most * (1 - EDGE)
+        grows = above & (jax.lax.stop_gradient(gap(high)) > 0)
+        level = jnp.where(grows, _root(gap, low, high), most / 2)
+        growth, born, crystals = rates(level)
+        none = jnp.zeros(())
+        return Steady(
+            jnp.where(grows, level, excess / saturated),
+            jnp.where(grows, growth, none),
+            jnp.where(grows, born, none),
+            jnp.where(grows, crystals, none),
+        )
+
+    def moments(self, found: Steady, residence) -> Float[Array, " 6"]:
+        """mu_k = k! n0 (G tau)^(k + 1) = k! B tau (G tau)^k, m^k/m3."""
+        scale = found.growth * residence
+        first = found.nucleation * residence
+        return jnp.stack([factorial(k) * first * scale**k for k in range(MOMENTS)])
+
+    def counted(self, found: Steady, moments, residence) -> Float[Array, " N"]:
+        """Crystals in each cell per m3, with the third moment of all of them."""
+        if self.edges is None:
+            return jnp.zeros(0)
+        scale = found.growth * residence
+        some = scale > 0
+        below = -jnp.expm1(-fixed(self.edges) / jnp.where(some, scale, 1.0))
+        numbers = found.nucleation * residence * jnp.diff(below)
+        volume = SIZE**3 * jnp.sum(fixed(cell_powers(self.edges / SIZE)[3]) * numbers)
+        return jnp.where(some, numbers * moments[3] / jnp.where(some, volume, 1.0), 0.0)
+
+
+def _root(gap, low, high) -> Array:
+    """Where a rising function is zero, with its first and second derivatives."""
+    still = jax.lax.stop_gradient
+
+    def halve(_, ends):
+        below, above = ends
+        middle = jnp.sqrt(below * above)
+        under = still(gap(middle)) < 0
+        return jnp.where(under, middle, below), jnp.where(under, above, middle)
+
+    below, above = jax.lax.fori_loop(0, ROUNDS, halve, (still(low), still(high)))
+    level = still((below + above) / 2)
+    for _ in range(2):
+        value, slope = jax.jvp(gap, (level,), (jnp.ones_like(level),))
+        level = level - value / slope
+    return level

@@ -1,0 +1,194 @@
+"""A unit operation: one object with its whole behaviour, from its table to the report's words.
+
+A new one is one file with one class, of which `registry` has the list. Every `Given` of a unit is
+named "unit.field" ("reactor.temperature"), the unit being the object's own `name`; labels say
+which node, species or coefficient an entry is.
+"""
+
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, fields, is_dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, Self
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import Grid, Sizes
+from ..flowsheet.ledger import Finish
+from ..flowsheet.network import Network
+from ..flowsheet.stream import Stream
+from ..read.reader import Reader
+from ..time.dynamics import Dynamics, Track
+from ..time.integrate import ended, integrate
+from ..time.numerics import Numerics
+from ..time.profile import Profile
+
+TableType = type[Table]
+
+
+class Inlet(NamedTuple):
+    """A port that must be fed, by exactly one connection.
+
+    - `crystals`: "refused" where the unit takes liquids alone; "needed"; "counted" where they are
+      needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
+    - `dosed`: m3/s at which the unit takes its inlet in, None for all at the start or evenly.
+    - `lasting`: whether the unit runs continuously, over its feed's duration.
+    """
+
+    name: str
+    crystals: Literal["refused", "allowed", "needed", "counted"]
+    grid: Grid | None = None
+    dosed: Profile | None = None
+    lasting: bool = False
+
+
+class Outcome(NamedTuple):
+    """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
+    unit without time), its `track`, and from the track's rows to states."""
+
+    finish: Finish
+    duration: Float[Array, ""]
+    reached: Float[Array, ""]
+    track: Track | None
+    states: Callable[..., dict[str, Array]] | None
+
+
+@dataclass(frozen=True, eq=False)
+class Unit(ABC):
+    """The contract of a unit operation with reading, flowsheet, balances and report.
+
+    - `type`: the word of the file; `variant`: that of its `kind` where it chooses among the
+      classes of one type, else "". `title`: its name in the report.
+    - `table`: `[units.NAME]`. `reacts`: whether it reads the case's reactions.
+    - `symbols`: of the equations, each with its meaning; `assumptions`: sentences for the report.
+    """
+
+    name: str
+
+    type: ClassVar[str]
+    variant: ClassVar[str]
+    title: ClassVar[str]
+    table: ClassVar[TableType]
+    reacts: ClassVar[bool]
+    symbols: ClassVar[tuple[tuple[str, str], ...]]
+    assumptions: ClassVar[tuple[str, ...]]
+
+    @classmethod
+    @abstractmethod
+    def read(cls, read: Reader, species: tuple[str, ...]) -> Self:
+        """The unit from its table; mistakes are `CaseError`s."""
+
+    @property
+    @abstractmethod
+    def inlets(self) -> tuple[Inlet, ...]:
+        """The ports that are fed."""
+
+    @property
+    @abstractmethod
+    def outlets(self) -> tuple[str, ...]:
+        """Names of the ports that may feed another unit, each at most one; the rest is waste."""
+
+    @property
+    @abstractmethod
+    def time(self) -> Given | None:
+        """s over which the unit's profiles run; None for a unit without time."""
+
+    @abstractmethod
+    def sizes(self, inlets: tuple[Sizes, ...]) -> tuple[Sizes, ...]:
+        """On which grid crystals are counted at each outlet, from those at the inlets."""
+
+    @abstractmethod
+    def measures(self, species: tuple[str, ...]) -> dict[str, str]:
+        """{measure: its unit in the domain} at the end; attributes name them "unit.measure"."""
+
+    @abstractmethod
+    def states(self, species: tuple[str, ...]) -> dict[str, str]:
+        """{state: its unit in the domain} over time: recorded, measured by a policy, fitted."""
+
+    @abstractmethod
+    def equations(self) -> list[str]:
+        """The model, one equation a line."""
+
+    @abstractmethod
+    def operate(
+        self,
+        network: Network,
+        numerics: Numerics,
+        inlets: tuple[Stream, ...],
+        inputs: dict[str, Any],
+        record: bool = False,
+        end: Float[Array, " m"] | None = None,
+    ) -> Outcome:
+        """Runs the unit; with `record`, its track is kept. `end`: its final y, where known."""
+
+    @property
+    def profiles(self) -> tuple[Profile, ...]:
+        """All profiles of the unit and of its parts."""
+        return tuple(_profiles(self))
+
+
+@dataclass(frozen=True, eq=False)
+class Timed(Unit):
+    """A unit that is integrated over `duration` s, index []."""
+
+    duration: Given
+
+    @property
+    def time(self) -> Given:
+        return self.duration
+
+    @property
+    @abstractmethod
+    def error_controlled(self) -> bool:
+        """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
+
+    @abstractmethod
+    def dynamics(
+        self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
+    ) -> Dynamics:
+        """The unit with its inlets, as an initial value problem."""
+
+    def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:
+        problem = self.dynamics(network, inlets, inputs)
+        solved = integrate(problem, numerics, record) if end is None else ended(problem, end)
+        finish = problem.finish(solved.final, *solved.controls)
+        return Outcome(finish, problem.duration, solved.reached, solved.track, problem.states)
+
+
+@dataclass(frozen=True, eq=False)
+class Instant(Unit):
+    """A unit whose outlets follow from its inlets by algebra."""
+
+    @property
+    def time(self) -> None:
+        return None
+
+    def states(self, species: tuple[str, ...]) -> dict[str, str]:
+        return {}
+
+    @abstractmethod
+    def deliver(
+        self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
+    ) -> Finish:
+        """Outlets, measures and ledger from the inlets."""
+
+    def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:
+        zero = jnp.zeros(())
+        return Outcome(self.deliver(network, inlets, inputs), zero, zero, None, None)
+
+
+def timed(units: Iterable[Unit]) -> tuple[Timed, ...]:
+    """Those that are integrated over time, in order."""
+    return tuple(each for each in units if isinstance(each, Timed))
+
+
+def _profiles(record: Any) -> Iterator[Profile]:
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if isinstance(value, Profile):
+            yield value
+        elif is_dataclass(value):
+            yield from _profiles(value)

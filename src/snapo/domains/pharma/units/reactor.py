@@ -1,0 +1,358 @@
+"""Reactors: tanks of the case's network, one or many in series, fed at the start or all the time.
+
+Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are what is
+integrated, and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction.
+Stirred and plug-flow: cells of equal volume with c_j' = nu^T r + (c_(j-1) - c_j) q / V_cell, and
+what left the last one. With a jacket the heat of a cell is a state beside.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import NO_CRYSTALS
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.network import Network, rate_constants, rates
+from ..flowsheet.stream import Stream, clear
+from ..given import use
+from ..read.fields import profile, quantity, word
+from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.reader import Reader
+from ..time.dynamics import Dynamics
+from ..time.profile import Profile, mean_value
+from .operation import Inlet, Timed
+
+
+class JacketTable(Table):
+    """`[units.NAME.jacket]`"""
+
+    heat_capacity: Any = quantity('"1.9e6 J/m^3/K"', words="heat capacity of the mixture")
+    conductance: Any = quantity('"120 W/K"', words="heat conductance to the jacket")
+    temperature: Any = profile(words="temperature of the jacket")
+
+
+@dataclass(frozen=True, eq=False)
+class Jacket:
+    """Heat balance: rho cp V dT/dt = -sum(H_i r_i) V - UA (T - T_jacket) + inflow's sensible heat.
+
+    - `heat_capacity`: J/m3/K of the mixture, []; `conductance`: UA in W/K, []; for a plug-flow
+      reactor of its whole length. `temperature`: of the jacket, a profile in K.
+    """
+
+    heat_capacity: Given
+    conductance: Given
+    temperature: Profile
+
+
+def read_jacket(read: Reader) -> Jacket:
+    """The heat balance, where a reactor has one."""
+    return Jacket(
+        heat_capacity=read.number("heat_capacity", "J/m3/K", POSITIVE),
+        conductance=read.number("conductance", "W/K", NOT_NEGATIVE),
+        temperature=read.profile("temperature", "K"),
+    )
+
+
+class ReactorTable(Table):
+    """`type = "reactor"`"""
+
+    type: Literal["reactor"]
+    kind: Literal["batch", "semi-batch", "stirred", "plug-flow"] = word(
+        "batch", "semi-batch", "stirred", "plug-flow", default="batch"
+    )
+    duration: Any = quantity('"3600 s"', words="reaction time")
+    temperature: Any = profile(words="temperature of the reactor")
+    volume: Any = quantity('"10 L"', None, words="volume of the reactor")
+    dosing: Any = profile(None, words="flow that is dosed")
+    jacket: dict | None = Field(None, description="the table jacket")
+    cells: Annotated[int, Field(ge=1, le=1000)] = Field(50, description="a whole number, 1 or more")
+    filled: Literal["feed", "solvent"] = word("feed", "solvent", default="feed")
+
+
+@dataclass(frozen=True, eq=False)
+class Reactor(Timed):
+    """Reactor of the case's network.
+
+    - `kind`: "batch"; "semi-batch" (the stream at `dose` enters at `dosing` m3/s; what of the
+      stream is not dosed by the end is an error in the case); "stirred" (continuous, `volume` m3);
+      "plug-flow" (`cells` in series, upwind; residence time V / flow).
+    - `filled`: what a continuous reactor holds at the start, its feed or the feed's solvent alone.
+    - Continuous kinds deliver what left the outlet, mixed, over the duration.
+    - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
+    """
+
+    kind: Literal["batch", "semi-batch", "stirred", "plug-flow"]
+    temperature: Profile
+    volume: Given | None
+    dosing: Profile | None
+    jacket: Jacket | None
+    cells: int
+    filled: Literal["feed", "solvent"] = "feed"
+
+    type = "reactor"
+    variant = ""
+    title = "reactor"
+    table = ReactorTable
+    reacts = True
+    symbols = (
+        ("c", "concentration"),
+        ("r", "rates of reaction"),
+        ("ν", "stoichiometry"),
+        ("q", "flow"),
+        ("V", "volume"),
+        ("H", "heats of reaction"),
+        ("U A", "conductance"),
+    )
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        read.only(("stirred", "plug-flow"), ("volume",), needed=True)
+        read.only(("semi-batch",), ("dosing",), needed=True)
+        table = read.table
+        if table.kind != "plug-flow" and "cells" in table.model_fields_set:
+            what = f'kind "{table.kind}" has no such key; it belongs to "plug-flow"'
+            raise read.section.error("cells", table.cells, what)
+        if table.kind not in ("stirred", "plug-flow") and "filled" in table.model_fields_set:
+            what = f'kind "{table.kind}" has no such key; it belongs to "stirred" or "plug-flow"'
+            raise read.section.error("filled", table.filled, what)
+        return cls(
+            name=read.name,
+            kind=table.kind,
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            volume=read.perhaps("volume", "m3", POSITIVE),
+            dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
+            jacket=None if table.jacket is None else read_jacket(read.inner("jacket", JacketTable)),
+            cells=table.cells,
+            filled=table.filled,
+        )
+
+    @property
+    def inlets(self):
+        if self.kind == "semi-batch":
+            return Inlet("feed", "refused"), Inlet("dose", "refused", dosed=self.dosing)
+        return (Inlet("feed", "refused", lasting=self.kind in ("stirred", "plug-flow")),)
+
+    @property
+    def outlets(self):
+        return ("product",)
+
+    @property
+    def error_controlled(self):
+        return self.jacket is not None
+
+    def sizes(self, inlets):
+        return (NO_CRYSTALS,)
+
+    def measures(self, species):
+        return self.states(species)
+
+    def states(self, species):
+        return {f"concentration.{s}": "kmol/m3" for s in species} | {"temperature": "K"}
+
+    def equations(self):
+        flows = {
+            "batch": "c' = νᵀ r",
+            "semi-batch": "n' = V νᵀ r + q c_dose, V' = q",
+            "stirred": "c' = νᵀ r + (c_in − c) q/V",
+            "plug-flow": f"c_j' = νᵀ r + (c_(j−1) − c_j) q/V_cell, {self.cells} cells",
+        }
+        heat = "ρcₚV T' = −Σ Hᵢ rᵢ V − UA (T − T_jacket)" if self.jacket else "temperature as given"
+        return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
+
+    def dynamics(self, network, inlets, inputs):
+        if self.kind in ("batch", "semi-batch"):
+            return _filled(self, network, inlets, inputs)
+        return _flown_through(self, network, inlets[0], inputs)
+
+
+class _Heat(NamedTuple):
+    """heat_capacity J/m3/K, conductance W/K, heats of reaction [R] in J per kmol."""
+
+    capacity: Array
+    conductance: Array
+    reaction: Array
+
+
+def _heat(jacket: Jacket | None, network: Network, inputs) -> _Heat | None:
+    if jacket is None:
+        return None
+    reaction = use(inputs, network.heat) * 1000  # J/mol to J/kmol
+    return _Heat(use(inputs, jacket.heat_capacity), use(inputs, jacket.conductance), reaction)
+
+
+def _controls(unit: Reactor, inputs):
+    """Temperature (of the jacket, where there is one), then dosing."""
+    profile = unit.jacket.temperature if unit.jacket else unit.temperature
+    found = [(profile, use(inputs, profile.value))]
+    if unit.dosing is not None:
+        found.append((unit.dosing, use(inputs, unit.dosing.value)))
+    return tuple(found)
+
+
+def _mixed(network: Network, base, extents) -> list[Array]:
+    """[S] base + nu^T extents, species by species."""
+    found = []
+    for s in range(len(network.species)):
+        total = base[..., s]
+        for i, factor in enumerate(network.stoichiometry[:, s]):
+            if factor:
+                total = total + float(factor) * extents[i]
+        found.append(total)
+    return found
+
+
+def _drive(network: Network, inputs, jacketed: bool):
+    """What the time loop reads: rate constants, or the jacket's temperature; then dosing."""
+
+    def drive(temperature, *dosing):
+        first = temperature[..., None] if jacketed else rate_constants(network, inputs, temperature)
+        return jnp.concatenate([first, *(each[..., None] for each in dosing)], -1)
+
+    return drive
+
+
+def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
+    """Batch and semi-batch. y: extents [R], volume dosed per first volume, then with a jacket
+    heat held per first volume and heat capacity (K), and heat from the jacket (K)."""
+    feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
+    count, heat = len(network.reactions), _heat(unit.jacket, network, inputs)
+    controls = _controls(unit, inputs)
+    charge, volume = feed.concentration(), feed.volume
+    dosed = dose is not None
+    more = dose.concentration() if dose is not None else jnp.zeros_like(charge)
+    first = use(inputs, unit.temperature.value)[0]
+
+    def composition(y):
+        """kmol/m3 of each species, and the volume per first volume."""
+        if not dosed:
+            return _mixed(network, charge, y), 1.0
+        size = 1 + y[count]
+        amounts = _mixed(network, charge + more * y[count], y)
+        return [each / size for each in amounts], size
+
+    def temperature(y, size, control):
+        return control if heat is None else y[-2] / size
+
+    def rate(y, drive):
+        c, size = composition(y)
+        if heat is None:
+            constants = drive[:count]
+        else:
+            constants = rate_constants(network, inputs, temperature(y, size, None))
+        speed = [each * size for each in rates(network, constants, c)]
+        slope = speed + ([drive[-1] / volume] if dosed else [])
+        if heat is not None:
+            ua = heat.conductance / (heat.capacity * volume)
+            from_jacket = ua * (drive[0] - temperature(y, size, None))
+            made = -sum(h * r for h, r in zip(heat.reaction, speed)) / heat.capacity
+            carried = drive[-1] / volume * dose.temperature if dose is not None else 0.0
+            slope += [made + from_jacket + carried, from_jacket]
+        return jnp.stack(slope)
+
+    def states(y, control, *_):
+        c, size = composition(y)
+        found = {f"concentration.{s}": each for s, each in zip(network.species, c)}
+        return found | {"temperature": jnp.asarray(temperature(y, size, control))}
+
+    def finish(y, control, *_):
+        c, size = composition(y)
+        end = jnp.asarray(temperature(y, size, control))
+        made = jnp.stack(_mixed(network, jnp.zeros_like(charge), y)) * volume
+        solvent, held, left = feed.solvent, jnp.zeros_like(charge), jnp.zeros(())
+        if dose is not None:
+            share = y[count] * volume / dose.volume
+            solvent, left = solvent + share * dose.solvent, (1 - share) * dose.solvent
+            held = (1 - share) * dose.species
+        product = clear(jnp.stack(c) * size * volume, solvent, volume * size, end)
+        product = product.replace(antisolvent=feed.antisolvent)
+        book = ledger(len(charge), made=made, held=held, solvent_held=left)
+        if heat is not None:
+            sensible = heat.capacity * volume
+            brought = y[count] * dose.temperature if dose is not None else 0.0
+            released = -sum(h * x for h, x in zip(heat.reaction, y)) * volume
+            into = sensible * (first + brought + y[-1]) + released
+            book = book._replace(energy=(into, sensible * size * end, jnp.zeros(())))
+        return Finish((product,), states(y, control), book)
+
+    start = jnp.zeros(count + dosed)
+    if heat is not None:
+        start = jnp.append(start, jnp.stack([first, jnp.zeros_like(first)]))
+    drive = _drive(network, inputs, heat is not None)
+    duration = use(inputs, unit.duration)
+    return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
+
+
+def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dynamics:
+    """Stirred and plug-flow, N cells. y: [N S] concentrations, [S] left per volume of all cells,
+    [R] extents over the volume, then with a jacket [N] temperatures, heat left and heat from the
+    jacket (both K)."""
+    assert unit.volume is not None
+    cells = unit.cells if unit.kind == "plug-flow" else 1
+    species, count = len(network.species), len(network.reactions)
+    heat, duration = _heat(unit.jacket, network, inputs), use(inputs, unit.duration)
+    volume, flow = use(inputs, unit.volume), feed.volume / feed.duration
+    entering, first = feed.concentration(), use(inputs, unit.temperature.value)[0]
+    inside = entering if unit.filled == "feed" else jnp.zeros(species)
+    turnover, size = flow / volume, cells * species
+    ends = [size, size + species, size + species + count, size + species + count + cells]
+
+    def rate(y, drive):
+        c = y[:size].reshape(cells, species)
+        warm = y[ends[2] : ends[3]]
+        constants = drive if heat is None else rate_constants(network, inputs, warm)
+        speed = rates(network, constants, [c[:, s] for s in range(species)])
+        before = jnp.concatenate([entering[None], c[:-1]])
+        made = jnp.stack(_mixed(network, jnp.zeros((cells, species)), speed), -1)
+        slope = (made + (before - c) * (turnover * cells)).ravel()
+        extent = jnp.stack([jnp.mean(each) for each in speed])
+        parts = [slope, turnover * c[-1], extent]
+        if heat is not None:
+            ua = heat.conductance / (heat.capacity * volume)
+            from_jacket = ua * (drive[0] - warm)
+            released = -sum(h * r for h, r in zip(heat.reaction, speed)) / heat.capacity
+            ahead = jnp.concatenate([feed.temperature[None], warm[:-1]])
+            change = released + from_jacket + (ahead - warm) * (turnover * cells)
+            parts += [change, turnover * warm[-1:], jnp.mean(from_jacket)[None]]
+        return jnp.concatenate(parts)
+
+    def states(y, control, *_):
+        found = {f"concentration.{s}": y[size - species + i] for i, s in enumerate(network.species)}
+        return found | {"temperature": y[ends[3] - 1] if heat is not None else control}
+
+    def finish(y, control, *_):
+        ran = flow * duration
+        out = y[size : ends[1]] * volume
+        extent = list(y[ends[1] : ends[2]] * volume)
+        made = jnp.stack(_mixed(network, jnp.zeros(species), extent))
+        gained = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
+        waiting = 1 - ran / feed.volume
+        held = gained + waiting * feed.species
+        mean = mean_value(unit.temperature, use(inputs, unit.temperature.value))
+        if heat is not None:
+            mean = y[ends[3]] / (turnover * duration)
+        leaving = feed.solvent * ran / feed.volume
+        product = clear(out, leaving, ran, mean, duration)
+        book = ledger(species, made=made, held=held, solvent_held=waiting * feed.solvent)
+        if heat is not None:
+            sensible = heat.capacity * volume
+            released = -sum(h * x for h, x in zip(heat.reaction, extent))
+            into = sensible * (turnover * duration * feed.temperature + y[-1]) + released
+            kept = sensible * (jnp.mean(y[ends[2] : ends[3]]) - first)
+            book = book._replace(energy=(into, sensible * y[ends[3]], kept))
+        return Finish((product,), states(y, control), book)
+
+    start = [jnp.tile(inside, cells), jnp.zeros(species + count)]
+    if heat is not None:
+        start += [jnp.full(cells, first), jnp.zeros(2)]
+    drive = _drive(network, inputs, heat is not None)
+    controls = _controls(unit, inputs)
+    start = jnp.concatenate(start)
+    return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)

@@ -1,0 +1,103 @@
+"""The list of unit operations, and the reading of `[units.NAME]`."""
+
+import inspect
+from collections.abc import Iterable
+from typing import Any
+
+from snapo.case.table import Section, parse
+
+from ..read.names import check_name
+from ..read.numbers import suggest
+from ..read.reader import Reader
+from .crystalliser import Crystalliser
+from .dissolution import Dissolution
+from .dryer import Dryer
+from .filter import Filter
+from .msmpr import Msmpr
+from .operation import Unit
+from .reactor import Reactor
+from .splitter import Splitter
+from .tank import Tank
+from .tray_dryer import TrayDryer
+from .wet_mill import WetMill
+
+OPERATIONS = (
+    Reactor,
+    Crystalliser,
+    Msmpr,
+    WetMill,
+    Filter,
+    Dryer,
+    TrayDryer,
+    Dissolution,
+    Tank,
+    Splitter,
+)
+
+SAID = ("type", "variant", "title", "table", "reacts", "symbols", "assumptions")
+Variants = dict[str, type[Unit]]
+
+
+def catalogue(operations: Iterable[type[Unit]]) -> dict[str, Variants]:
+    """{type: {variant: class}}; the first variant is the default.
+
+    **Raises:** `TypeError` where a class is not complete, or two have the same name.
+    """
+    found: dict[str, Variants] = {}
+    for each in operations:
+        missing = sorted(getattr(each, "__abstractmethods__", ()))
+        missing += [name for name in SAID if not hasattr(each, name)]
+        if missing or inspect.isabstract(each):
+            raise TypeError(f"The unit operation {each.__name__} lacks {', '.join(missing)}.")
+        variants = found.setdefault(each.type, {})
+        if each.variant in variants or (variants and "" in (each.variant, *variants)):
+            raise TypeError(f'Two unit operations are of type "{each.type}", {each.variant!r}.')
+        variants[each.variant] = each
+    return found
+
+
+TYPES = catalogue(OPERATIONS)
+
+
+def read_units(file, units: dict, species: tuple[str, ...], notes: list[str]) -> tuple[Unit, ...]:
+    """All units, in the order of the file."""
+    return tuple(_unit(file, name, raw, species, notes) for name, raw in units.items())
+
+
+def _unit(file, name: str, raw: Any, species: tuple[str, ...], notes: list[str]) -> Unit:
+    check_name(Section(file, "units", notes), name, name)
+    section = Section(file, f"units.{name}", notes)
+    kind = raw.get("type") if isinstance(raw, dict) else None
+    if kind not in TYPES:
+        words = ", ".join(f'"{each}"' for each in TYPES)
+        if kind is None:
+            raise section.error("type", None, f"this key is missing; it is one of {words}")
+        hint = suggest(str(kind), TYPES, "type")
+        raise section.error("type", kind, f"allowed is one of {words}; {hint}")
+    chosen = _variant(section, raw, TYPES[kind])
+    table = parse(chosen.table, raw, str(file), section.name)
+    return chosen.read(Reader(section, name, table), species)
+
+
+def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
+    """The class that `kind` chooses; keys of another one are named as such."""
+    first, *others = variants
+    if not others:
+        return variants[first]
+    kind = raw.get("kind", first)
+    if kind not in variants:
+        words = " or ".join(f'"{each}"' for each in variants)
+        raise section.error("kind", kind, f"allowed is {words}")
+    chosen = variants[kind]
+    for key, value in raw.items():
+        owners = [k for k, each in variants.items() if key in each.table.model_fields]
+        if owners and kind not in owners:
+            words = " or ".join(f'"{each}"' for each in owners)
+            what = f'kind "{kind}" has no such key; it belongs to {words}'
+            raise section.error(key, value, what)
+    shared = set.intersection(*(set(each.table.model_fields) for each in variants.values()))
+    if set(raw) <= set(chosen.table.model_fields):
+        for key, field in chosen.table.model_fields.items():
+            if field.is_required() and key not in shared and key not in raw:
+                raise section.error(key, None, f'kind "{kind}" needs this key')
+    return chosen

@@ -1,0 +1,91 @@
+"""Splitter: a stream taken apart."""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import Stream
+from ..given import use
+from ..read.fields import Text
+from ..read.numbers import SHARE, several
+from .operation import Inlet, Instant
+
+EXTENSIVE = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "moments", "numbers")
+
+
+class SplitterTable(Table):
+    """`type = "splitter"`"""
+
+    type: Literal["splitter"]
+    outlets: Annotated[list[Text], Field(min_length=2)] = Field(
+        description='a list of two names or more, such as ["left", "right"]'
+    )
+    share: Any = Field(description="shares of all outlets but the last, from 0 to 1")
+
+
+@dataclass(frozen=True, eq=False)
+class Splitter(Instant):
+    """Divides a stream into one for each of `ports`, in the shares given.
+
+    `share`: index [n - 1], each 0 to 1, of all outlets but the last, which takes the rest.
+    """
+
+    ports: tuple[str, ...]
+    share: Given
+
+    type = "splitter"
+    variant = ""
+    title = "splitter"
+    table = SplitterTable
+    reacts = False
+    symbols = ()
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        ports, table, section = read.ports("outlets"), read.table, read.section
+        raw = table.share if isinstance(table.share, list) else [table.share]
+        name = f"{read.name}.share"
+        if len(raw) != len(ports) - 1:
+            what = f"allowed are {len(ports) - 1} shares, of all outlets but the last"
+            raise section.error("share", table.share, what)
+        words = "share of the stream"
+        share = several(section, name, "share", raw, "1", ports[:-1], SHARE, words)
+        if share.values.sum() > 1:
+            raise section.error("share", table.share, "the shares add up to more than 1")
+        return cls(read.name, ports, share)
+
+    @property
+    def inlets(self):
+        return (Inlet("feed", "allowed"),)
+
+    @property
+    def outlets(self):
+        return self.ports
+
+    def sizes(self, inlets):
+        return inlets * len(self.ports)
+
+    def measures(self, species):
+        return {}
+
+    def equations(self):
+        return ["every amount divides in the same shares"]
+
+    def deliver(self, network, inlets, inputs):
+        return Finish(self.split(inlets[0], inputs), {}, ledger(len(network.species)))
+
+    def split(self, stream: Stream, inputs: dict[str, Any]) -> tuple[Stream, ...]:
+        """The stream in the shares given, the last outlet taking the rest."""
+        shares = use(inputs, self.share)
+        shares = jnp.append(shares, 1 - jnp.sum(shares))
+        return tuple(
+            stream.replace(**{name: getattr(stream, name) * share for name in EXTENSIVE})
+            for share in shares
+        )

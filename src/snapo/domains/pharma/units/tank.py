@@ -1,0 +1,94 @@
+"""Tank: streams put together."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import jax.numpy as jnp
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.table import Table
+
+from ..flowsheet.grid import together
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import Stream
+from ..read.fields import Texts
+from .operation import Inlet, Instant
+
+
+class TankTable(Table):
+    """`type = "tank"`"""
+
+    type: Literal["tank"]
+    inlets: Texts = Field(description='a list of names, such as ["first", "second"]')
+
+
+@dataclass(frozen=True, eq=False)
+class Tank(Instant):
+    """Holds and mixes its inlets, one for each name of `ports`."""
+
+    ports: tuple[str, ...]
+
+    type = "tank"
+    variant = ""
+    title = "tank"
+    table = TankTable
+    reacts = False
+    symbols = ()
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        return cls(read.name, read.ports("inlets"))
+
+    @property
+    def inlets(self):
+        return tuple(Inlet(name, "allowed") for name in self.ports)
+
+    @property
+    def outlets(self):
+        return ("product",)
+
+    def sizes(self, inlets):
+        return (together(inlets),)
+
+    def measures(self, species):
+        return {}
+
+    def equations(self):
+        return ["amounts and moments add up; temperature by volume"]
+
+    def deliver(self, network, inlets, inputs):
+        return Finish((mixed(inlets),), {}, ledger(len(network.species)))
+
+
+AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "moments")
+
+
+def mixed(streams: tuple[Stream, ...]) -> Stream:
+    """The sum of the amounts, as one batch; temperature by volume, that is with equal heat
+    capacities per volume. Crystals must be of one kind: density and shape are those of the
+    streams that have any. They stay counted where all are counted on one grid."""
+    total = {name: sum(getattr(each, name) for each in streams) for name in AMOUNTS}
+    warmth = sum(each.volume * each.temperature for each in streams)
+    grid = together(tuple(each.grid for each in streams))
+    numbers = jnp.zeros(grid.cells if grid else 0)
+    for each in streams:
+        numbers = numbers + each.numbers if grid and each.grid == grid else numbers
+
+    def of_crystals(name: str) -> Array:
+        found = jnp.zeros(())
+        for each in reversed(streams):
+            value = getattr(each, name)
+            found = jnp.where(value > 0, value, found)
+        return found
+
+    return streams[0].replace(
+        **total,
+        temperature=warmth / total["volume"],
+        duration=jnp.zeros(()),
+        density=of_crystals("density"),
+        shape=of_crystals("shape"),
+        numbers=numbers,
+        grid=grid,
+    )

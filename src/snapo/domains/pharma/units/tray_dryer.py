@@ -1,0 +1,259 @@
+"""Drying of a cake on a heated shelf under vacuum: one moisture and one temperature.
+
+Per kg of crystals, X kg/kg of liquid leaves at w = k a max(f p_v(T) - p, 0), where a = 6 / (rho
+d32) is the crystals' surface in m2/kg, p_v the liquid's vapour pressure and p the pressure above
+the cake. Wet, f = 1: the rate is constant once the cake has warmed to where the shelf's heat, U A
+(T_shelf - T), is what evaporation takes. Below the critical moisture X_c the surface dries out
+and f = X / X_c; in between f = r (1 + r^8)^(-1/8), r = X / X_c, which is within 0.1 % of either
+branch outside 0.6 < r < 1.7. In the end X_c p / p_v is left, in equilibrium.
+
+Heat: (cp_s + X cp_l) m T' = U A (T_shelf - T) - m w lambda. It is integrated as heat in the
+cake, from the shelf and into the vapour, so that energy closes to rounding.
+"""
+
+from dataclasses import dataclass
+from typing import Annotated, Any, Literal
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import NO_CRYSTALS
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.stream import clear
+from ..given import use
+from ..read.fields import Text, profile, quantity, word
+from ..read.numbers import NOT_NEGATIVE, POSITIVE, ZERO_CELSIUS, given
+from ..read.quantities import UnitError, conversion
+from ..read.reader import Reader
+from ..time.dynamics import Dynamics
+from ..time.profile import Profile
+from .crystals.population import mean_sizes
+from .operation import Inlet, Timed
+
+SHARPNESS = 8  # of the passage from constant to falling rate
+ROUNDING = 1e-4  # of where evaporation begins, as a share of the pressure above the cake
+
+
+class LiquidTable(Table):
+    """`[units.NAME.liquid]`"""
+
+    antoine: Annotated[list[float], Field(min_length=3, max_length=3)] = Field(
+        description="three numbers, such as [9.23027, 1256.68, -40.529]"
+    )
+    unit: Text = Field("Pa", description='a unit such as "Pa"')
+    scale: Literal["K", "degC"] = word("K", "degC", default="K")
+    latent_heat: Any = quantity('"448 kJ/kg"', words="latent heat of the liquid")
+    heat_capacity: Any = quantity('"1720 J/kg/K"', words="heat capacity of the liquid")
+
+
+@dataclass(frozen=True, eq=False)
+class Liquid:
+    """The liquid in a cake. ln p = ln(10) (A - B / (C + T)) in Pa with T in K (Antoine).
+
+    `antoine`: (A, B, C), index [3]; `latent_heat`: J/kg; `heat_capacity`: J/kg/K; each index [].
+    """
+
+    antoine: Given
+    latent_heat: Given
+    heat_capacity: Given
+
+
+def read_liquid(read: Reader) -> Liquid:
+    """Antoine's numbers for Pa and K, from those of the case's units."""
+    table = read.table
+    try:
+        scale = conversion(table.unit, "Pa").scale
+    except UnitError as error:
+        raise read.section.error("unit", table.unit, str(error)) from None
+    a, b, c = table.antoine
+    if b <= 0:
+        what = "allowed is B above 0: vapour pressure rises with temperature"
+        raise read.section.error("antoine", table.antoine, what)
+    values = np.array([a + np.log10(scale), b, c - (ZERO_CELSIUS if table.scale == "degC" else 0)])
+    name = f"{read.name}.antoine"
+    return Liquid(
+        antoine=given(name, values, ("A", "B", "C"), "1, K, K", words="of Antoine's equation"),
+        latent_heat=read.number("latent_heat", "J/kg", POSITIVE),
+        heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
+    )
+
+
+class TrayDryerTable(Table):
+    """`type = "dryer"`, `kind = "tray"`"""
+
+    type: Literal["dryer"]
+    kind: Literal["tray"] = word("falling-rate", "tray")
+    duration: Any = quantity('"3 h"', words="drying time")
+    temperature: Any = profile(words="temperature of the shelf")
+    pressure: Any = profile(words="pressure above the cake")
+    area: Any = quantity('"0.5 m^2"', words="area of the shelf")
+    heat_transfer: Any = quantity('"20 W/m^2/K"', words="heat transfer from shelf to cake")
+    mass_transfer: Any = quantity(
+        '"7e-10 kg/m^2/s/Pa"', words="mass transfer from the crystals' surface"
+    )
+    critical: Any = quantity('"0.03 kg/kg"', words="moisture below which the rate falls")
+    heat_capacity: Any = quantity('"1200 J/kg/K"', words="heat capacity of the crystals")
+    liquid: dict = Field(description="the table liquid")
+
+
+@dataclass(frozen=True, eq=False)
+class TrayDryer(Timed):
+    """Dryer on a heated shelf under vacuum, its cake ideally mixed.
+
+    - `temperature`: of the shelf, K; `pressure`: above the cake, Pa; profiles.
+    - `area`: of the shelf, m2; `heat_transfer`: from shelf to cake, W/m2/K; `mass_transfer`: from
+      the crystals' surface, kg/m2/s/Pa; each index [].
+    - `critical`: moisture in kg/kg of crystals below which the rate falls; `heat_capacity`: of
+      crystals, J/kg/K; each index [].
+    """
+
+    temperature: Profile
+    pressure: Profile
+    area: Given
+    heat_transfer: Given
+    mass_transfer: Given
+    critical: Given
+    heat_capacity: Given
+    liquid: Liquid
+
+    type = "dryer"
+    variant = "tray"
+    title = "tray dryer"
+    table = TrayDryerTable
+    reacts = False
+    symbols = (
+        ("X", "solvent per crystals"),
+        ("ρₛ", "density of crystals"),
+        ("d₃₂", "mean size by surface"),
+        ("p", "pressure above the cake"),
+        ("U", "heat transfer"),
+        ("A", "area"),
+        ("λ", "latent heat"),
+    )
+    assumptions = ()
+
+    @classmethod
+    def read(cls, read, species):
+        return cls(
+            name=read.name,
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
+            area=read.number("area", "m2", POSITIVE),
+            heat_transfer=read.number("heat_transfer", "W/m2/K", POSITIVE),
+            mass_transfer=read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
+            critical=read.number("critical", "1", POSITIVE),
+            heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
+            liquid=read_liquid(read.inner("liquid", LiquidTable)),
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("cake", "needed"),)
+
+    @property
+    def outlets(self):
+        return ("product", "vapour")
+
+    @property
+    def error_controlled(self):
+        return True
+
+    def sizes(self, inlets):
+        return (inlets[0], NO_CRYSTALS)
+
+    def measures(self, species):
+        return {"solvent": "1", "temperature": "K"}
+
+    def states(self, species):
+        """ "solvent" is kg per kg of crystals, and "rate" its loss."""
+        found = {"solvent": "1", "temperature": "K", "rate": "1/s"}
+        return found | {"shelf": "K", "pressure": "Pa"}
+
+    def equations(self):
+        return [
+            "X' = −w, w = k a max(f p_v(T) − p, 0), a = 6/(ρₛ d₃₂)",
+            "f = r (1 + r⁸)^(−1/8), r = X/X_c: 1 where wet, X/X_c below critical moisture",
+            "(cₛ + X c_l) m T' = U A (T_shelf − T) − m w λ; log₁₀ p_v = A − B/(C + T)",
+        ]
+
+    def dynamics(self, network, inlets, inputs):
+        """y: X in kg per kg of crystals; then, per heat capacity of the crystals and so in K, the
+        heat in the cake, from the shelf and into the vapour."""
+        cake = inlets[0]
+        crystals = cake.crystals()
+        liquid, critical = self.liquid, use(inputs, self.critical)
+        solid_heat, latent = use(inputs, self.heat_capacity), use(inputs, liquid.latent_heat)
+        liquid_heat = use(inputs, liquid.heat_capacity)
+        surface = 6 / (cake.density * mean_sizes(cake.moments)["d32"])
+        exchange = (
+            use(inputs, self.area) * use(inputs, self.heat_transfer) / (crystals * solid_heat)
+        )
+        transfer = use(inputs, self.mass_transfer) * surface
+        first = (cake.solvent + cake.antisolvent) / crystals
+        duration, species = use(inputs, self.duration), len(cake.species)
+
+        def temperature(y):
+            return y[1] / (1 + y[0] * liquid_heat / solid_heat)
+
+        def speed(y, pressure):
+            pull = wetness(y[0] / critical) * vapour_pressure(liquid, inputs, temperature(y))
+            return transfer * evaporating(pull - pressure, pressure)
+
+        def rate(y, drive):
+            shelf, pressure = drive
+            warm, left = temperature(y), speed(y, pressure)
+            given = exchange * (shelf - warm)
+            taken = left * (latent + liquid_heat * warm) / solid_heat
+            return jnp.stack([-left, given - taken, given, taken])
+
+        def states(y, shelf, pressure):
+            found = {"solvent": y[0], "temperature": temperature(y), "rate": speed(y, pressure)}
+            return found | {"shelf": jnp.asarray(shelf), "pressure": jnp.asarray(pressure)}
+
+        def finish(y, *_):
+            share, end = y[0] / first, temperature(y)
+            product = cake.replace(
+                solvent=cake.solvent * share, antisolvent=cake.antisolvent * share, temperature=end
+            )
+            gone = cake.solvent * (1 - share), cake.antisolvent * (1 - share)
+            vapour = clear(jnp.zeros_like(cake.species), gone[0], jnp.zeros(()), end)
+            held = crystals * solid_heat
+            out = held * y[3] + crystals * (solid_heat + y[0] * liquid_heat) * end
+            energy = held * (start[1] + y[2]), out, jnp.zeros(())
+            measures = {"solvent": y[0], "temperature": end}
+            book = ledger(species, energy=energy)
+            return Finish((product, vapour.replace(antisolvent=gone[1])), measures, book)
+
+        begin = cake.temperature * (1 + first * liquid_heat / solid_heat)
+        start = jnp.stack([first, begin, jnp.zeros(()), jnp.zeros(())])
+        controls = tuple(
+            (each, use(inputs, each.value)) for each in (self.temperature, self.pressure)
+        )
+
+        def drive(shelf, pressure):
+            return jnp.stack([shelf, pressure], -1)
+
+        return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
+
+
+def vapour_pressure(liquid: Liquid, inputs: dict[str, Any], temperature) -> Array:
+    """Pa by Antoine's equation, 10^(A - B / (C + T)), T in K."""
+    a, b, c = use(inputs, liquid.antoine)
+    return jnp.exp(jnp.log(10.0) * (a - b / (c + temperature)))
+
+
+def wetness(ratio) -> Array:
+    """f at `ratio` = X / X_c: 1 where the surface is wet, and the ratio where it is not."""
+    return ratio * (1 + ratio**SHARPNESS) ** (-1 / SHARPNESS)
+
+
+def evaporating(excess, pressure) -> Array:
+    """The positive part of f p_v - p, rounded over a small share of p; exact in vacuum."""
+    # The constant keeps the square root's derivative finite where both are zero.
+    return (excess + jnp.sqrt(excess**2 + (2 * ROUNDING * pressure) ** 2 + 1e-30)) / 2

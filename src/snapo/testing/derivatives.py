@@ -1,0 +1,32 @@
+"""The adjoint of a problem against differences, as a list of complaints."""
+
+from typing import Any
+
+from snapo.engine import Engine
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.solver.certificate import bump_check, nudged
+
+
+def wrong_derivatives(
+    problem: Problem,
+    policy: Policy,
+    paths: int = 32,
+    *,
+    smooth: Any = None,
+    every: bool = False,
+    engine: Engine | None = None,
+) -> list[str]:
+    """The inputs whose adjoint differs from central differences, a line each.
+
+    The problem is moved off round numbers first, where limits tie and two derivatives are right.
+    The other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
+    recorded decisions are held, with `every` each number is bumped alone.
+    """
+    found = bump_check(nudged(problem), policy, paths, smooth=smooth, every=every, engine=engine)
+    return [
+        f"{bump.input} ({bump.direction}): {bump.adjoint:.10g} by the adjoint, "
+        f"{bump.central:.10g} by differences; {bump.allowed:.2g} is allowed"
+        for bump in found
+        if not bump.passed
+    ]

@@ -1,0 +1,74 @@
+"""Small runs of real cases: a template made small, its study carried out, and shared by tests.
+
+    small = Miniature("pension", "small", ("fund.years=2", "training.steps=4"))
+    run = once(session_folder / "pension", small.solve) / "run"
+
+A solved miniature is what tests of a report, of the commands and of a run folder read; `once`
+makes it a single time for all processes of a test session.
+"""
+
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from snapo.study import commands
+
+CASE, RUN = "case", "run"
+
+
+class Miniature(NamedTuple):
+    """A case small enough to be solved in seconds: a template with less of it.
+
+    - `kind`: of the domain, which must be installed.
+    - `size`: of its template; the default one where it is None.
+    - `assignments`: keys with other values, as `snapo solve --set` takes them.
+    - `simulator`: (module, class) beside the case, for a kind that runs the user's code.
+    """
+
+    kind: str
+    size: str | None = None
+    assignments: tuple[str, ...] = ()
+    simulator: tuple[str, str] | None = None
+
+    def asked(self, folder: Path) -> commands.Asked:
+        """What a command is asked for, of the case that lies in `folder`/case."""
+        return commands.Asked(folder / CASE, self.assignments, self.simulator)
+
+    def write(self, folder: Path) -> commands.Asked:
+        """The template in `folder`/case."""
+        commands.new(self.kind, folder / CASE, self.size)
+        return self.asked(folder)
+
+    def solve(self, folder: Path, **options: Any) -> dict[str, Any]:
+        """The template in `folder`/case and its run in `folder`/run; returns the result.
+
+        `options` are those of `snapo.study.commands.solve`: engine, reference.
+        """
+        return commands.solve(self.write(folder), quiet, out=folder / RUN, **options)
+
+
+def quiet(text: str) -> None:
+    """Takes a line of progress, and says nothing."""
+
+
+def once(folder: Path, make: Callable[[Path], Any]) -> Path:
+    """The folder, filled by `make(folder)` by the first process that asks; the others wait.
+
+    Where `make` fails, what it wrote is removed, and the next caller tries again. The lock is one
+    of the operating system's, which a killed process gives back (POSIX only).
+    """
+    import fcntl
+
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    done = folder.with_name(folder.name + ".done")
+    with folder.with_name(folder.name + ".lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not done.exists():
+            try:
+                make(folder)
+            except BaseException:
+                shutil.rmtree(folder, ignore_errors=True)
+                raise
+            done.touch()
+    return folder

@@ -1,0 +1,218 @@
+"""Every key of a case, spoilt in every common way: a reader refuses it in words, or reads it.
+
+`spoilt_keys` and `spoilt_files` go through the tables and the CSVs of a case that is right, so
+that a new key is tested on the day it is added. A mistake that has no sense under any reading
+(text for a number, NaN, an unknown key) must be refused with a message that names its place; one
+that may have a sense (another sign, a key left out) may be read, but never ends in a traceback.
+
+    complaints = refusals(read, folder, spoilt_keys(folder), scratch)
+    assert not complaints, "\\n".join(complaints)
+"""
+
+import copy
+import math
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.case.table import load
+
+Read = Callable[[Path, dict[str, Any]], Any]
+Way = tuple[str | int, ...]
+
+UNKNOWN = "a_key_that_nobody_knows"
+
+
+@dataclass(frozen=True)
+class Mistake:
+    """One thing that is wrong with a case.
+
+    **Attributes:**
+
+    - `name`: the place and the kind of mistake, "contract.inventory: text".
+    - `spoil`: changes the parsed TOML in place, or a file of the folder.
+    - `named`: words that the message must contain; none where the mistake may have a sense.
+    """
+
+    name: str
+    spoil: Callable[[Path, dict[str, Any]], None]
+    named: tuple[str, ...] = ()
+
+
+def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
+    """The mistakes that `read` does not deal with, a line each; none is the right answer.
+
+    **Arguments:**
+
+    - `read`: a domain's reader, `read(file, data) -> case`.
+    - `folder`: a case that is right, `case.toml` and the files beside it; it stays as it is.
+    - `mistakes`: of `spoilt_keys` or `spoilt_files`.
+    - `scratch`: a folder for the spoilt copies.
+    """
+    scratch.mkdir(parents=True, exist_ok=True)
+    complaints = []
+    for number, mistake in enumerate(mistakes):
+        copied = Path(shutil.copytree(folder, scratch / str(number), ignore=_only_data))
+        file, data = load(copied)
+        mistake.spoil(copied, data)
+        complaints.extend(_judge(read, file, data, mistake))
+        shutil.rmtree(copied)
+    return complaints
+
+
+def _only_data(folder: str, names: list[str]) -> set[str]:
+    """Folders beside the case (runs) are not part of it."""
+    return {name for name in names if (Path(folder) / name).is_dir()}
+
+
+def _judge(read: Read, file: Path, data: dict[str, Any], mistake: Mistake) -> Iterator[str]:
+    try:
+        read(file, data)
+    except CaseError as error:
+        message = str(error)
+        missing = [word for word in mistake.named if word not in message]
+        if missing:
+            yield f"{mistake.name}: the message lacks {', '.join(missing)}: {message}"
+    except Exception as error:
+        yield f"{mistake.name}: {type(error).__name__} in place of a CaseError: {error}"
+    else:
+        if mistake.named:
+            yield f"{mistake.name}: accepted"
+
+
+# The tables of the TOML file.
+
+
+def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
+    """Mistakes in every table and under every key of the case in `folder`.
+
+    `free`: tables whose keys are names of the owner's own choice ("contents.initial"), where an
+    unknown key is a new name.
+    """
+    _, data = load(folder)
+    free = set(free)
+    for way, value in _keys((), data):
+        place = _place(way)
+        if isinstance(value, dict):
+            if place not in free:
+                yield Mistake(f"{place}: unknown key", _put((*way, UNKNOWN), 1), (UNKNOWN,))
+            if way:
+                yield Mistake(f"{place}: a number for a table", _put(way, 1.5), (_named(way),))
+        for kind, wrong, sure in _wrong(value):
+            named = (_named(way),) if sure else ()
+            yield Mistake(f"{place}: {kind}", _put(way, wrong), named)
+        if way and not isinstance(way[-1], int):
+            yield Mistake(f"{place}: left out", _leave_out(way))
+
+
+def _keys(way: Way, value: Any) -> Iterator[tuple[Way, Any]]:
+    """Every table, key and entry with its place, from the top down."""
+    yield way, value
+    if isinstance(value, dict):
+        for key, each in value.items():
+            yield from _keys((*way, key), each)
+    elif isinstance(value, list):
+        for index, each in enumerate(value):
+            yield from _keys((*way, index), each)
+
+
+def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
+    """(kind of mistake, what stands there then, whether it never has a sense)."""
+    if isinstance(value, dict | list):
+        return [] if isinstance(value, dict) else [("a table for a list", {UNKNOWN: 1}, True)]
+    found = [("a table", {UNKNOWN: 1}, True), ("an empty list", [], False)]
+    if isinstance(value, bool):
+        return [*found, ("text", "yes, please", True)]
+    if isinstance(value, int | float):
+        return [
+            *found,
+            ("text", "no such thing", True),
+            ("not a number", math.nan, True),
+            ("infinite", -math.inf, True),
+            ("a truth value", True, True),
+            ("another sign", -value, False),
+            ("zero", 0 * value, False),
+            ("a fraction", value + 0.5, False),
+            ("huge", 10**12 * (value or 1), False),
+        ]
+    return [*found, ("a number", 12.5, False), ("no text", "", False)]
+
+
+def _place(way: Way) -> str:
+    return ".".join(map(str, way)) or "the case"
+
+
+def _named(way: Way) -> str:
+    """The word that a message must contain: the last key, or the key of the list."""
+    return str(next((each for each in reversed(way) if isinstance(each, str)), ""))
+
+
+def _put(way: Way, value: Any) -> Callable[[Path, dict[str, Any]], None]:
+    def spoil(folder: Path, data: dict[str, Any]) -> None:
+        _inside(data, way)[way[-1]] = copy.deepcopy(value)
+
+    return spoil
+
+
+def _leave_out(way: Way) -> Callable[[Path, dict[str, Any]], None]:
+    def spoil(folder: Path, data: dict[str, Any]) -> None:
+        del _inside(data, way)[way[-1]]
+
+    return spoil
+
+
+def _inside(data: Any, way: Way) -> Any:
+    for key in way[:-1]:
+        data = data[key]
+    return data
+
+
+# The files beside it.
+
+
+def spoilt_files(folder: Path) -> Iterator[Mistake]:
+    """Mistakes in every CSV beside the case in `folder`: the file, its header, each column."""
+    for file in sorted(folder.glob("*.csv")):
+        name, lines = file.name, file.read_text(encoding="utf-8-sig").splitlines()
+        head, *rows = [row for row, line in enumerate(lines) if line and line[0] != "#"]
+        yield Mistake(
+            f"{name}: missing", lambda where, _, name=name: (where / name).unlink(), (name,)
+        )
+        yield Mistake(f"{name}: empty", _write(name, b""), (name,))
+        yield Mistake(f"{name}: not UTF-8", _write(name, b"\xff\xfe\xe9,\n"), (name,))
+        yield Mistake(f"{name}: no rows", _write(name, lines[head].encode()), (name,))
+        for column, title in enumerate(lines[head].split(",")):
+            renamed = _line(lines, head, column, UNKNOWN)
+            yield Mistake(f"{name}: unknown column for {title}", _write(name, renamed), (name,))
+            for row in sorted({rows[0], rows[-1]}):
+                place = f"{name}, line {row + 1}, {title}"
+                for kind, cell, sure in _wrong_cells(lines[row].split(",")[column]):
+                    named = (name,) if sure else ()
+                    spoilt = _line(lines, row, column, cell)
+                    yield Mistake(f"{place}: {kind}", _write(name, spoilt), named)
+
+
+def _wrong_cells(cell: str) -> list[tuple[str, str, bool]]:
+    found = [("an empty cell", "", False), ("one cell more", cell + ",1", True)]
+    try:
+        value = float(cell)
+    except ValueError:
+        return [*found, ("another text", "no such thing", False)]
+    found += [("text", "no such thing", True), ("not a number", "nan", True)]
+    return [*found, ("infinite", "1e999", True), ("another sign", f"{-value}", False)]
+
+
+def _line(lines: list[str], row: int, column: int, cell: str) -> bytes:
+    cells = lines[row].split(",")
+    cells[column] = cell
+    return "\n".join([*lines[:row], ",".join(cells), *lines[row + 1 :], ""]).encode()
+
+
+def _write(name: str, content: bytes) -> Callable[[Path, dict[str, Any]], None]:
+    def spoil(folder: Path, data: dict[str, Any]) -> None:
+        (folder / name).write_bytes(content)
+
+    return spoil

@@ -1,0 +1,91 @@
+"""A closed loop and a best recipe from the case file to the report, on a reactor alone."""
+
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
+
+from snapo.case.error import CaseError
+from snapo.domains.pharma.control.stages import decided, staged
+
+
+def control(held=(), **changes):
+    """The template with a `[control]` on its crystalliser."""
+    table = {
+        "steps": {"crystalliser": 4},
+        "manipulated": [{"of": "crystalliser.temperature", "low": "273 K", "high": "314 K"}],
+        "measurements": [
+            {"state": "crystalliser.d43", "error": "1 um", "centre": "60 um", "width": "40 um"}
+        ],
+    }
+    return template(control=table | changes, held=list(held))
+
+
+def test_stages_are_where_something_is_decided_or_measured():
+    """The reactor runs before the first decision; what has no time runs after the last one."""
+    case = control()
+    assert [unit.name for unit in staged(case)] == ["crystalliser"]
+    reactor = {"of": "reactor.temperature", "low": "303 K", "high": "323 K"}
+    wash = {"of": "filter.wash_ratio", "low": 1, "high": 4}
+    more = control(manipulated=[reactor, wash])
+    assert [unit.name for unit in staged(more)] == ["reactor", "crystalliser"]
+    assert decided(more, staged(more)[0]) == (0,) and decided(more, None) == (1,)
+
+
+def test_what_is_measured_must_be_known_in_time():
+    sensor = {"state": "dryer.solvent", "error": 0, "centre": 0, "width": 1}
+    with pytest.raises(CaseError, match="there is no such state"):
+        control(measurements=[sensor])
+
+
+@pytest.mark.parametrize(
+    ("of", "low", "high", "words"),
+    [
+        ("charge.volume", "50 L", "70 L", "none of a unit"),
+        ("crystalliser.seed.size", "10 um", "30 um", "what may change over time"),
+    ],
+)
+def test_what_cannot_be_decided_over_time_is_refused(of, low, high, words):
+    with pytest.raises(CaseError, match=words):
+        control(manipulated=[{"of": of, "low": low, "high": high}])
+
+
+def test_what_is_held_cannot_be_decided():
+    wash = {"of": "filter.area", "low": "100 cm^2", "high": "300 cm^2"}
+    with pytest.raises(CaseError, match=r"control.manipulated\[0\].*among those `held`"):
+        control(held=["filter.area"], manipulated=[wash])
+
+
+@pytest.fixture(scope="module")
+def whole(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("control")
+    (folder / "case.toml").write_text(small(CASE + LOOP))
+    out = folder / "run"
+    result, found = solve(folder, out, "training.seed=3")
+    return result, found.details, out
+
+
+@pytest.mark.slow
+def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
+    result, found, out = whole
+    assert result["status"] == "trained", result["failures"]
+    loop = found["closed_loop"]
+    assert result["value"] == loop["value"] and 0 < loop["value"] < 1
+    assert result["references"]["best_fixed_recipe"] == loop["baseline"]
+    assert abs(loop["gain"] - (loop["value"] - loop["baseline"])) < 1e-12
+    row = loop["recipe"][0]
+    assert row["input"] == "reactor.temperature" and len(row["values"]) == 3
+    assert all(303.15 <= each <= 323.15 for each in row["values"])
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert "Best fixed recipe" in page
+    assert loop["goal"].startswith("mean of product") and loop["goal"] in page
+    assert result["references"]["goal"] == loop["objective"]
+    for name in ("policy.npz", "history.csv", "sensitivities.csv"):
+        assert (out / name).exists(), sorted(each.name for each in out.iterdir())
+
+
+@pytest.mark.slow
+def test_the_best_recipe_stands_in_the_report(whole):
+    _, found, out = whole
+    best = found["optimise"]
+    assert best["converged"] and best["unit"] == "mol/L/h" and len(best["chance"]) == 2
+    assert best["decisions"][0]["value"] == pytest.approx(50)
+    assert "First-order conditions" in (out / "report.html").read_text(encoding="utf-8")

@@ -1,0 +1,147 @@
+"""From a case file to the run folder and its report, on a reactor alone; the template is slow."""
+
+import csv
+import json
+import re
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, data, solve
+
+from snapo.cli.main import main
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.report import SECTIONS
+from snapo.domains.pharma.results import derivatives, quality
+from snapo.report.folder import Folder
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    folder = tmp_path_factory.mktemp("pharma") / "case"
+    folder.mkdir()
+    (folder / "case.toml").write_text(CASE)
+    (folder / "batch.csv").write_text(data())
+    return folder
+
+
+@pytest.fixture(scope="module")
+def whole(folder, tmp_path_factory):
+    """(result, run folder) of one study."""
+    out = tmp_path_factory.mktemp("run") / "run"
+    return solve(folder, out, "training.seed=3")[0], out
+
+
+@pytest.fixture(scope="module")
+def found(whole):
+    return Folder.read(whole[1]).details
+
+
+def test_the_result(whole):
+    result, out = whole
+    assert result["status"] == "ok", result["failures"]
+    assert result["kind"] == "pharma" and result["seed"] == 3
+    assert 0 < result["value"] < 1 and 0 < result["standard_error"] < 0.05
+    stored = json.loads((out / "result.json").read_text())
+    assert stored["value"] == result["value"]
+    names = {file.name for file in out.iterdir()}
+    assert names >= {"result.json", "run.json", "attribute_sensitivities.csv", "profile.csv",
+                     "design_space.csv", "report.html", "case"}  # fmt: skip
+    assert not [name for name in names if name.endswith(".partial")]
+    assert (out / "case" / "batch.csv").exists()
+
+
+def test_the_checks_hold(found):
+    assert all(abs(each["relative"]) < 1e-10 for each in found["balances"])
+    assert found["convergence"]["passed"]
+    assert all(each["passed"] for each in found["certificate"])
+    assert found["certificate"][0]["point"] == "set point"
+    assert found["attribution"]["closure"] < 1e-10
+
+
+def test_the_tables_are_in_the_owners_units(found):
+    first, second = found["parameters"]
+    assert first["unit"] == "degC" and first["nominal"] == pytest.approx(40)
+    assert first["range"] == pytest.approx([30, 50])
+    assert second["unit"] == "min" and second["nominal"] == pytest.approx(60)
+    raw, scaled = (np.array(found["matrix"][key]) for key in ("raw", "scaled"))
+    assert scaled == pytest.approx(raw * [1, 5])
+    hessian = found["second"][0]
+    assert hessian["pair"] == ["T", "t"] and len(hessian["values"]) == 2
+
+
+def test_the_fit_recovers_the_published_constants(found):
+    fit = found["estimation"]
+    assert fit["converged"] and not fit["unidentified"]
+    assert fit["values"] == pytest.approx([2.654e4, 5.3e2], rel=1e-6)
+    for value, low, high in zip(fit["values"], fit["low"], fit["high"]):
+        assert low < value < high
+    assert np.abs(fit["residuals"]).max() < 1e-3
+
+
+def test_every_number_has_a_sensitivity(whole, found):
+    with (whole[1] / "attribute_sensitivities.csv").open(newline="") as stream:
+        rows = list(csv.DictReader(stream))
+    table = {(r["attribute"], r["input"], r["label"]): float(r["value"]) for r in rows}
+    assert len(rows) == 2 * len(found["numbers"])
+    assert table["product", "reactor.temperature", ""] == pytest.approx(
+        found["matrix"]["raw"][0][0], rel=1e-9
+    )
+    with (whole[1] / "design_space.csv").open(newline="") as stream:
+        assert len(list(csv.DictReader(stream))) == 25
+
+
+def test_the_report_says_what_is_there_and_what_is_not(whole, tmp_path, capsys):
+    out = Path(shutil.copytree(whole[1], tmp_path / "run"))
+    page = (out / "report.html").read_text(encoding="utf-8")
+    assert len(re.findall(r"<section ", page)) == len(SECTIONS)
+    assert not re.search(r"https?:|//[a-z]|@import|url\((?!#)", page)
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    capsys.readouterr()
+    assert (out / "report.html").read_text(encoding="utf-8") == page
+    for part in (out / "parts").iterdir():
+        part.unlink()
+    assert main(["report", str(out)]) == 0
+    bare = (out / "report.html").read_text(encoding="utf-8")
+    assert len(re.findall(r"<section ", bare)) == len(SECTIONS)
+    for words in ("No design space was mapped", "This run has no matrix", "was not computed"):
+        assert words in bare
+
+
+def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
+    def broken(*_):
+        raise FloatingPointError("made to fail")
+
+    for name in ("convergence_rows", "certificate_rows", "second_rows", "attribution_rows"):
+        monkeypatch.setattr(derivatives, name, broken)
+    for name in ("range_rows", "map_tables", "estimation_rows"):
+        monkeypatch.setattr(quality, name, broken)
+    result, _ = solve(folder, tmp_path / "run")
+    assert "design space" in result["status"] and result["status"].endswith("failed")
+    assert 0 < result["value"] < 1
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "made to fail" in page
+
+
+@pytest.mark.slow
+def test_the_template_runs(tmp_path):
+    assert main(["new", "pharma", str(tmp_path / "case")]) == 0
+    smaller = "design_space.points=3", "design_space.samples=32"
+    result, folder = solve(tmp_path / "case", tmp_path / "run", *smaller)
+    assert result["status"] == "ok"
+    found = folder.details
+    assert found["run"]["attributes"]["yield"] == pytest.approx(27.870059, rel=1e-6)
+    assert found["matrix"]["raw"][0][0] == pytest.approx(2.312240e-1, rel=1e-6)
+    zero = np.array(found["matrix"]["zero"])
+    assert zero[0, 4:].all() and zero[2, 1:4].all() and not zero[3, 5]
+
+
+@pytest.mark.slow
+def test_a_process_is_what_the_template_says():
+    """The values of the flagship chain, through the file, at tolerances of the publication."""
+    values = Process(template(pairs=None)).values()
+    assert values == pytest.approx(
+        [27.870059, 87.956431, 0.0465257, 504.75205, 81.223311, 194.163947], rel=1e-6
+    )

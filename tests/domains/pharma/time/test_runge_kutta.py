@@ -1,0 +1,63 @@
+"""Derivatives of all steps at once: against step by step, differences, and a second time."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+from snapo.domains.pharma.time.runge_kutta import last_state, runge_kutta
+from snapo.solver.adjoint import adjoint_jacobian
+
+STEPS = 11  # fills no whole number of blocks
+
+
+def inputs(x):
+    """An oscillator with friction x[0], pushed by a drive; x[1] starts it, x[2] is the time."""
+
+    def rate(y, drive):
+        return jnp.stack([y[1], x[0] * (1 - y[0] ** 2) * y[1] - y[0] + drive[0]])
+
+    step = x[2] / STEPS * (1 + 0.5 * jnp.sin(jnp.arange(STEPS)))
+    drive = jnp.sin(x[1] + jnp.arange(STEPS * 3).reshape(STEPS, 3, 1) / 9)
+    return rate, jnp.stack([x[1], x[1] ** 2]), step, drive
+
+
+def at_once(x):
+    return last_state(*inputs(x))
+
+
+def step_by_step(x):
+    rate, start, step, drive = inputs(x)
+    return jax.lax.scan(lambda y, now: (runge_kutta(rate, y, *now), None), start, (step, drive))[0]
+
+
+@pytest.fixture
+def x():
+    with jax.enable_x64(True):
+        yield jnp.array([1.3, 0.7, 2.0])
+
+
+@pytest.mark.parametrize("mode", [adjoint_jacobian, jax.jacfwd])
+def test_first_derivatives(x, mode):
+    found = jax.jit(mode(at_once))(x)
+    np.testing.assert_allclose(at_once(x), step_by_step(x), rtol=1e-15)
+    np.testing.assert_allclose(found, jax.jacfwd(step_by_step)(x), rtol=1e-12)
+    step = 1e-5
+    columns = [(at_once(x + step * e) - at_once(x - step * e)) / (2 * step) for e in jnp.eye(3)]
+    np.testing.assert_allclose(found, np.stack(columns, 1), atol=1e-9)
+
+
+@pytest.mark.slow
+def test_second_derivatives(x):
+    """Forward over reverse; reverse over reverse is that of the loop."""
+    known = jax.jacfwd(jax.jacfwd(step_by_step))(x)
+    found = jax.jit(jax.jacfwd(adjoint_jacobian(at_once)))(x)
+    np.testing.assert_allclose(found, known, rtol=1e-11, atol=1e-12)
+    again = jax.jit(adjoint_jacobian(adjoint_jacobian(at_once)))(x)
+    np.testing.assert_allclose(again, known, rtol=1e-11, atol=1e-12)
+
+
+def test_side_by_side(x):
+    many = jnp.stack([x, 1.1 * x])
+    found = jax.jit(jax.vmap(adjoint_jacobian(at_once)))(many)
+    np.testing.assert_allclose(found[1], jax.jacfwd(step_by_step)(many[1]), rtol=1e-12)

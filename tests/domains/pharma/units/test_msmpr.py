@@ -1,0 +1,209 @@
+"""The continuous crystalliser against the closed form of Randolph and Larson, and in a case."""
+
+import copy
+import tomllib
+
+import numpy as np
+import pytest
+from scipy.optimize import brentq
+from tests.domains.pharma.pharma_cases import TEMPLATE
+
+from snapo.case.error import CaseError
+from snapo.domains.pharma.case import resolve
+from snapo.domains.pharma.derivatives.jacobian import matrix, second
+from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.flowsheet.process import Process
+
+CASE = """
+kind = "pharma"
+[species]
+P = { molar_mass = "150 g/mol" }
+Q = { molar_mass = "50 g/mol" }
+[feeds.charge]
+volume = "120 L"
+temperature = "313 K"
+concentration = { P = "0.2 mol/L", Q = "0.05 mol/L" }
+solvent = "880 kg/m^3"
+duration = "4 h"
+[units.cold]
+type = "msmpr"
+solute = "P"
+volume = "30 L"
+temperature = "283.15 K"
+growth = "0.2 um/s"
+growth_order = 1.3
+nucleation = "1e6 1/m^3/s"
+reference_growth = "0.05 um/s"
+reference_suspension = "20 kg/m^3"
+growth_power = 2
+suspension_power = 0.7
+shape = 0.5236
+density = "1200 kg/m^3"
+sizes = { smallest = "1 um", largest = "4 mm", cells = 120, spacing = "geometric" }
+[units.cold.solubility]
+coefficients = [226.9, -1.88, 3.89e-3]
+[units.mill]
+type = "wet-mill"
+duration = "10 min"
+speed = "20 m/s"
+rate = "1e-4 1/s"
+reference_size = "100 um"
+reference_speed = "20 m/s"
+[units.filter]
+type = "filter"
+area = "200 cm^2"
+pressure = "1 bar"
+viscosity = "0.46 mPa*s"
+medium_resistance = "1e10 1/m"
+porosity = 0.4
+saturation = 0.2
+wash_ratio = 2
+efficiency = 0.9
+[[connections]]
+from = "charge"
+to = "cold.feed"
+[[connections]]
+from = "cold.slurry"
+to = "mill.slurry"
+[[connections]]
+from = "mill.slurry"
+to = "filter.slurry"
+[numerics]
+method = "mesh"
+steps = 64
+[[parameters]]
+name = "V"
+of = "cold.volume"
+range = ["20 L", "60 L"]
+normal = ["28 L", "32 L"]
+source = "constructed"
+[[parameters]]
+name = "T"
+of = "cold.temperature"
+range = ["275 K", "290 K"]
+normal = ["282 K", "285 K"]
+source = "constructed"
+[[parameters]]
+name = "k"
+of = "cold.growth"
+range = ["0.1 um/s", "0.4 um/s"]
+normal = ["0.15 um/s", "0.25 um/s"]
+source = "constructed"
+[[parameters]]
+name = "B"
+of = "cold.nucleation"
+range = ["1e5 1/m^3/s", "1e7 1/m^3/s"]
+normal = ["9e5 1/m^3/s", "2e6 1/m^3/s"]
+source = "constructed"
+"""
+MEASURES = ("d43", "crystals", "supersaturation", "growth", "nucleation")
+
+
+def process(measures=MEASURES, **keys):
+    data = copy.deepcopy(tomllib.loads(CASE))
+    data["units"]["cold"] |= keys
+    data["attributes"] = [
+        {"name": each, "measure": f"cold.{each}", "unit": unit}
+        for each, unit in zip(MEASURES, ("um", "kg/m^3", "1", "um/s", "1/m^3/s"))
+        if each in measures
+    ]
+    return Process(resolve(TEMPLATE, data))
+
+
+TAU, ENTERING, RHO, KV = 14400 * 30 / 120, 30.0, 1200.0, 0.5236
+
+
+def exact(power=0.7, nucleation=1e6, growth=2e-7):
+    """G, B, M_T and S by SciPy's root of the mass balance, with G as Randolph and Larson give it:
+    G = (M_T^(1 - j) / (6 rho kv kb tau^4))^(1 / (i + 3)), kb = B_r / (G_r^i M_r^j)."""
+    saturated = 226.9 - 1.88 * 283.15 + 3.89e-3 * 283.15**2
+    constant = nucleation / (5e-8**2 * 20.0**power)
+
+    def speed(crystals):
+        return (crystals ** (1 - power) / (6 * RHO * KV * constant * TAU**4)) ** (1 / 5)
+
+    def gap(crystals):
+        level = (speed(crystals) / growth) ** (1 / 1.3)
+        return ENTERING - saturated * (1 + level) - crystals
+
+    crystals = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14, rtol=1e-14)
+    g = speed(crystals)
+    return g, constant * g**2 * crystals**power, crystals, (g / growth) ** (1 / 1.3)
+
+
+def test_the_steady_state():
+    """Growth, nucleation, suspension and moments mu_k = k! n0 (G tau)^(k + 1)."""
+    given = process()
+    run = given.run()
+    g, born, crystals, level = exact()
+    found = {each: run.measures[f"cold.{each}"] for each in MEASURES}
+    assert found["growth"] == pytest.approx(g, rel=1e-10)
+    assert found["nucleation"] == pytest.approx(born, rel=1e-10)
+    assert found["crystals"] == pytest.approx(crystals, rel=1e-10)
+    assert found["supersaturation"] == pytest.approx(level, rel=1e-10)
+    assert found["d43"] == pytest.approx(4 * g * TAU, rel=1e-10)
+    assert crystals == pytest.approx(6 * RHO * KV * born / g * (g * TAU) ** 4, rel=1e-10)
+    stream = run.streams["cold.slurry"]
+    factorials = np.array([1, 1, 2, 6, 24, 120])
+    expected = factorials * born / g * (g * TAU) ** np.arange(1, 7) * 0.12
+    np.testing.assert_allclose(np.asarray(stream.moments), expected, rtol=1e-10)
+    assert max(abs(row.relative) for row in balances(given)) < 1e-10
+
+
+def test_crystals_are_counted():
+    """n = n0 exp(-L / (G tau)) in each cell, all together of the mass that the moments say."""
+    run = process().run()
+    g, born, *_ = exact()
+    stream = run.streams["cold.slurry"]
+    edges = stream.grid.array
+    share = np.diff(-np.exp(-edges / (g * TAU))) * born * TAU * 0.12
+    np.testing.assert_allclose(np.asarray(stream.numbers), share, rtol=2e-3)
+    k = np.diff(edges**4) / (4 * np.diff(edges))
+    assert k @ np.asarray(stream.numbers) == pytest.approx(float(stream.moments[3]), rel=1e-12)
+    assert run.measures["mill.d43"] < run.measures["cold.d43"] and run.status == "ok"
+
+
+def test_gradient_through_the_steady_state():
+    """Implicit function theorem against central differences, and a second derivative."""
+    given = process()
+    found, columns = matrix(given).jacobian, []
+    for name, entry in given.entries:
+        ends, step = [], 1e-5 * given.inputs[name][entry]
+        for sign in (1, -1):
+            moved = given.inputs[name].copy()
+            moved[entry] += sign * step
+            ends.append(given.values({name: moved}))
+        columns.append((ends[0] - ends[1]) / (2 * step))
+    sized = np.array([given.inputs[name][entry] for name, entry in given.entries])
+    gap = np.abs((np.array(columns).T - found) * sized).max(1) / np.abs(found * sized).max(1)
+    assert gap.max() < 1e-7
+    rate = ("cold.nucleation", 0)
+    bend = second(given, ((rate, rate),))[0, 0]
+    h = 1e3
+    sizes = [4e6 * exact(nucleation=1e6 + s * h)[0] * TAU for s in (1, 0, -1)]
+    assert bend == pytest.approx((sizes[0] - 2 * sizes[1] + sizes[2]) / h**2, rel=1e-3)
+
+
+def test_nuclei_are_washed_out():
+    """With j = 1 and slow growth no crystals stay, nor in a feed below saturation."""
+    given = process(suspension_power=1.0, nucleation="1 1/m^3/s", growth="1e-3 um/s")
+    run = given.run()
+    assert run.measures["cold.crystals"] == 0 and run.measures["cold.d43"] == 0
+    assert run.measures["cold.concentration"] == pytest.approx(ENTERING)
+    assert np.all(np.isfinite(matrix(given).jacobian))
+    warm = process(temperature="320 K").run()
+    assert warm.measures["cold.supersaturation"] < 0 and warm.measures["cold.crystals"] == 0
+
+
+def test_mistakes():
+    with pytest.raises(CaseError) as found:
+        process(suspension_power=1.5)
+    assert "units.cold.suspension_power: got 1.5; allowed is a share from 0 to 1" in str(
+        found.value
+    )
+    data = tomllib.loads(CASE)
+    del data["units"]["cold"]["sizes"]
+    data["attributes"] = [{"name": "d", "measure": "mill.d43", "unit": "um"}]
+    with pytest.raises(CaseError) as found:
+        resolve(TEMPLATE, data)
+    assert "units.mill: crystals reach this unit whose sizes are not counted" in str(found.value)

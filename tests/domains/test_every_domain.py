@@ -1,0 +1,116 @@
+"""What holds for every domain: no mistake passes, and a miniature runs from the file to the report."""
+
+import json
+import shutil
+from pathlib import Path
+
+import pytest
+from tests.miniatures import MINIATURES
+
+from snapo.cli.main import main
+from snapo.study import commands
+from snapo.study.domain import Domain, find, installed
+from snapo.testing.miniature import quiet
+from snapo.testing.mistakes import refusals, spoilt_files, spoilt_keys
+
+# Tables whose keys are names of the owner's choice.
+FREE = {"own": ("inputs", "units")}
+
+
+@pytest.fixture(params=sorted(MINIATURES))
+def kind(request):
+    """Every kind of case that the package brings."""
+    try:
+        find(request.param, "tests")
+    except AttributeError:
+        pytest.skip("this domain is not an object yet")
+    return request.param
+
+
+def test_every_installed_domain_has_a_miniature():
+    assert set(MINIATURES) == set(installed())
+
+
+@pytest.mark.parametrize("spoilt", ["keys", "files"])
+def test_a_mistake_is_refused_in_words(kind, spoilt, tmp_path):
+    """Every key and column of the template, spoilt in every common way."""
+    asked = MINIATURES[kind].write(tmp_path)
+    read = commands.load(asked).domain.read
+    mistakes = spoilt_keys(asked.path, FREE.get(kind, ()))
+    if spoilt == "files":
+        mistakes = spoilt_files(asked.path)
+    complaints = refusals(read, asked.path, mistakes, tmp_path / "scratch")
+    assert not complaints, "\n".join(complaints)
+
+
+def test_every_template_is_accepted(kind, tmp_path):
+    domain = find(kind, "tests")
+    assert isinstance(domain, Domain) and domain.kind == kind and domain.words
+    for size in domain.templates:
+        small = MINIATURES[kind]._replace(size=size, assignments=())
+        lines = commands.check(small.write(tmp_path / size), quiet)
+        assert lines and all(isinstance(line, str) for line in lines)
+
+
+def test_the_miniature_is_solved(kind, solved):
+    run = solved(kind) / "run"
+    result = json.loads((run / "result.json").read_text())
+    assert result["status"] in ("trained", "ok"), result
+    assert result["kind"] == kind and result["failures"] == {}
+    assert isinstance(result["value"], float) and isinstance(result["standard_error"], float)
+    record = json.loads((run / "run.json").read_text())
+    asked = MINIATURES[kind].asked(solved(kind))
+    loaded = commands.load(asked)
+    parts = loaded.domain.study(loaded.case, commands.Options()).parts
+    assert [each.name for each in parts] == list(record["parts"])
+    assert {each["state"] for each in record["parts"].values()} == {"done"}
+    assert {each.file for each in parts} == {each.name for each in (run / "parts").iterdir()}
+    assert not list(run.rglob("*.partial"))
+
+
+def copied(solved, kind: str, tmp_path: Path) -> Path:
+    return Path(shutil.copytree(solved(kind) / "run", tmp_path / "run"))
+
+
+def test_a_report_is_the_same_whenever_it_is_written(kind, solved, tmp_path, capsys):
+    out = copied(solved, kind, tmp_path)
+    before = (out / "report.html").read_bytes()
+    (out / "report.html").unlink()
+    assert main(["report", str(out)]) == 0
+    assert capsys.readouterr().out.strip() == str(out / "report.html")
+    assert (out / "report.html").read_bytes() == before
+
+
+def test_a_report_does_without_any_part(kind, solved, tmp_path):
+    """Each part's file removed in turn: the page says so, and has every section still."""
+    out = copied(solved, kind, tmp_path)
+    page = (out / "report.html").read_text(encoding="utf-8")
+    sections = page.count("<section")
+    assert sections >= 3
+    for part in sorted((out / "parts").iterdir()):
+        kept = part.read_bytes()
+        part.unlink()
+        commands.report(out)
+        assert (out / "report.html").read_text(encoding="utf-8").count("<section") == sections
+        part.write_bytes(kept)
+
+
+def test_a_finished_run_is_not_done_again(kind, solved, tmp_path):
+    out = copied(solved, kind, tmp_path)
+    before, said = json.loads((out / "result.json").read_text()), []
+    asked = MINIATURES[kind].asked(solved(kind))
+    again = commands.solve(asked, said.append, out=out, resume=True)
+    assert again["value"] == before["value"] and again["standard_error"] == before["standard_error"]
+    assert not [line for line in said if not line.startswith("note:")], said
+
+
+def test_a_run_with_other_numbers_is_not_resumed(kind, solved, tmp_path, capsys):
+    out = copied(solved, kind, tmp_path)
+    before = (out / "result.json").read_bytes()
+    command = ["solve", str(solved(kind) / "case"), "--out", str(out), "--resume"]
+    command += ["--set", "evaluation.paths=128"]
+    if (simulator := MINIATURES[kind].simulator) is not None:
+        command += ["--simulator", ":".join(simulator)]
+    assert main(command) == 2
+    assert "resume" in capsys.readouterr().err
+    assert (out / "result.json").read_bytes() == before

@@ -1,0 +1,101 @@
+"""The tables of the parts that every study can have, against their definitions."""
+
+import json
+
+import numpy as np
+import pytest
+
+from snapo.problem.inputs import Input
+from snapo.report.folder import Folder
+from snapo.report.page import Missing, Page, render
+from snapo.report.sections.distribution import distribution
+from snapo.report.sections.fans import fans
+from snapo.report.sections.headline import headline
+from snapo.report.sections.proof import certificate, history, making
+from snapo.report.sections.sensitivities import amount, sensitivities
+from snapo.study.parts.distribution import described
+from snapo.study.parts.moves import direction
+from snapo.study.parts.profile import bands
+from snapo.study.run_folder import plain_json
+
+SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, making)
+
+
+def test_a_distribution_is_that_of_its_paths():
+    total = np.random.default_rng(0).normal(10, 2, 4000)
+    found = described(total)
+    assert found["mean"] == total.mean() and found["paths"] == 4000
+    assert found["quantiles"]["p05"] == np.quantile(total, 0.05)
+    assert found["tail_mean"] == pytest.approx(np.sort(total)[:200].mean())
+    assert found["counts"].sum() == 4000, "paths beyond the edges are in the outermost bins"
+    assert len(found["edges"]) == len(found["counts"]) + 1
+
+
+def test_totals_that_do_not_vary_or_are_not_finite():
+    same = described(np.full(50, 3.0))
+    assert (same["counts"].tolist(), same["edges"].tolist()) == ([50], [2.5, 3.5])
+    assert described(np.array([1.0, np.nan, np.inf]))["paths"] == 1
+    assert described(np.array([np.nan])) == {"paths": 0}
+
+
+def test_bands_are_quantiles_over_paths():
+    values = np.arange(12.0).reshape(3, 4)
+    values[1] = np.nan
+    values[2, 0] = np.inf
+    found = bands(values)
+    assert found["mean"][0] == 1.5 and found["p50"][0] == 1.5
+    assert np.isnan(found["mean"][1])
+    assert found["mean"][2] == 10.0, "the path that is not finite is left out"
+
+
+def test_an_input_moves_by_its_own_move_or_by_a_share():
+    assert direction(Input([2.0, -4.0])).tolist() == [0.02, -0.04]
+    assert direction(Input([2.0, -4.0], move=0.5)).tolist() == [0.5, 0.5]
+    assert amount({"amount": 25.0, "unit": "bp"}) == "+25\N{NO-BREAK SPACE}bp"
+    assert amount({"amount": None, "share": 0.01}) == "+1\N{NO-BREAK SPACE}%"
+
+
+def write(folder, parts: dict, result: dict, states: dict) -> Folder:
+    (folder / "parts").mkdir()
+    for name, tables in parts.items():
+        (folder / "parts" / f"{name}.json").write_text(json.dumps(plain_json(tables)))
+    about = {"title": "A run", "unit": "EUR", "step": "week", "objective_output": "cash"}
+    (folder / "run.json").write_text(json.dumps({"about": about, "parts": states}))
+    (folder / "result.json").write_text(json.dumps(result))
+    return Folder.read(folder)
+
+
+def test_sections_of_a_run_without_anything_say_so(tmp_path):
+    states = {"training": {"state": "failed", "note": "ZeroDivisionError: by zero"}}
+    states["moves"] = {"state": "skipped", "note": "it needs training"}
+    run = write(tmp_path, {}, {"status": "training, moves failed"}, states)
+    for section in SECTIONS[:-1]:
+        blocks = section(run).blocks
+        assert isinstance(blocks[0], Missing), section
+    page = render(Page("A run", [], [section(run) for section in SECTIONS]))
+    assert "The part “training” failed: ZeroDivisionError: by zero." in page
+    assert "This run stopped before its part “profile”." in page
+
+
+def test_sections_of_a_whole_run(tmp_path):
+    total = np.random.default_rng(0).normal(1000, 50, 512)
+    fan = {"name": "water", "kind": "state", "unit": "hm3", **bands(np.ones((5, 1)) * total[:40])}
+    moved = {"input": "rain", "words": "of a week", "amount": 1.0, "share": None, "unit": "hm3",
+             "effect": 12.5, "standard_error": 0.5, "smooth": 12.0, "smooth_error": 1.0}  # fmt: skip
+    parts = {
+        "distribution": {"distribution": [{"name": "cash", "unit": "EUR", **described(total)}]},
+        "profile": {"profile": {"series": [fan], "paths": 40, "notes": ["a remark"]}},
+        "moves": {"moves": [moved]},
+        "certificate": {"certificate": {"bump_check": [], "feasibility": []}},
+    }
+    states = {name: {"state": "done", "note": "", "seconds": 1.0} for name in parts}
+    result = {"value": 1000.0, "standard_error": 2.2, "status": "trained", "smoothing_gap": -0.5}
+    (tmp_path / "sensitivities.csv").write_text(
+        "input,label,unit,held,held_error,smooth,smooth_error,moved\nrain,,hm3,12.5,0.5,12,1,0.1\n"
+    )
+    run = write(tmp_path, parts, result, states)
+    page = render(Page("A run", [], [section(run) for section in SECTIONS]))
+    for words in ("1,000.0", "± 2.2".replace(" ", "\N{NO-BREAK SPACE}"), "trained to the end",
+                  "a remark", "of a week", "Water (state), 40 paths", "Cash: total of a path",
+                  "its method `slack` names none"):  # fmt: skip
+        assert words in page, words
