@@ -75,7 +75,7 @@ def plan_earns(problem, engine, source, paths: int) -> np.ndarray:
     return earned
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_most_of_the_extrinsic_value():
     """Paired with the intrinsic plan on the same paths.
 
@@ -98,7 +98,7 @@ def test_most_of_the_extrinsic_value():
 CALLS = {"2019-12-15": 646.4087, "2020-01-20": 374.7695, "2020-03-31": 248.2129}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_three_calls_in_disguise():
     made, solution = solved("G4", Sobol(1), steps=100, paths=256, evaluate=65536, sensitivity=65536)
     print(f"G4: {solution.value:.4f} ± {solution.standard_error:.4f}")
@@ -115,7 +115,7 @@ def test_three_calls_in_disguise():
     assert_allclose(others, 0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_slow_storage():
     made, solution = solved("G6", steps=150, paths=256, evaluate=16384)
     print(f"G6: {solution.value:.3f} ± {solution.standard_error:.3f}")
@@ -149,7 +149,7 @@ def test_flagship_quickly():
     assert_allclose(explained, np.mean(cash + costs), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("steps", "paths", "within"), [(None, None, 0.10), (2400, 1024, 0.05)])
 def test_flagship_in_full(steps, paths, within):
     """Five fixed seeds: the median must hold, the worst is printed."""

@@ -238,7 +238,7 @@ def stop(folder: Path, out: Path, how: int) -> int:
 
 
 @pytest.mark.parametrize(
-    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.slow)]
+    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.prove)]
 )
 def test_a_stopped_run_goes_on_bit_for_bit(whole, folder, tmp_path, how):
     out = tmp_path / "run"

@@ -147,7 +147,7 @@ def test_a_risk_measure_holds_its_weights(contract):
     all_pass(check(contract, CVaR("cash_flow", 0.9), every=False))
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_xla_agrees():
     contract = prepared(read("quick"))
     given = {"smooth": Smooth(np.float64(0.02)), "paths": 64, "every": False}

@@ -345,9 +345,9 @@ def test_forced_flows_without_volatility():
     ("name", "tables"),
     [
         ("G1", {}),
-        pytest.param("G3", {}, marks=pytest.mark.slow),
-        pytest.param("G4", {}, marks=pytest.mark.slow),
-        pytest.param("G6", {}, marks=pytest.mark.slow),
+        pytest.param("G3", {}, marks=pytest.mark.prove),
+        pytest.param("G4", {}, marks=pytest.mark.prove),
+        pytest.param("G6", {}, marks=pytest.mark.prove),
         ("quick", {"contract": {"end_inventory": "free", "end_value": 0.8}}),
         (
             "quick",

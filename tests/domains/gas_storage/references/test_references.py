@@ -160,7 +160,7 @@ def test_one_factor_lattice(case, value, tolerance, volumes):
     assert_allclose(found.value, value, rtol=tolerance)
 
 
-@pytest.mark.slow
+@pytest.mark.prove
 def test_two_factor_lattice_and_its_monthly_deltas():
     schedule = cases.flagship()
     assert relevant_factors(schedule, schedule.factors) == (0, 2)

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from .records import LevelAtEnd, Market, PriceAtEnd, StorageCase
+from .records import Market, StorageCase
 
 
 def discount(market: Market, days: np.ndarray) -> np.ndarray:
@@ -20,17 +20,12 @@ def value_without_decisions(case: StorageCase) -> float:
     """
     if case.days:
         raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
-    at_end = case.contract.at_end
-    if case.expired or isinstance(at_end, LevelAtEnd):
+    if case.expired:
         return 0.0
     inventory = float(case.contract.inventory.used())
     factor = float(discount(case.market, np.array(case.end_day)))
-    if isinstance(at_end, PriceAtEnd):
-        if not case.has_end_price:
-            return 0.0
-        price = float(case.market.forward_curve.used()[-1])
-        return factor * float(at_end.fraction.used()) * inventory * price
-    return factor * float(np.interp(inventory, at_end.inventory.used(), at_end.value.used()))
+    price = float(case.market.forward_curve.used()[-1]) if case.has_end_price else 0.0
+    return factor * case.contract.at_end.known(inventory, price)
 
 
 def fixed_costs_value(case: StorageCase) -> float:

@@ -14,7 +14,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 
-from .records import LevelAtEnd, StorageCase
+from .records import StorageCase
 
 Interval = tuple[float, float]
 
@@ -79,9 +79,9 @@ def attainable(case: StorageCase) -> list[list[Interval]]:
         if not moved:
             raise _forced_flow(case, t, day, sets[-1])
         sets.append(_within_limits(case, t + 1, _merge(moved), tolerance))
-    at_end = case.contract.at_end
-    if isinstance(at_end, LevelAtEnd):
-        _check_level(case, float(at_end.inventory.used()), sets[-1], tolerance)
+    owed = case.contract.at_end.owed
+    if owed is not None:
+        _check_level(case, owed, sets[-1], tolerance)
     return sets
 
 

@@ -17,6 +17,7 @@ from snapo.case.given import Given
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from ..prices.process import PriceProcess
+from .end import EndRule
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,38 +36,6 @@ class Ratchets:
     withdrawal: Given
     injection: Given
     interpolation: Literal["linear", "step"]
-
-
-@dataclass(frozen=True, eq=False)
-class LevelAtEnd:
-    """The inventory that must be in store on the end date: one number, index []."""
-
-    inventory: Given
-
-
-@dataclass(frozen=True, eq=False)
-class PriceAtEnd:
-    """Gas left on the end date is worth `fraction` of that day's spot price: one number, index [].
-
-    It is paid on the end date. With a fraction of 0 the gas left is worthless, and the end date
-    needs no price.
-    """
-
-    fraction: Given
-
-
-@dataclass(frozen=True, eq=False)
-class ValueAtEnd:
-    """Worth of the inventory on the end date: linear between M points, paid on that date.
-
-    - `inventory`: levels, strictly rising, index [M]; `value`: currency, index [M].
-    """
-
-    inventory: Given
-    value: Given
-
-
-EndRule = LevelAtEnd | PriceAtEnd | ValueAtEnd
 
 
 @dataclass(frozen=True, eq=False)
@@ -164,5 +133,4 @@ class StorageCase:
     @property
     def has_end_price(self) -> bool:
         """Whether the value of the gas left depends on the spot price of the end date."""
-        at_end = self.contract.at_end
-        return isinstance(at_end, PriceAtEnd) and bool(at_end.fraction.values[0] != 0)
+        return self.contract.at_end.needs_price

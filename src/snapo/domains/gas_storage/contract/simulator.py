@@ -24,8 +24,9 @@ from snapo.problem.smooth import Exact
 from ..policy.observation import curve_ahead, observation
 from ..policy.value_table import ValueTable
 from ..prices.process import YEAR, PriceProcess, use
+from .end import EndTerms
 from .reachable import Limits, reachable
-from .records import LevelAtEnd, PriceAtEnd, StorageCase, ValueAtEnd
+from .records import StorageCase
 from .schedule import Day, Flows, State, Terms
 
 
@@ -100,13 +101,13 @@ class StorageSimulator(Simulator):
     def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
         case, contract = self.case, self.case.contract
         discount = _discounts(case, inputs)
-        levels, values, fraction = self._end_value(inputs)
+        end = contract.at_end.terms(inputs)
         fixed = use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
         return Terms(
             inventory=use(inputs, contract.inventory),
-            end_levels=levels,
-            end_values=values,
-            end_fraction=fraction,
+            end_levels=end.levels,
+            end_values=end.values,
+            end_fraction=end.fraction,
             end_forward=use(inputs, case.market.forward_curve)[-1],
             end_discount=discount(np.asarray([case.end_day]))[0],
             fixed_costs=jnp.sum(fixed),
@@ -135,21 +136,10 @@ class StorageSimulator(Simulator):
     def end_interval(self, inputs: dict[str, Any]) -> tuple[Array, Array]:
         """The inventories allowed on the end date."""
         contract = self.case.contract
-        if isinstance(contract.at_end, LevelAtEnd):
-            level = use(inputs, contract.at_end.inventory)
-            return level, level
-        limits = contract.min_inventory, contract.max_inventory
-        return use(inputs, limits[0])[-1], use(inputs, limits[1])[-1]
-
-    def _end_value(self, inputs: dict[str, Any]):
-        at_end = self.case.contract.at_end
-        nothing = jnp.zeros(2), jnp.zeros(2)
-        if isinstance(at_end, ValueAtEnd):
-            return use(inputs, at_end.inventory), use(inputs, at_end.value), jnp.asarray(0.0)
-        fraction = (
-            use(inputs, at_end.fraction) if isinstance(at_end, PriceAtEnd) else jnp.asarray(0.0)
+        low, high = (
+            use(inputs, each)[-1] for each in (contract.min_inventory, contract.max_inventory)
         )
-        return *nothing, fraction
+        return contract.at_end.interval(inputs, low, high)
 
     def _largest_rate(self) -> float:
         rows = self.case.contract.ratchets
@@ -196,12 +186,11 @@ class StorageSimulator(Simulator):
         }
 
     def terminal(self, constants: Terms, state: State, smooth):
-        worth = jnp.interp(state.inventory, constants.end_levels, constants.end_values)
-        if isinstance(self.case.contract.at_end, PriceAtEnd):
-            price = self.process.level(constants.price, constants.end_price, state.price)
-            worth = state.inventory * constants.end_fraction * price
-        elif isinstance(self.case.contract.at_end, LevelAtEnd):
-            worth = jnp.zeros_like(state.inventory)
+        def price():
+            return self.process.level(constants.price, constants.end_price, state.price)
+
+        terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
+        worth = self.case.contract.at_end.worth(terms, state.inventory, price)
         return {"cash_flow": worth * constants.end_discount, "fixed_costs": constants.fixed_costs}
 
     def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:

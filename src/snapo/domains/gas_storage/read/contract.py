@@ -12,7 +12,8 @@ from snapo.case.dates import dated, ordinals, single
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from ..contract.records import Contract, EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
+from ..contract.end import EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
+from ..contract.records import Contract
 from .limits import Limits, little
 from .ratchets import GROUP
 from .settlement import payment_days
