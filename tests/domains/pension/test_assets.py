@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import full
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.market import move
-from snapo.domains.pension.simulator import PensionSimulator
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.market.dynamics import move
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 
 STEPS, PATHS = 6, 2**16
@@ -42,9 +42,9 @@ def test_bonds_and_swaps_earn_what_their_prices_do():
     two = replace(two, credit=replace(two.credit), observation=("time",))
     moved, schedule = step(two, 0, draws(two, 8))
     terms = schedule.constants.market
-    from snapo.domains.pension.curve import log_bond
-    from snapo.domains.pension.shocks import covariance
-    from snapo.domains.pension.short_rate import factors, moments, nominal, shape, slope
+    from snapo.domains.pension.market.curve import log_bond
+    from snapo.domains.pension.market.factors import factors, moments, nominal, shape, slope
+    from snapo.domains.pension.market.shocks import covariance
 
     given, d = plain(pension_inputs(two)), two.step
     assert two.overlay is not None

@@ -16,11 +16,11 @@ from tests.domains.pension.people_cases import (
     plan,
 )
 
-from snapo.domains.pension.cash_flows import horizon, project
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.lives import entrants, present, working
-from snapo.domains.pension.mortality import log_survival
-from snapo.domains.pension.records_people import MALE, PENSIONER, SPOUSE
+from snapo.domains.pension.people.cash_flows import horizon, project
+from snapo.domains.pension.people.lives import entrants, present, working
+from snapo.domains.pension.people.mortality import log_survival
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.people import MALE, PENSIONER, SPOUSE
 from snapo.problem.inputs import plain
 
 

@@ -8,19 +8,16 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, full, given
 
-from snapo.domains.pension.classical import (
-    ConstantMix,
-    StockBond,
-    followers,
-    merton,
-    vasicek_stock_bond,
-)
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.observation import CURVE_DEPENDENT, NAMES, sizes, slots
-from snapo.domains.pension.policy import Limits, new_policy
-from snapo.domains.pension.records import AssetClass, Overlay
-from snapo.domains.pension.simulator import PensionSimulator
-from snapo.domains.pension.trading import excess
+from snapo.domains.pension.fund.observation import FEATURES, slots
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.fund.trading import excess
+from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.policies.classical import ConstantMix, StockBond, followers
+from snapo.domains.pension.policies.closed_forms import merton, vasicek_stock_bond
+from snapo.domains.pension.policies.limits import Limits
+from snapo.domains.pension.policies.network import new_policy
+from snapo.domains.pension.records.assets import Overlay
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import unsupported
 from snapo.problem.policy import parameters
 from snapo.problem.prepare import prepare
@@ -49,7 +46,7 @@ def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
     assert unsupported(simulator, schedule, policy, Exact()) is None
     assert parameters(policy).size > 0
     count, rng = len(one.assets.classes), np.random.default_rng(0)
-    size = sum(sizes(one)[name] for name in one.observation)
+    size = sum(FEATURES[name].size(one) for name in one.observation)
     for smooth in (Exact(), Smooth(jnp.asarray(0.2))):
         for _ in range(3):
             action = np.asarray(policy(jnp.asarray(2 * rng.standard_normal(size)), smooth))
@@ -61,7 +58,7 @@ def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
 
 def test_policies_start_at_what_the_fund_holds(problem):
     one, _, _, policies = problem
-    size = sum(sizes(one)[name] for name in one.observation)
+    size = sum(FEATURES[name].size(one) for name in one.observation)
     weight = one.assets.weight.used()
     for policy in policies.values():
         action = np.asarray(policy(jnp.zeros(size), Exact()))
@@ -108,7 +105,6 @@ def test_the_observation_has_what_the_case_names(problem):
     assert seen[place["weights"]] == pytest.approx(one.assets.weight.used(), rel=1e-6)
     # The ten-year zero rate of the case's curve, in units of 2 %.
     assert seen[place["long_rate"]] == pytest.approx(0.025 / 0.02, rel=1e-5)
-    assert set(NAMES) > CURVE_DEPENDENT
 
 
 def test_mertons_rule_is_the_published_weight():
@@ -146,7 +142,7 @@ def test_the_stock_bond_rule_meets_its_limits():
 
 def test_the_stock_bond_policy_follows_its_rule_within_bounds():
     steps = 24
-    bond = AssetClass("Bond", "bond", maturity=60)
+    bond = Bond("Bond", maturity=60)
     held = assets(
         steps, [CASH, EQUITY, bond], mean=[0.04], volatility=[0.18], weight=[0.2, 0.3, 0.5]
     )

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import curve, given
 
-from snapo.domains.pension.correlation import check_correlation, nearest
-from snapo.domains.pension.curve import log_bond
+from snapo.domains.pension.market.correlation import check_correlation, nearest
+from snapo.domains.pension.market.curve import log_bond
 
 TENOR = [1.0, 2.0, 5.0, 10.0]
 RATES = np.array([0.01, 0.015, 0.02, 0.03])

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from tests.domains.pension.people_cases import given, lee_carter, people_case, plan
 
-from snapo.domains.pension.cash_flows import horizon, project
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.liability import forward_discount, nodes, on_nodes, people
-from snapo.domains.pension.reconcile import check, figures
-from snapo.domains.pension.records_people import Liability, Reconcile
-from snapo.domains.pension.schedule import basis_log_bond
+from snapo.domains.pension.fund.schedule import basis_log_bond
+from snapo.domains.pension.people.cash_flows import horizon, project
+from snapo.domains.pension.people.liability import forward_discount, nodes, on_nodes, people
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability, Reconcile
+from snapo.domains.pension.results.reconcile import check, figures
 from snapo.problem.inputs import plain
 
 

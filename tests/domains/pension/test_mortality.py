@@ -21,11 +21,11 @@ from tests.domains.pension.people_cases import (
     plan,
 )
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.liability import people
-from snapo.domains.pension.mortality import hazard, log_survival, rounded_age
-from snapo.domains.pension.records_people import FEMALE, MALE, PENSIONER
-from snapo.domains.pension.references_people import annuity_due, life_expectancy, year_of_life
+from snapo.domains.pension.people.annuities import annuity_due, life_expectancy, year_of_life
+from snapo.domains.pension.people.liability import people
+from snapo.domains.pension.people.mortality import hazard, log_survival, rounded_age
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER
 from snapo.problem.inputs import plain
 
 TABLE = Path(__file__).parents[4] / "shared" / "data" / "ssa_period_life_table_2017.csv"

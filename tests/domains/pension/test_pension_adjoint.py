@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import full, given, no_contribution, plan
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.policy import new_policy
-from snapo.domains.pension.records_people import Liability
-from snapo.domains.pension.simulator import PensionSimulator
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.policies.network import new_policy
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import named, values

@@ -11,14 +11,25 @@ import snapo.domains.pension
 from snapo.case.error import CaseError
 from snapo.case.table import load
 from snapo.cli.main import main
-from snapo.domains.pension import stress, units
 from snapo.domains.pension.case import read_case, resolve
-from snapo.domains.pension.inputs import every_given, pension_inputs
-from snapo.domains.pension.reconcile import check, figures
-from snapo.domains.pension.records_people import ACTIVE, FEMALE, MALE, SPOUSE
+from snapo.domains.pension.records.inputs import every_given, pension_inputs
+from snapo.domains.pension.records.people import ACTIVE, FEMALE, MALE, SPOUSE
+from snapo.domains.pension.results import stress
+from snapo.domains.pension.results.reconcile import check, figures
 from snapo.problem.inputs import plain
 
 HOME = Path(snapo.domains.pension.__file__).parent
+GROUPS = {
+    "curve",
+    "volatility",
+    "premium",
+    "model",
+    "credit",
+    "assets",
+    "overlay",
+    "people",
+    "plan",
+}
 COUNTS = {"small": 32, "medium": 290, "large": 1900}
 
 
@@ -67,7 +78,8 @@ def test_every_number_that_is_no_input_was_held_by_name(sized):
 def test_every_number_says_what_is_moved(sized):
     _, case = sized
     for given in every_given(case):
-        assert units.meaning(given.name) != units.MEANINGS[""], given.name
+        assert given.words, given.name
+        assert given.group in GROUPS, given.name
 
 
 def test_the_examples_are_funds_that_could_be(sized):

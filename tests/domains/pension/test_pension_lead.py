@@ -9,7 +9,7 @@ import pytest
 
 import snapo.domains.pension
 from snapo.domains.pension.case import read_case
-from snapo.domains.pension.compare import compare
+from snapo.domains.pension.results.compare import compare
 from snapo.domains.pension.run import evaluation_source, make_problem
 from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import path_totals

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.policy import new_policy
-from snapo.domains.pension.simulator import PensionSimulator
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.policies.network import new_policy
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import Native
 from snapo.problem.objective import CRRA, ExpectedUtility
 from snapo.problem.prepare import prepare

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import cash_flows, full, given
 
-from snapo.domains.pension import balance, units
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.policy import Limits, present
-from snapo.domains.pension.simulator import PensionSimulator
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.policies.limits import Limits, present
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.results import balance, effects
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
@@ -76,7 +76,7 @@ def test_headroom_of_receivers_of_payers_and_of_nothing():
 
 
 def test_one_per_cent_of_nothing_is_a_unit():
-    move = units.move("overlay_notional", Input(np.zeros(2)))
+    move = effects.move(Input(np.zeros(2)))
     assert move.size.tolist() == [1, 1]
     assert move.words == "1 unit"
 

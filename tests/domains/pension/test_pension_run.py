@@ -11,11 +11,12 @@ import pytest
 
 import snapo.domains.pension
 from snapo.cli.main import main
-from snapo.domains.pension import balance, run, stress
+from snapo.domains.pension import run
 from snapo.domains.pension.case import read_case
-from snapo.domains.pension.reconcile import figures
-from snapo.domains.pension.records_people import FEMALE, MALE
-from snapo.domains.pension.references_people import year_of_life
+from snapo.domains.pension.people.annuities import year_of_life
+from snapo.domains.pension.records.people import FEMALE, MALE
+from snapo.domains.pension.results import balance, stress
+from snapo.domains.pension.results.reconcile import figures
 from snapo.problem.inputs import plain
 
 pytestmark = pytest.mark.slow  # two minutes and more of compiling

@@ -20,11 +20,13 @@ from tests.domains.pension.market_cases import (
     rates,
 )
 
-from snapo.domains.pension.classical import ConstantMix, LiabilityDriven
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.policy import new_policy
-from snapo.domains.pension.records import AssetClass, Correlation, Overlay, SuppliedScenarios
-from snapo.domains.pension.simulator import OUTPUTS, PensionSimulator
+from snapo.domains.pension.fund.simulator import OUTPUTS, PensionSimulator
+from snapo.domains.pension.market.assets.property import Property
+from snapo.domains.pension.policies.classical import ConstantMix, LiabilityDriven
+from snapo.domains.pension.policies.network import new_policy
+from snapo.domains.pension.records.assets import Overlay
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.market import Correlation, SuppliedScenarios
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.objective import CRRA, ExpectedUtility
@@ -173,7 +175,7 @@ def test_a_constant_mix_with_outflow_has_the_known_moments():
     """P3: mean 81.20917249 and standard deviation 34.63918480 of the exact recursion."""
     steps, mean = 120, np.array([0.06, 0.03])
     s = np.array([[0.0324, -0.0018], [-0.0018, 0.0036]])
-    other = AssetClass("Other", "property")
+    other = Property("Other")
     held = assets(
         steps,
         [CASH, EQUITY, other],

@@ -21,11 +21,11 @@ from tests.domains.pension.people_cases import (
     plan,
 )
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.liability import people
-from snapo.domains.pension.plan import contribution, indexation, plan_terms
-from snapo.domains.pension.records_people import Liability
-from snapo.domains.pension.schedule import basis_log_bond
+from snapo.domains.pension.fund.plan import contribution, indexation, plan_terms
+from snapo.domains.pension.fund.schedule import basis_log_bond
+from snapo.domains.pension.people.liability import people
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Smooth
 

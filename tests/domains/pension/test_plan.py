@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from tests.domains.pension.people_cases import contributing, given, indexing, people_case, plan
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.plan import contribution, indexation, indexation_flags, plan_terms
+from snapo.domains.pension.fund.plan import contribution, indexation, indexation_flags, plan_terms
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact, Smooth
 

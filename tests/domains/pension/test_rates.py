@@ -5,10 +5,18 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import CASH, assets, case, curve, full, inflation, rates
 
-from snapo.domains.pension.inputs import pension_inputs
-from snapo.domains.pension.market import move
-from snapo.domains.pension.shocks import covariance, factor, slots
-from snapo.domains.pension.short_rate import factors, moments, nominal, real, shape, shift, slope
+from snapo.domains.pension.market.dynamics import move
+from snapo.domains.pension.market.factors import (
+    factors,
+    moments,
+    nominal,
+    real,
+    shape,
+    shift,
+    slope,
+)
+from snapo.domains.pension.market.shocks import covariance, factor, slots
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 
 KAPPA, MEAN, START, SIGMA, PRICE = 0.15, 0.03, 0.02, 0.01, -0.20
@@ -128,7 +136,7 @@ def test_prices_follow_the_break_evens_and_cash_the_curve():
         rates=rates(steps, s=0.0),
         inflation=inflation(steps, be),
     )
-    from snapo.domains.pension.simulator import PensionSimulator
+    from snapo.domains.pension.fund.simulator import PensionSimulator
 
     simulator = PensionSimulator(still)  # pyright: ignore[reportCallIssue]
     with jax.enable_x64(True):

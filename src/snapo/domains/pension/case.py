@@ -1,67 +1,37 @@
 """Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
 
 import datetime
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
 
 from snapo.case.error import CaseError
-from snapo.case.settings import read_evaluation, read_objective, read_training
-from snapo.case.table import Section, Table, load, nearest, parse
+from snapo.case.given import Given
+from snapo.case.settings import read_evaluation, read_training
+from snapo.case.table import Table, load, parse
 
-from . import case_assets, case_curve, case_people, case_plan, tables
-from .case_assets import Grid
-from .case_correlation import correlated, read_correlations
-from .case_scenarios import read_scenarios
-from .cells import known_words
-from .inputs import every_given
-from .observation import NAMES
-from .records import ObjectiveTerm, PensionCase
-from .records_people import Plan
-from .simulator import OUTPUTS
-from .stress import parse_shocks
-from .tables import PensionTable
+from .fund.observation import FEATURES
+from .market.assets.asset_class import Names
+from .market.correlation import all_names
+from .read import people, plan, tables, tables_people
+from .read.assets import read_assets
+from .read.cells import Grid, Place, known_words
+from .read.correlation import read_correlations
+from .read.curve import read_curve
+from .read.holdings import read_credit, read_currencies, read_overlay
+from .read.inflation import read_inflation
+from .read.mortality import read_lee_carter, read_mortality
+from .read.objective import read_objectives
+from .read.rates import read_rates
+from .read.scenarios import read_scenarios
+from .read.stress import parse_shocks
+from .read.tables import PensionTable
+from .records.case import PensionCase
+from .records.inputs import every_given
+from .records.plan import Plan
 
 AnyTable = TypeVar("AnyTable", bound=Table)
 STEPS = {"month": 1 / 12, "year": 1.0}
-# What each kind of objective is asked of, where the case does not name an output.
-USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
-# What counts in the real world only, and what ready-made scenarios take the place of.
-REAL_WORLD = (
-    "rate_price_of_risk",
-    "inflation_price_of_risk",
-    "index_price_of_risk",
-    "asset_mean",
-    "credit_default_loss",
-    "currency_premium",
-)
-GENERATED = (
-    *REAL_WORLD,
-    *("break_even", "ultimate_break_even"),
-    *("rate_mean_reversion", "rate_volatility", "inflation_mean_reversion"),
-    *("inflation_volatility", "index_volatility", "real_wage_growth", "wage_volatility"),
-    *("asset_volatility", "asset_smoothing", "correlation"),
-    *(f"credit_{name}" for name in ("spread", "mean_spread", "mean_reversion", "volatility")),
-    *("currency_volatility", "currency_hedge_ratio", "currency_hedge_cost"),
-)
-# Inputs whose number stands in a table of the case: where it was left at its default, it is held.
-WRITTEN = {
-    "rate_price_of_risk": ("rates", "price_of_risk"),
-    "inflation_mean_reversion": ("inflation", "mean_reversion"),
-    "inflation_volatility": ("inflation", "volatility"),
-    "inflation_price_of_risk": ("inflation", "price_of_risk"),
-    "index_volatility": ("inflation", "index_volatility"),
-    "index_price_of_risk": ("inflation", "index_price_of_risk"),
-    "real_wage_growth": ("inflation", "real_wage_growth"),
-    "wage_volatility": ("inflation", "wage_volatility"),
-    "overlay_leverage": ("overlay", "leverage"),
-    "overlay_collateral_stress": ("overlay", "collateral_stress"),
-    "mortality_multiplier": ("mortality", "multiplier"),
-    "improvement": ("mortality", "improvement"),
-    "normal_cost": ("members", "normal_cost"),
-    "payroll": ("members", "salary"),
-}
 
 
 def read_case(path: str | Path) -> PensionCase:
@@ -73,14 +43,18 @@ def read_case(path: str | Path) -> PensionCase:
     return resolve(file, data)
 
 
+@dataclass(frozen=True)
 class _Reader:
-    """One case while it is read: its tables by name, and the remarks collected on the way."""
+    """One case while it is read: its tables by name; `notes` are remarks for its owner, `silent`
+    the names of numbers that were left at a default."""
 
-    def __init__(self, file: Path, top: PensionTable):
-        self.file, self.top, self.notes = file, top, []
+    file: Path
+    top: PensionTable
+    notes: list[str]
+    silent: set[str]
 
-    def section(self, name: str) -> Section:
-        return Section(self.file, name, self.notes)
+    def place(self, name: str) -> Place:
+        return Place(self.file, name, self.notes, self.silent)
 
     def table(self, kind: type[AnyTable], name: str, data: Any = None) -> AnyTable:
         """The table `name`, which the case has or which has a default for every key."""
@@ -95,14 +69,14 @@ class _Reader:
 def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     """The same for TOML data that was read already; other files are looked for beside `file`."""
     top = parse(PensionTable, data, str(file), "")
-    reader = _Reader(file, top)
+    reader = _Reader(file, top, [], set())
     fund = reader.table(tables.FundTable, "fund")
     grid = Grid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
     market = _market(reader, grid, fund.assets)
     classes = [each.name for each in market["assets"].classes]
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
-    plan = _plan(reader, fund.currency)
+    rules = _plan(reader, fund.currency)
     case = PensionCase(
         file=file,
         title=top.title,
@@ -113,22 +87,22 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         # Time 0 is the beginning of a month that is nearest to the date: 31 December is January.
         start_month=(start + datetime.timedelta(15)).month,
         **market,
-        **_people(reader, plan, grid),
-        plan=plan,
-        liability=case_plan.read_liability(
-            reader.section("liability"), reader.table(tables.LiabilityTable, "liability")
+        **_people(reader, rules, grid),
+        plan=rules,
+        liability=plan.read_liability(
+            reader.place("liability"), reader.table(tables_people.LiabilityTable, "liability")
         ),
-        reconcile=case_plan.read_reconcile(reader.maybe(tables.ReconcileTable, "reconcile")),
+        reconcile=plan.read_reconcile(reader.maybe(tables_people.ReconcileTable, "reconcile")),
         scenarios=read_scenarios(
-            reader.section("scenarios"), supplied, classes, grid, start.isoformat()
+            reader.place("scenarios"), supplied, classes, grid, start.isoformat()
         ),
         observation=(),
         hidden=tuple(settings.hidden),
-        objective=_objective(str(file), top.objective),
+        objective=read_objectives(str(file), top.objective),
         training=read_training(top.training, str(file)),
         evaluation=read_evaluation(top.evaluation, str(file)),
-        frontier=case_plan.read_frontier(
-            reader.section("frontier"), reader.maybe(tables.FrontierTable, "frontier"), plan
+        frontier=plan.read_frontier(
+            reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
         ),
     )
     seen = settings.observation
@@ -138,68 +112,60 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         held=_held(reader, case),
         notes=tuple(reader.notes),
     )
-    known_words(str(file), "policy.observation", case.observation, NAMES)
+    known_words(str(file), "policy.observation", case.observation, tuple(FEATURES))
     parse_shocks(case, top.stress)
     return case
 
 
 def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
-    top, section = reader.top, reader.section
+    place, maybe = reader.place, reader.maybe
     curve = reader.table(tables.CurveTable, "curve")
-    rates_table = reader.maybe(tables.RatesTable, "rates")
-    if rates_table is None and top.scenarios is None:
+    if reader.top.rates is None and reader.top.scenarios is None:
         what = "this table is missing; only ready-made [scenarios] go without it"
         raise CaseError(str(reader.file), "rates", None, what)
-    rates = case_curve.no_rates(grid.steps)
-    if rates_table is not None:
-        rates = case_curve.read_rates(section("rates"), rates_table, grid.steps, grid.step)
+    rates = read_rates(place("rates"), maybe(tables.RatesTable, "rates"), grid)
     inflation = reader.table(tables.InflationTable, "inflation")
-    credit = case_assets.read_credit(section("credit"), reader.maybe(tables.CreditTable, "credit"))
-    currencies = case_assets.read_currencies(
-        section("currencies"), reader.maybe(tables.CurrenciesTable, "currencies")
-    )
+    credit = read_credit(place("credit"), maybe(tables.CreditTable, "credit"))
+    currencies = read_currencies(place("currencies"), maybe(tables.CurrenciesTable, "currencies"))
+    names = Names(grid.step, credit.names, currencies.names)
     table = reader.table(tables.AssetsTable, "assets")
-    given = (section("assets"), table, amount, grid, credit.names, currencies.names)
-    assets = case_assets.read_assets(*given)
-    known = correlated(rates, assets, credit, currencies)
+    assets = read_assets(place("assets"), table, amount, grid, names)
+    motions = all_names(rates.factors, credit.names, currencies.names, assets)
+    correlations = maybe(tables.CorrelationsTable, "correlations")
     return {
         "measure": curve.measure,
-        "curve": case_curve.read_curve(section("curve"), curve),
+        "curve": read_curve(place("curve"), curve),
         "rates": rates,
-        "inflation": case_curve.read_inflation(
-            section("inflation"), inflation, grid.steps, grid.step
-        ),
+        "inflation": read_inflation(place("inflation"), inflation, grid),
         "assets": assets,
         "credit": credit,
         "currencies": currencies,
         "correlation": read_correlations(
-            section("correlations"), reader.maybe(tables.CorrelationsTable, "correlations"), known
+            place("correlations"), correlations, [name for name in motions if name]
         ),
-        "overlay": case_assets.read_overlay(
-            section("overlay"), reader.maybe(tables.OverlayTable, "overlay"), grid
-        ),
+        "overlay": read_overlay(place("overlay"), maybe(tables.OverlayTable, "overlay"), grid),
     }
 
 
 def _plan(reader: _Reader, money: str) -> Plan:
     """`[plan]` with the two tables below it."""
-    table = reader.table(tables.PlanTable, "plan")
+    table = reader.table(tables_people.PlanTable, "plan")
     names = ("plan.indexation", "plan.contribution")
-    indexation = reader.table(tables.IndexationTable, names[0], table.indexation)
-    contribution = reader.table(tables.ContributionTable, names[1], table.contribution)
-    return case_plan.read_plan(
-        reader.section("plan"),
+    indexation = reader.table(tables_people.IndexationTable, names[0], table.indexation)
+    contribution = reader.table(tables_people.ContributionTable, names[1], table.contribution)
+    return plan.read_plan(
+        reader.place("plan"),
         table,
-        case_plan.read_indexation(reader.section(names[0]), indexation),
-        case_plan.read_contribution(reader.section(names[1]), contribution, money),
+        plan.read_indexation(reader.place(names[0]), indexation),
+        plan.read_contribution(reader.place(names[1]), contribution, money),
         money,
     )
 
 
-def _people(reader: _Reader, plan: Plan, grid: Grid) -> dict[str, Any]:
+def _people(reader: _Reader, rules: Plan, grid: Grid) -> dict[str, Any]:
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
-    table, section = reader.table(tables.MembersTable, "members"), reader.section("members")
+    table, section = reader.table(tables_people.MembersTable, "members"), reader.place("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
     found: dict[str, Any] = dict.fromkeys(names)
     if (table.file is None) == (table.cash_flows is None):
@@ -210,75 +176,44 @@ def _people(reader: _Reader, plan: Plan, grid: Grid) -> dict[str, Any]:
             if getattr(reader.top, name) is not None:
                 what = "cash flows of the actuary's own leave nothing to this table"
                 raise CaseError(str(reader.file), name, None, what)
-        arrears = plan.timing == "arrears"
-        found["cash_flows"] = case_people.read_cash_flows(section, table, arrears, grid)
+        arrears = rules.timing == "arrears"
+        found["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
         return found
     for key in ("normal_cost", "salary"):
         if key in table.model_fields_set:
             raise section.error(key, getattr(table, key), "this key goes with cash_flows")
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
-    mortality = case_people.read_mortality(
-        reader.section("mortality"), reader.table(tables.MortalityTable, "mortality")
+    mortality = read_mortality(
+        reader.place("mortality"), reader.table(tables_people.MortalityTable, "mortality")
     )
-    given = (section, table, mortality, plan.retirement_age, grid)
-    found["members"], found["mortality"] = case_people.read_members(*given), mortality
-    lee_carter = reader.maybe(tables.LeeCarterTable, "lee_carter")
-    found["lee_carter"] = case_people.read_lee_carter(
-        reader.section("lee_carter"), lee_carter, mortality
-    )
+    given = (section, table, mortality, rules.retirement_age, grid)
+    found["members"], found["mortality"] = people.read_members(*given), mortality
+    lee_carter = reader.maybe(tables_people.LeeCarterTable, "lee_carter")
+    found["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
     return found
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:
-    """What a policy sees unless told otherwise: every name that means something in this case."""
-    absent = {
-        "rates": case.scenarios is not None,
-        "inflation": case.scenarios is not None,
-        "spreads": not case.credit.names or case.scenarios is not None,
-        "mortality": case.lee_carter is None,
-        "overlay": case.overlay is None,
-        # The funding ratio itself is there already.
-        "relative_funding": True,
-        "short_rate": case.scenarios is None,
-        "long_rate": case.scenarios is None,
-        "accrued": True,
-    }
-    return tuple(name for name in NAMES if not absent.get(name, False))
-
-
-def _objective(file: str, data: Any) -> tuple[ObjectiveTerm, ...]:
-    """One table, or several that are added up."""
-    many = isinstance(data, list)
-    terms = data if many else [data or {"kind": "crra", "risk_aversion": 5.0}]
-    if not terms:
-        raise CaseError(file, "objective", data, "at least one table is needed")
-    found = []
-    for i, each in enumerate(terms, 1):
-        name = f"objective.{i}" if many else "objective"
-        if not isinstance(each, Mapping):
-            raise CaseError(file, name, each, "this must be a table")
-        rest = {key: value for key, value in each.items() if key not in ("weight", "output")}
-        table = read_objective(rest, file, name, optional=("wealth",))
-        weight = each.get("weight", 1.0)
-        if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
-            raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
-        output = each.get("output", USUAL.get(table.kind, "funding_ratio"))
-        if output not in OUTPUTS:
-            close = nearest(str(output), OUTPUTS)
-            raise CaseError(file, f"{name}.output", output, f"there is no such output; {close}")
-        found.append(ObjectiveTerm(float(weight), str(output), table))
-    return tuple(found)
+    """The default observation: every part that means something in this case."""
+    return tuple(name for name, seen in FEATURES.items() if seen.usual(case))
 
 
 def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
     """Names of inputs without a gradient: asked for, left at a default, or without effect."""
     asked = reader.table(tables.SensitivityTable, "sensitivity").held
-    present = [given.name for given in every_given(case)]
-    known_words(str(reader.file), "sensitivity.held", asked, present)
-    idle = set(GENERATED) if case.scenarios is not None else set()
-    idle |= set(REAL_WORLD) if case.risk_neutral else set()
-    for name, (table, key) in WRITTEN.items():
-        if key not in (getattr(reader.top, table) or {}):
-            idle.add(name)
-    return tuple(name for name in present if name in asked or name in idle)
+    every = list(every_given(case))
+    known_words(str(reader.file), "sensitivity.held", asked, [each.name for each in every])
+    idle = reader.silent | {each.name for each in _replaced(case)}
+    if case.risk_neutral or case.scenarios is not None:
+        idle |= {each.name for each in every if each.group == "premium"}
+    return tuple(each.name for each in every if each.name in asked or each.name in idle)
+
+
+def _replaced(case: PensionCase) -> list[Given]:
+    """The numbers of all models whose place ready-made scenarios take."""
+    if case.scenarios is None:
+        return []
+    models = (case.rates, case.inflation, case.credit, case.currencies, case.correlation)
+    numbers = [given for model in models for given in every_given(model)]
+    return [*numbers, case.assets.volatility, case.assets.smoothing]

@@ -22,15 +22,15 @@ from snapo.solver.solution import Solution
 from snapo.solver.train import Training
 from snapo.study.run_folder import Pages, Task, check_folder, copy_case, solve_into, write_run
 
-from .compare import compare
-from .details import details, profile_rows
-from .inputs import pension_inputs
-from .policy import new_policy
-from .reconcile import Line
-from .reconcile import check as reconcile
-from .records import PensionCase
+from .fund.simulator import PensionSimulator
+from .policies.network import new_policy
+from .records.case import PensionCase
+from .records.inputs import pension_inputs
 from .report import write_report
-from .simulator import PensionSimulator
+from .results.compare import compare
+from .results.details import details, profile_rows
+from .results.reconcile import Line
+from .results.reconcile import check as reconcile
 
 
 class Problem(NamedTuple):

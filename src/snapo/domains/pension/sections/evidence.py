@@ -4,8 +4,8 @@ from snapo.report import evidence
 from snapo.report.page import Block, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number
 
-from ..units import name_of
 from .run import Run
+from .words import name_of
 
 
 def checks(run: Run) -> list[tuple[str, bool]]:

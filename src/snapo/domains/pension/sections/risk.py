@@ -7,10 +7,10 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import decimals, finite, number, plus_minus
 
-from ..units import meaning, name_of
 from .run import Run
+from .words import name_of
 
-CURVES = ("zero_rate", "forward_rate", "break_even")
+CURVE = "curve"  # the group of inputs that are nodes of a curve
 EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
 BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 HELD = (
@@ -42,11 +42,11 @@ def sensitivities(run: Run) -> Section:
     blocks: list[Block] = [_tornado(moves, scale, unit)]
     blocks.append(_families(moves, scale, unit))
     rows = run.get("sensitivities.rows", [])
-    for name in CURVES:
+    curves = dict.fromkeys(row["input"] for row in rows if row.get("group") == CURVE)
+    for name in curves:
         own = [row for row in rows if row["input"] == name]
-        if own:
-            blocks.append(_nodes(name, own, scale, unit))
-    others = [row for row in rows if row["input"] not in CURVES]
+        blocks.append(_nodes(name, own, scale, unit))
+    others = [row for row in rows if row["input"] not in curves]
     if others:
         blocks.append(_others(others, scale, unit))
     blocks += [Text(HELD, caveat=True), _definitions(moves)]
@@ -116,9 +116,9 @@ def _others(rows: list[dict], scale: float, unit: str) -> Table:
 
 def _definitions(families: list[dict]) -> Table:
     rows = [
-        (name_of(each["input"]), f"+ {each['move']}: {meaning(each['input'])}") for each in families
+        (name_of(each["input"]), f"+ {each['move']}: {each.get('words', '')}") for each in families
     ]
-    return Table([("Input", ""), ("What is moved", "")], rows, "Definitions", 2)
+    return Table([("Input", ""), ("The move", "")], rows, "Definitions", 2)
 
 
 def ladder(run: Run) -> Section:

@@ -1,0 +1,122 @@
+"""The learned policy against classical ones, each tuned on the same objective and bounds."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+
+import numpy as np
+
+from snapo.problem.objective import CRRA, ExpectedUtility, Objective, Totals
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+from snapo.solver.solution import Solution
+from snapo.solver.train import begin, train
+
+from ..policies.classical import ConstantMix, followers
+
+if TYPE_CHECKING:
+    from ..run import Problem
+
+AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
+RATE = 0.05  # learning rate of rules of a few numbers each, which have far to go
+
+
+class Equivalent(NamedTuple):
+    """A utility of the final funding ratio as a sure ratio: `slope` is d ratio / d utility."""
+
+    ratio: float
+    slope: float
+
+
+def equivalent(objective: Objective, utility: float) -> Equivalent | None:
+    """The sure final funding ratio that is worth as much; None for other objectives."""
+    if not (isinstance(objective, ExpectedUtility) and objective.output == "funding_ratio"):
+        return None
+    crra: CRRA = objective.utility
+    ratio = crra.certainty_equivalent(utility)
+    if not math.isfinite(ratio):
+        return None
+    return Equivalent(ratio, 1 / float(crra.slope(np.array(ratio))))
+
+
+def compare(
+    problem: "Problem",
+    solution: Solution,
+    source: Scenarios,
+    progress: Callable[[str], None],
+) -> list[dict[str, Any]]:
+    """Value, certainty equivalent and paired difference of every policy, the learned one first.
+
+    Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
+    standard error comes from the differences path by path. The classical policies take as many
+    steps of training as the network did, those that follow the funding ratio on top of the
+    constant mix from which they start; of each the best along the way is kept.
+    """
+    own = {name: np.asarray(total) for name, total in solution.totals.items()}
+    found = [_row(problem, "learned", "Learned policy", own, own, source)]
+
+    def measure(key: str, name: str, policy: Policy) -> Totals:
+        given = (problem.engines.evaluate, problem.simulator, policy, problem.schedule, source)
+        totals = path_totals(*given, problem.evaluation.paths, Exact())
+        found.append(_row(problem, key, name, totals, own, source))
+        return totals
+
+    progress("tuning constant mix")
+    mix = tuned(problem, ConstantMix(problem.case))
+    totals = measure("constant_mix", "Constant mix", mix)
+    for key, (name, start) in followers(problem.case, mix, reached(problem, totals)).items():
+        progress(f"tuning {name.lower()}")
+        measure(key, name, tuned(problem, start))
+    return found
+
+
+def reached(problem: "Problem", totals: Totals) -> tuple[float, float]:
+    """The range of funding ratios between today's and the middle 80 % of the paths' last ones."""
+    now = float(problem.schedule.constants.assets / problem.schedule.constants.liability)
+    low, high = np.quantile(totals["funding_ratio"], [0.1, 0.9])
+    return min(now, float(low)), max(now, float(high))
+
+
+def tuned(problem: "Problem", policy: AnyPolicy) -> AnyPolicy:
+    """The best of the policies along a run of training, as for the network."""
+    from ..run import supplied
+
+    rate = max(RATE, problem.training.learning_rate)
+    training = replace(problem.training, learning_rate=rate)
+    given = (problem.simulator, problem.schedule, begin(policy, training), problem.objective)
+    return train(
+        *given, training, problem.engines.train, supplied=supplied(problem.case, "training")
+    ).best  # pyright: ignore[reportReturnType]
+
+
+def _row(problem: "Problem", key: str, name: str, totals, own, source: Scenarios) -> dict[str, Any]:
+    objective, case = problem.objective, problem.case
+    value, mine = objective.value(totals), objective.value(own)
+    row: dict[str, Any] = {"key": key, "name": name, "value": value}
+    spread = objective.influence(own) - objective.influence(totals)
+    error = _error(spread, source)
+    row |= {"difference": mine - value, "difference_error": error}
+    ratio, best = equivalent(objective, value), equivalent(objective, mine)
+    if ratio is not None and best is not None:
+        years = case.steps * case.step
+        # ln of a sure ratio per year moves by its slope over the ratio for one unit of utility.
+        ours = objective.influence(own) * best.slope / best.ratio
+        theirs = objective.influence(totals) * ratio.slope / ratio.ratio
+        row["equivalent"] = ratio.ratio
+        row["lead"] = math.log(best.ratio / ratio.ratio) / years
+        row["lead_error"] = _error(ours - theirs, source) / years
+    final = np.asarray(totals["funding_ratio"])
+    row |= {"median": float(np.median(final)), "p05": float(np.quantile(final, 0.05))}
+    row["underfunded"] = float((final < 1).mean())
+    row["pv_contribution"] = float(np.mean(totals["pv_contribution"]))
+    return row
+
+
+def _error(values: np.ndarray, source: Scenarios) -> float:
+    """The standard error of a mean over independent groups of paths (antithetic pairs)."""
+    groups = source.groups(np.arange(values.size))
+    means = np.bincount(groups, values) / np.bincount(groups)
+    return float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else math.nan

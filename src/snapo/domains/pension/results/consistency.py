@@ -1,0 +1,110 @@
+"""Is the model the market's? Risk-neutral tests on fresh paths, each with its error."""
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.inputs import plain
+from snapo.problem.policy import Policy
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo, Scenarios
+from snapo.problem.smooth import Exact
+from snapo.solver.evaluate import path_totals
+from snapo.solver.train import EVALUATE_STREAM
+
+from ..fund.simulator import PensionSimulator
+from ..market.curve import log_bond
+from ..market.state import log_factor
+from ..people.liability import nodes
+from ..read.cells import empty
+from ..records.case import PensionCase
+from .reconcile import Figures
+
+if TYPE_CHECKING:
+    from ..run import Problem
+
+PATHS = 16384
+ROUND_OFF = 1e-12  # of a value that does not vary over paths
+TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
+
+
+class Priced(PensionSimulator):
+    """The fund, with what bonds at the horizon are worth today: "bond 10", discounted.
+
+    Per unit of what the forward curve says they are worth then; index-linked where the liability
+    is valued as following prices.
+    """
+
+    def terminal(self, constants, state, smooth):
+        market = state.market
+        worth = log_factor(constants.market, constants.last_shape, market) + market.log_discount
+        if _real(self.case):
+            worth = worth + market.log_price
+        years = np.rint(nodes(self.case.step) * self.case.step * 1e6) / 1e6
+        bonds = {f"bond {u}": jnp.exp(worth[np.flatnonzero(years == u)[0]]) for u in TENORS}
+        return super().terminal(constants, state, smooth) | bonds
+
+
+def consistency(problem: "Problem", policy: Policy, found: Figures) -> list[dict[str, Any]]:
+    """What discounted values should be, and what they are, with the trained policy.
+
+    The scenarios are "Q" whatever the measure of the case, without the cost of hedging currencies,
+    which nobody receives. Costs count where they are paid. None where scenarios are supplied;
+    appraised values and bases with a spread are no prices.
+    """
+    case = problem.case
+    if case.scenarios is not None:
+        return []
+    free = replace(case.currencies, hedge_cost=empty("hedge_cost", (len(case.currencies.names),)))
+    simulator = Priced(replace(case, measure="Q", currencies=free))  # pyright: ignore
+    schedule = prepare(simulator, problem.inputs)
+    source = Pseudo(problem.training.seed, stream=(EVALUATE_STREAM << 32) + 3)
+    given = (problem.engines.evaluate, simulator, policy, schedule, source)
+    totals = path_totals(*given, PATHS, Exact())
+    years = case.steps * case.step
+    tests = [("Discount factor at the horizon", totals["discount"], _price(problem, years, False))]
+    if case.liability.basis != "fixed":
+        kind = "Index-linked bond" if _real(case) else "Bond"
+        now = _price(problem, years, _real(case))
+        for u in TENORS:
+            then = _price(problem, years + u, _real(case))
+            values = totals[f"bond {u}"] * then / now
+            name = f"Refit of the curve: {kind.lower()} of {u}y bought after {years:g}y"
+            tests.append((name, values, then))
+    if not case.assets.smoothed.size:
+        paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]
+        left = totals["pv_assets"] + paid - totals["pv_contribution"]
+        tests.append(("Assets: what they leave and pay", left, float(case.assets.amount.used())))
+    plain_basis = case.liability.basis == "risk-free" and case.liability.future_indexation == "none"
+    if plain_basis and case.lee_carter is None:
+        added = totals["pv_indexation"] + totals["pv_accrual"]
+        left = totals["pv_liability"] + totals["pv_benefit"] - added
+        tests.append(("Liability: what it leaves and pays", left, found.liability))
+    return [_tested(name, values, expected, source) for name, values, expected in tests]
+
+
+def _real(case: PensionCase) -> bool:
+    return case.liability.future_indexation == "full"
+
+
+def _price(problem: "Problem", years: float, real: bool) -> float:
+    """P(0, years) on today's curve, nominal or index-linked."""
+    case, given = problem.case, plain(problem.inputs)
+    with jax.enable_x64(True):
+        when = np.array([years])
+        found = float(log_bond(case.curve, given, when)[0])
+        prices = float(log_bond(case.inflation.break_even, given, when)[0]) if real else 0.0
+    return float(np.exp(found - prices))
+
+
+def _tested(name: str, values: np.ndarray, expected: float, source: Scenarios) -> dict[str, Any]:
+    """One line: the mean over independent groups of paths against what it should be."""
+    groups = source.groups(np.arange(values.size))
+    means = np.bincount(groups, values) / np.bincount(groups)
+    mean, error = float(means.mean()), float(means.std(ddof=1) / np.sqrt(means.size))
+    passed = abs(mean - expected) <= 3 * error + ROUND_OFF * abs(expected)
+    row = {"name": name, "own": mean, "expected": expected, "standard_error": error}
+    return row | {"ok": passed}
