@@ -25,7 +25,10 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.engine import Xla
-from snapo.engine.native import Native, compiler
+from snapo.engine.native import Native
+from snapo.lanes.machine.linked import Linked
+from snapo.lanes.machine.pipeline import object_code
+from snapo.lanes.machine.processor import host
 from snapo.problem.actions import Box
 from snapo.problem.noise import Stored
 from snapo.problem.policy import Network, Policy
@@ -153,7 +156,7 @@ CHAINS, TURNS = 12, 2_000_000  # enough to hide the latency, few enough for 16 r
 
 def multiply_adds(threads: int) -> tuple[Callable, int]:
     """A call in which every thread multiplies and adds in registers, and how often it does."""
-    _, _, register = compiler.host()
+    register = host().register
     lanes = register // 4
     kind = f"<{lanes} x float>"
     lines = ["define void @run(ptr %out, i64 %a, i64 %b) #0 {\nentry:\n  br label %loop\nloop:"]
@@ -174,7 +177,7 @@ def multiply_adds(threads: int) -> tuple[Callable, int]:
     lines += [
         f'attributes #0 = {{ "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}" }}'
     ]
-    machine = compiler.Machine(compiler.compile_text("\n".join(lines)), ["run"])
+    machine = Linked(object_code("\n".join(lines)), {"run": 2})
     outs = [np.zeros(64, np.float32) for _ in range(threads)]
     pool = ThreadPoolExecutor(threads)
 

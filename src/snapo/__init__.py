@@ -4,7 +4,6 @@ The public names are those of `__init__.pyi`. They are loaded when first used, s
 `snapo --help` need not load JAX.
 """
 
-import ast
 from functools import cache
 from importlib import import_module
 from pathlib import Path
@@ -16,6 +15,8 @@ __version__ = "0.1.0"
 @cache
 def _homes() -> dict[str, str]:
     """{public name: module}, from the imports of `__init__.pyi`."""
+    import ast  # late: it takes longer than all of `snapo --help`
+
     text = Path(__file__).with_name("__init__.pyi").read_text(encoding="utf-8")
     listed = ast.parse(text)
     imports = [node for node in listed.body if isinstance(node, ast.ImportFrom)]

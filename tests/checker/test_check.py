@@ -9,7 +9,7 @@ import pytest
 from snapo.checker.check import check
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
-from snapo.problem.scenarios import Supplied
+from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 
 T = 4
@@ -59,7 +59,7 @@ def only(findings, severity="error"):
 def test_a_clean_simulator_has_no_findings():
     findings = check(Good(), inputs())
     assert len(findings) == 0 and findings.ok, str(findings)
-    assert "nothing to mend" in str(findings)
+    assert "no findings" in str(findings)
 
 
 def test_supplied_scenarios_may_take_the_place_of_normals():
@@ -182,7 +182,7 @@ class WrongKey(Good):
 )
 def test_mistakes_that_one_step_shows(simulator, where, what):
     error = only(check(simulator, inputs()))
-    assert where in error.where and what in error.what and error.mend
+    assert where in error.where and what in error.what and error.fix
 
 
 def test_errors_of_user_code_name_file_and_line():
@@ -305,3 +305,160 @@ def test_inputs_whose_derivative_is_wrong():
     assert by_input["floored"].severity == "warning" and "exactly zero" in by_input["floored"].what
     assert by_input["partly"].severity == "error" and "by the adjoint" in by_input["partly"].what
     assert by_input["unused"].severity == by_input["slack"].severity == "warning"
+
+
+def test_a_plain_number_beside_inputs_is_no_mistake():
+    """Given as constants as they come: the float becomes an array there, and has no derivative."""
+
+    class Plain(Good):
+        def prepare(self, inputs):
+            return Schedule(
+                {"drift": inputs["drift"], "cut": inputs["cut"]}, {"price": inputs["price"]}
+            )
+
+        def step(self, constants, now, state, action, noise, smooth):
+            after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+            return after, {"cash": outputs["cash"] * constants["cut"]}
+
+    given = {"drift": Input(0.3), "price": Input([1.0, 1.2, 0.9, 1.1]), "cut": 0.8}
+    assert not len(findings := check(Plain(), given)), str(findings)
+
+
+class NoOutputs(Good):
+    def step(self, constants, now, state, action, noise, smooth):
+        return Good.step(self, constants, now, state, action, noise, smooth)[0], {}
+
+    def terminal(self, constants, state, smooth):
+        return {}
+
+
+class NoTotals(Good):
+    def totals(self):
+        raise RuntimeError("which ones?")
+
+
+class Table(Good):
+    """A NumPy table of the class, used inside step: one simulator, two precisions."""
+
+    noise_size: int = 2
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        return after, {"cash": outputs["cash"] + jnp.sum(TABLE * noise)}
+
+
+TABLE = np.array([0.3, 0.7])
+
+
+def test_nothing_that_a_simulator_does_raises():
+    assert "no outputs" in only(check(NoOutputs(), inputs())).what
+    assert "which ones?" in only(check(NoTotals(), inputs())).what
+    assert "scenarios" in only(check(Good(), inputs(), scenarios=Pseudo(0))).where
+    assert not check(Good(), None).ok
+
+
+class Converted(Table):
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        return after, {"cash": outputs["cash"] + jnp.dot(jnp.asarray(SECOND), noise)}
+
+
+SECOND = np.array([0.2, 0.8])
+
+
+class Fresh(Table):
+    """A table that is made anew in every trace is as right as one in the schedule."""
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        return after, {"cash": outputs["cash"] + jnp.asarray([0.2, 0.8]) @ noise}
+
+
+def test_a_numpy_table_in_step_fails_in_one_precision():
+    for simulator in (Table(), Converted()):
+        error = only(check(simulator, inputs()))
+        assert error.where.startswith("step, ") and "float" in error.what
+        assert "schedule" in error.fix
+    assert not len(findings := check(Fresh(), inputs())), str(findings)
+
+
+# --- indices past the end, which JAX moves to the last entry --------------------------------------
+
+
+class Indices(Good):
+    """Reads `wrong` of its methods' arrays, which are past their ends, or nothing."""
+
+    wrong: str = eqx.field(static=True, default="")
+
+    def observe(self, constants, now, state):
+        both = jnp.stack([state["stock"], now["price"]])
+        return both[jnp.array([0, 2])] if self.wrong == "gather" else both[jnp.array([1, -2])]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        more = {
+            "noise": lambda: noise[1],
+            "action": lambda: action[1],
+            "negative": lambda: noise[-2],
+            "branch": lambda: jax.lax.cond(noise[0] > 0, lambda: action[3], lambda: action[0]),
+            "write": lambda: jnp.zeros(2).at[2].set(noise[0]).sum(),
+            "": lambda: noise[0] + noise[-1] + jnp.zeros(2).at[1].add(action[0]).sum(),
+        }
+        return after, {"cash": outputs["cash"] + more.get(self.wrong, more[""])()}
+
+
+@pytest.mark.parametrize(
+    "wrong, where, length",
+    [
+        ("noise", "step, ", "noise[1]"),
+        ("action", "step, ", "action[1]"),
+        ("negative", "step, ", "noise[-2]"),
+        ("branch", "step, ", "[3]"),
+        ("write", "step, ", "[2]"),
+        ("gather", "observe, ", "[2]"),
+    ],
+)
+def test_indices_past_the_end_are_found(wrong, where, length):
+    errors = [f for f in check(Indices(wrong=wrong), inputs()).errors if "entries" in f.what]
+    assert len(errors) == 1, str(errors)
+    assert errors[0].where.startswith(where) and errors[0].where.endswith(length)
+    assert "test_check.py" in errors[0].what
+
+
+def test_indices_within_an_array_are_no_mistake():
+    assert not len(findings := check(Indices(), inputs())), str(findings)
+
+
+# --- no false alarms: one policy does not get everywhere ------------------------------------------
+
+
+class Corner(Good):
+    """A second action and an input that matter near the end of the action's range only."""
+
+    action: Box = Box(2, 0.0, 1.0)
+
+    def prepare(self, inputs):
+        return Schedule({"drift": inputs.drift, "fee": inputs.fee}, {"price": inputs.price})
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        fee = constants["fee"] * jnp.maximum(action[1] - 0.97, 0.0)
+        kink = 0.1 * jnp.abs(constants["drift"] - 0.304)
+        return after, {"cash": outputs["cash"] - fee - kink}
+
+
+class CornerInputs(eqx.Module):
+    drift: Input
+    price: Input
+    fee: Input
+
+
+def test_what_matters_at_high_actions_only_is_no_mistake():
+    given = CornerInputs(Input(0.3), Input([1.0, 1.2, 0.9, 1.1]), Input(2.0))
+    assert not len(findings := check(Corner(), given)), str(findings)
+
+
+def test_a_corner_within_the_bump_is_no_mistake():
+    """A step of 0.05 crosses the corner at 0.304, and so does an eighth of it."""
+    given = CornerInputs(Input(0.3, bump=0.05), Input([1.0, 1.2, 0.9, 1.1]), Input(2.0))
+    assert not len(findings := check(Corner(), given)), str(findings)

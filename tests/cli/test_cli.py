@@ -12,9 +12,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from snapo.cli.own import read_own
 
 from snapo.cli.main import main
-from snapo.cli.own import read_own
 
 CASES = Path(__file__).parents[1] / "domains" / "gas_storage" / "cases"
 RUN = "snapo.domains.gas_storage.run"

@@ -18,6 +18,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.objective import CVaR, Mean
 from snapo.problem.policy import MLP
 from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
@@ -392,13 +393,11 @@ def test_a_path_that_is_not_finite_is_masked_and_counted(objective):
     noise[0, [1, 4], 0] = -5.0
     noise[:, [0, 2, 3, 5], 0] += np.arange(4) * 0.2
     policy = MLP(simulator.action, 1, key=jax.random.key(0), hidden=(2,))
-    schedule = prepare(simulator, {})
+    bound = DOUBLE.bind(Problem(simulator, {}, objective))
 
     def run(paths):
         draws = Supplied(noise).draws(np.asarray(paths), simulator)
-        return adjoint_of_finite_paths(
-            DOUBLE, simulator, policy, schedule, draws, Exact(), objective
-        )
+        return adjoint_of_finite_paths(bound, policy, draws, Exact(), objective)
 
     value, result, bad = run(range(6))
     expected, alone, none = run([0, 2, 3, 5])

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from snapo.engine import Xla
-from snapo.problem.actions import Box
+from snapo.problem.actions import Box, Simplex
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Linear
@@ -212,15 +212,15 @@ def test_names_keep_outputs_apart_and_mappings_name_the_inputs():
 
 
 def test_what_cannot_be_chained_is_refused():
-    class Narrow(Heat):
-        action: Box = Box(1, 0.0, 1.0)
+    class Shares(Grow):
+        action: Simplex = Simplex(2)
 
     class Sums(Grow):
         def totals(self):
             return {"peak": "last"}
 
-    with pytest.raises(ValueError, match="same bounds"):
-        Chain([Narrow(), Grow()], [move])
+    with pytest.raises(ValueError, match="all must be Boxes"):
+        Chain([Heat(), Shares()], [move])
     with pytest.raises(ValueError, match="maps"):
         Chain([Heat(), Grow()], [])
     with pytest.raises(ValueError, match="names"):

@@ -17,7 +17,8 @@ from snapo.problem.inputs import Input
 from snapo.problem.objective import Mean
 from snapo.problem.policy import Linear
 from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Pseudo
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import value_and_gradient
@@ -115,9 +116,8 @@ def test_value_and_sensitivities_of_a_given_rule():
     error = blocks.std(ddof=1) / np.sqrt(32)
     assert abs(blocks.mean() - recursion(gains)[2]) < 4 * error
     assert error < 0.02 * blocks.mean()
-    value, gradient = value_and_gradient(
-        simulator, inputs(), policy, objective=COST, scenarios=scenarios, paths=512
-    )
+    problem = Problem(simulator, inputs(), COST, Sources.of(scenarios))
+    value, gradient = value_and_gradient(problem, policy, paths=512)
     assert float(gradient.inputs["start"]) == pytest.approx(2 * value / START, rel=1e-10)
 
 
@@ -130,9 +130,8 @@ def test_training_finds_the_gains():
         steps=200, paths=512, learning_rate=0.03, validation_every=200, validation_paths=512
     )
     policy = Linear(np.array([[-0.1], [-0.6]], np.float32), np.zeros(2, np.float32))
-    progress = train(
-        simulator, prepare(simulator, inputs()), begin(policy, training), COST, training, Xla()
-    )
+    problem = Problem(simulator, inputs(), COST)
+    progress = train(problem, begin(policy, training), training, Xla())
     assert progress.status == "trained"
     s, p, best = recursion()
     gains = np.asarray(progress.average.gain)[:, 0]

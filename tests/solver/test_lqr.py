@@ -19,7 +19,8 @@ from snapo.problem.inputs import Input
 from snapo.problem.objective import Mean
 from snapo.problem.policy import Policy
 from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Supplied
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Sources, Supplied
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import pull_back, value_and_gradient
@@ -114,9 +115,8 @@ CUBATURE = Supplied(POINTS.reshape(4 * T, T, 2).transpose(1, 0, 2))
 
 
 def solved(policy, held):
-    return value_and_gradient(
-        Regulator(), INPUTS, policy, objective=COST, scenarios=CUBATURE, paths=4 * T, held=held
-    )
+    problem = Problem(Regulator(), INPUTS, COST, Sources(*3 * (CUBATURE,)))
+    return value_and_gradient(problem, policy, paths=4 * T, held=held)
 
 
 def test_stationary_riccati_is_the_published_one():

@@ -18,6 +18,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.objective import CRRA, ExpectedUtility
 from snapo.problem.policy import Constant
 from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -158,14 +159,8 @@ def test_training_finds_the_weight():
         Inputs(*(Input(MARKET[n]) for n in ("rate", "drift", "volatility"))),
     )
     training = Training(steps=150, paths=1024, learning_rate=0.03, validation_every=150)
-    progress = train(
-        simulator,
-        prepare(simulator, inputs),
-        begin(Constant(np.array([0.6], np.float32)), training),
-        OBJECTIVE,
-        training,
-        Xla(),
-    )
+    start = begin(Constant(np.array([0.6], np.float32)), training)
+    progress = train(Problem(simulator, inputs, OBJECTIVE), start, training, Xla())
     assert progress.status == "trained"
     found = float(progress.average.value[0])
     assert found == pytest.approx(WEIGHT, abs=0.03)

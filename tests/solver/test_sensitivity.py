@@ -7,7 +7,6 @@ import pytest
 
 import snapo
 from snapo.engine import Xla
-from snapo.problem.prepare import prepare
 from snapo.solver.sensitivity import Estimate
 
 
@@ -41,26 +40,23 @@ INPUTS = {
 }
 
 
-def problem():
-    simulator = Sale()
-    policy = snapo.Threshold(2.0, jnp.array([0.1]), jnp.array([0.9]), feature=1, scale=0.5)
-    return simulator, policy, snapo.Mean("cash"), snapo.Pseudo(3)
+SOURCE = snapo.Pseudo(3)
+PROBLEM = snapo.Problem(Sale(), INPUTS, snapo.Mean("cash"), snapo.Sources.of(SOURCE))
+POLICY = snapo.Threshold(2.0, jnp.array([0.1]), jnp.array([0.9]), feature=1, scale=0.5)
 
 
 def test_held_rows_name_every_entry_and_add_up_to_the_value():
-    simulator, policy, objective, source = problem()
-    table = snapo.sensitivities(simulator, INPUTS, policy, objective, source, 256)
+    table = snapo.sensitivities(PROBLEM, POLICY, 256)
     rows = list(table.rows())
     assert [(row.input, row.label) for row in rows][:3] == [
         ("price", d) for d in ("Mon", "Tue", "Wed")
     ]
     # Cash is linear in the prices once the decisions are held: price x delta adds up to the value.
-    draws = source.draws(np.arange(256), simulator)
-    schedule = prepare(simulator, INPUTS)
-    totals = Xla("float64").values(simulator, policy, schedule, draws, snapo.Exact()).totals
-    total = sum(row.value * p for row, p in zip(rows, INPUTS["price"].value))
+    draws = SOURCE.draws(np.arange(256), PROBLEM.simulator)
+    totals = Xla("float64").bind(PROBLEM).values(POLICY, draws, snapo.Exact()).totals
+    total = sum(row.held * p for row, p in zip(rows, INPUTS["price"].value))
     assert total == pytest.approx(totals["cash"].mean(), rel=1e-12)
-    assert all(row.standard_error >= 0 for row in rows)
+    assert all(row.held_error >= 0 for row in rows)
 
 
 def test_the_error_along_a_direction_is_that_of_the_sum():
@@ -72,24 +68,18 @@ def test_the_error_along_a_direction_is_that_of_the_sum():
 
 
 def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_respond():
-    simulator, policy, objective, source = problem()
     smooth = snapo.Smooth(np.float64(1.0))
     direction = {"price": np.array([1.0, 0.5, 0.0])}
-    (found,) = snapo.second_order(
-        simulator, INPUTS, policy, objective, source, 64, [direction], smooth
-    )
+    (found,) = snapo.second_order(PROBLEM, POLICY, 64, [direction], smooth)
     step = 1e-5  # central differences of a smooth function: error of order step^2 and eps / step
 
     def held(sign):
         bumped = INPUTS["price"].value + sign * step * direction["price"]
-        inputs = INPUTS | {"price": snapo.Input(bumped)}
-        engine, draws = Xla("float64"), source.draws(np.arange(64), simulator)
-        schedule = prepare(simulator, inputs)
-        rolled = engine.values(simulator, policy, schedule, draws, smooth, record=("action",))
+        bound = Xla("float64").bind(PROBLEM.at({"price": bumped}))
+        draws = SOURCE.draws(np.arange(64), PROBLEM.simulator)
+        rolled = bound.values(POLICY, draws, smooth, record=("action",))
         weights = {"cash": np.full(64, 1 / 64)}
-        result = engine.adjoint(
-            simulator, None, schedule, draws, smooth, weights, actions=rolled.record["action"]
-        )
+        result = bound.adjoint(None, draws, smooth, weights, actions=rolled.record["action"])
         return result.schedule.constants
 
     up, down = held(1), held(-1)
@@ -99,20 +89,14 @@ def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_res
 
 
 def test_an_unknown_direction_is_named():
-    simulator, policy, objective, source = problem()
     with pytest.raises(KeyError, match="prise"):
         directions = [{"prise": np.ones(3)}]
-        snapo.second_order(
-            simulator, INPUTS, policy, objective, source, 8, directions, snapo.Smooth(np.float64(1))
-        )
+        snapo.second_order(PROBLEM, POLICY, 8, directions, snapo.Smooth(np.float64(1)))
 
 
 def test_value_and_gradient_agree_with_the_table():
-    simulator, policy, objective, source = problem()
-    value, gradient = snapo.value_and_gradient(
-        simulator, INPUTS, policy, objective=objective, scenarios=source, paths=256, held=True
-    )
-    table = snapo.sensitivities(simulator, INPUTS, policy, objective, source, 256)
+    value, gradient = snapo.value_and_gradient(PROBLEM, POLICY, paths=256, held=True)
+    table = snapo.sensitivities(PROBLEM, POLICY, 256)
     for name, array in gradient.inputs.items():
         np.testing.assert_allclose(array, table.held[name].value, rtol=1e-12)
     assert np.isfinite(value)

@@ -11,23 +11,21 @@ from tests.solver.test_sensitivity import INPUTS, Sale
 import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
-from snapo.problem.prepare import prepare
 from snapo.solver import checkpoint
 from snapo.solver.train import Training, begin, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)
 
 
-def parts(training=SHORT):
-    simulator = Sale()
-    policy = snapo.MLP(simulator.action, 2, key=jax.random.key(0), hidden=(4,))
-    return simulator, prepare(simulator, INPUTS), begin(policy, training), snapo.Mean("cash")
+PROBLEM = snapo.Problem(Sale(), INPUTS, snapo.Mean("cash"))
 
 
-def run(training, progress=None, callbacks=()):
-    simulator, schedule, fresh, objective = parts(training)
-    given = (simulator, schedule, progress or fresh, objective, training, Xla("float32"))
-    return train(*given, callbacks)
+def fresh(training=SHORT):
+    return begin(snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,)), training)
+
+
+def run(training, progress=None, callbacks=(), problem=PROBLEM):
+    return train(problem, progress or fresh(training), training, Xla("float32"), callbacks)
 
 
 def test_training_climbs_and_keeps_the_best():
@@ -45,8 +43,8 @@ def test_a_run_resumed_from_its_checkpoint_ends_with_the_same_bits(tmp_path):
     states = []
     run(SHORT, callbacks=[states.append])
     file = tmp_path / "checkpoint.npz"
-    checkpoint.save(states[0], file, {"seed": 0})
-    resumed = checkpoint.load(file, parts()[2], {"seed": 0})
+    checkpoint.save(states[0], file)
+    resumed = checkpoint.load(file, fresh())
     assert resumed.step == 4
     again = run(SHORT, progress=resumed)
     np.testing.assert_array_equal(parameters(again.best), parameters(whole.best))
@@ -54,26 +52,28 @@ def test_a_run_resumed_from_its_checkpoint_ends_with_the_same_bits(tmp_path):
     assert [r.objective for r in again.history] == [r.objective for r in whole.history]
 
 
-def test_a_checkpoint_of_another_run_is_refused(tmp_path):
+def test_a_checkpoint_of_another_policy_or_a_damaged_one_is_refused(tmp_path):
     file = tmp_path / "checkpoint.npz"
-    checkpoint.save(run(SHORT), file, {"seed": 0})
-    with pytest.raises(checkpoint.CheckpointError, match="seed = 0, and now it is 1"):
-        checkpoint.load(file, parts()[2], {"seed": 1})
-    file.write_bytes(b"not a checkpoint")
-    with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
-        checkpoint.load(file, parts()[2], {"seed": 0})
+    checkpoint.save(run(SHORT), file)
+    wider = begin(snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(5,)), SHORT)
+    with pytest.raises(checkpoint.CheckpointError, match="another shape"):
+        checkpoint.load(file, wider)
+    whole = file.read_bytes()
+    for damaged in (b"", b"not a checkpoint", whole[: len(whole) // 2]):
+        file.write_bytes(damaged)
+        with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
+            checkpoint.load(file, fresh())
 
 
 def test_what_is_not_trained_keeps_its_precision(tmp_path):
-    simulator, schedule, _, objective = parts()
     third = np.array([1 / 3])
     base = snapo.Constant(jax.numpy.zeros(1))
     base = eqx.tree_at(lambda policy: policy.value, base, third)
-    policy = snapo.Residual(base, simulator.action, 2, key=jax.random.key(0), hidden=(4,))
-    fresh = begin(policy, SHORT)
-    done = train(simulator, schedule, fresh, objective, SHORT, Xla("float32"))
-    checkpoint.save(done, tmp_path / "checkpoint.npz", {})
-    for each in (done, checkpoint.load(tmp_path / "checkpoint.npz", fresh, {})):
+    policy = snapo.Residual(base, PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,))
+    start = begin(policy, SHORT)
+    done = run(SHORT, start)
+    checkpoint.save(done, tmp_path / "checkpoint.npz")
+    for each in (done, checkpoint.load(tmp_path / "checkpoint.npz", start)):
         assert each.best.base.array.value == third
         assert (parameters(each.best) != parameters(policy)).any()
 
@@ -91,12 +91,23 @@ def test_windows_and_clips_train_too():
         assert np.isfinite(parameters(done.best)).all()
 
 
-def test_training_on_supplied_scenarios_draws_from_them():
-    simulator, schedule, fresh, objective = parts()
-    supplied = snapo.Supplied(np.random.default_rng(0).normal(size=(3, 50, 1)))
-    engine = Xla("float32")
-    done = train(simulator, schedule, fresh, objective, SHORT, engine, (), supplied)
-    assert done.status == "trained"
+def test_supplied_scenarios_serve_every_role_with_paths_of_its_own():
+    numbers = np.arange(3 * 200.0).reshape(3, 200, 1)
+    supplied = snapo.Supplied(numbers / 600)
+    sources = snapo.Sources.of(supplied, seed=7)
+    roles = (sources.training, sources.validation, sources.evaluation)
+    used = [set(role.step_noise[0, :, 0]) for role in roles]
+    assert [len(each) for each in used] == [120, 40, 40]
+    assert not (used[0] & used[1] or used[0] & used[2] or used[1] & used[2])
+    problem = replace(PROBLEM, sources=sources)
+    assert run(SHORT, problem=problem).status == "trained"
+    solution = snapo.solve(problem, training=SHORT, engine=Xla())
+    assert solution.paths["evaluate"] == 40
+    assert set(np.unique(solution.totals["cash"])).isdisjoint({0.0})
+    with pytest.raises(ValueError, match="too few"):
+        snapo.Sources.of(snapo.Supplied(numbers[:, :100]))
+    with pytest.raises(ValueError, match="for evaluation only"):
+        run(SHORT, problem=replace(PROBLEM, sources=snapo.Sources(*3 * (snapo.Sobol(),))))
 
 
 def test_an_interrupt_tells_the_callbacks_and_goes_on():
@@ -110,3 +121,40 @@ def test_an_interrupt_tells_the_callbacks_and_goes_on():
     with pytest.raises(KeyboardInterrupt):
         run(SHORT, callbacks=[interrupt])
     assert seen == [4, 4]
+
+
+def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
+    training = replace(SHORT, steps=8)
+    evaluation = snapo.Evaluation(paths=256, sensitivity_paths=128, smooth_paths=64)
+    solution = snapo.solve(PROBLEM, training=training, evaluation=evaluation, engine="xla")
+    solution.save(tmp_path)
+    like = snapo.MLP(PROBLEM.action, PROBLEM.features, key=jax.random.key(1))
+    again = snapo.Solution.load(tmp_path, like=like)
+    assert str(again) == str(solution)
+    np.testing.assert_equal(again.history, solution.history)
+    for name in ("policy", "halfway"):
+        saved, loaded = getattr(solution, name), getattr(again, name)
+        np.testing.assert_array_equal(parameters(loaded), parameters(saved))
+    np.testing.assert_array_equal(again.totals["cash"], solution.totals["cash"])
+    for row, other in zip(solution.sensitivities.rows(), again.sensitivities.rows()):
+        np.testing.assert_equal(row, other)
+    assert snapo.Solution.load(tmp_path).policy is None
+    (tmp_path / "solution.npz").write_bytes(b"")
+    with pytest.raises(checkpoint.CheckpointError, match="solution"):
+        snapo.Solution.load(tmp_path)
+
+
+def test_an_engine_is_given_by_name_or_as_itself():
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=0)
+    given = {"training": replace(SHORT, steps=2), "evaluation": evaluation}
+    named = snapo.solve(PROBLEM, engine="xla", **given)
+    itself = snapo.solve(PROBLEM, engine=snapo.Xla(segments=2), **given)
+    assert itself.value == pytest.approx(named.value, rel=1e-5)
+    assert itself.engine == "xla" and "given" in itself.reason
+    with pytest.raises(ValueError, match="'fast'; allowed is an engine"):
+        snapo.solve(PROBLEM, engine="fast", **given)
+
+
+def test_what_a_problem_has_is_not_given_twice():
+    with pytest.raises(ValueError, match="its own inputs"):
+        snapo.solve(PROBLEM, INPUTS)

@@ -1,10 +1,10 @@
 """A mistake in a case, as its owner reads it: file, key or line, value, and what is allowed."""
 
 import datetime
+import difflib
 from collections.abc import Mapping
+from numbers import Integral, Real
 from typing import Any
-
-import numpy as np
 
 
 class CaseError(ValueError):
@@ -36,7 +36,7 @@ def show(value: Any) -> str:
         return value.isoformat()
     if isinstance(value, bool):
         return str(value).lower()
-    if isinstance(value, float | np.floating):
+    if isinstance(value, Real) and not isinstance(value, Integral):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
         return "{ " + ", ".join(f"{key} = {show(each)}" for key, each in value.items()) + " }"
@@ -48,3 +48,11 @@ def show(value: Any) -> str:
 
 class Unquoted(str):
     """A description in place of a value ("an unknown key"), shown without quotation marks."""
+
+
+def nearest(key: str, known) -> str:
+    """Suggests the known key nearest to an unknown one, or lists them all."""
+    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
+    if close:
+        return f"the nearest known key is {close[0]}"
+    return f"the known keys are {', '.join(known)}"

@@ -17,7 +17,7 @@ from typing import Annotated, Any, TypeVar
 import pydantic
 from pydantic import Field
 
-from .error import CaseError
+from .error import CaseError, nearest
 
 
 @dataclass(frozen=True)
@@ -121,11 +121,3 @@ def _explain(table, data, file, name, item) -> CaseError:
     if isinstance(value, float) and not math.isfinite(value):
         allowed += ", and finite"
     return CaseError(file, where, value, f"allowed is {allowed}")
-
-
-def nearest(key: str, known) -> str:
-    """Suggests the known key nearest to an unknown one, or lists them all."""
-    close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
-    if close:
-        return f"the nearest known key is {close[0]}"
-    return f"the known keys are {', '.join(known)}"

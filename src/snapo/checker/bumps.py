@@ -1,7 +1,8 @@
-"""What `snapo.check` learns from bumps: every input's adjoint against central differences.
+"""Every input's adjoint against central differences, on the same few paths, decisions held.
 
-On the same few paths with the decisions held, in float64 with smooth limits. All numbers of an
-input are bumped together with random signs, and a few of them alone.
+In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
+a few of them alone. An input that does nothing under the random policy is judged where it does
+something, at low, middle or high actions.
 """
 
 from dataclasses import replace
@@ -15,28 +16,35 @@ from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Simulator
 from snapo.solver.adjoint import pull_back
 
+from .derivatives import NOT_DIFFERENTIABLE
 from .findings import Notes
-from .rollout import ENGINE, NOT_DIFFERENTIABLE, Run
+from .rollout import ENGINE, Run
 
 TOLERANCE = 1e-4  # of the larger of adjoint and difference; round-off is added to it
-WIDE = 1000.0  # the wide bump, which finds steps that a small one does not cross, in bumps
+SMALLER = (1.0, 1 / 8, 1 / 64)  # bumps, in steps: a path on a corner or a jump may spoil one
+WIDE = (1e3, 3e4)  # wide bumps, which find steps that a small one does not cross, in steps
 ENTRIES = 3  # numbers of one input that are bumped alone, besides all of them together
 
 
-def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, run: Run, seed: int) -> None:
+def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], seed: int) -> None:
     """Every input: the adjoint against central differences, decisions and paths held."""
-    result = ENGINE.adjoint(
-        simulator, None, run.schedule, run.draws, run.smooth, run.each_output(), actions=run.actions
-    )
-    outputs = list(run.totals)
-    per_output = [
-        jax.tree.map(lambda leaf, k=k: leaf[k], result.schedule) for k in range(len(outputs))
-    ]
-    moved = pull_back(simulator, inputs, per_output)
+    gradients: list[dict[str, np.ndarray]] = []
+
+    def gradient(k: int, name: str) -> np.ndarray:
+        """[outputs, *shape] of the k-th run; each run takes one adjoint pass, when asked for."""
+        while len(gradients) <= k:
+            gradients.append(_gradients(simulator, inputs, runs[len(gradients)]))
+        return gradients[k][name]
+
     rng = np.random.default_rng(seed + 2)
     for entry in inputs_.named(inputs):
-        gradient = moved[entry.name]
-        if not np.all(np.isfinite(gradient)):
+        if not entry.input.value.size:
+            continue
+        alive = (k for k in range(len(runs)) if np.any(gradient(k, entry.name)))
+        k = next(alive, None)
+        judged = runs if k is None else [runs[k]]
+        found = gradient(k or 0, entry.name)
+        if not np.all(np.isfinite(found)):
             notes.error(
                 f"{notes.method('prepare')}: input {entry.name}",
                 "The derivative of the schedule by it is not finite.",
@@ -44,9 +52,20 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, run: Run, seed: i
             )
             continue
         for label, direction in _directions(entry, rng):
-            comparison = _Comparison(simulator, inputs, run, entry, direction, gradient)
-            if _judge(notes, comparison, outputs, f"input {entry.name}{label}"):
+            pairs = [_Comparison(simulator, inputs, run, entry, direction, found) for run in judged]
+            if _judge(notes, pairs, list(judged[0].totals), f"input {entry.name}{label}"):
                 break
+
+
+def _gradients(simulator: Simulator, inputs: PyTree, run: Run) -> dict[str, np.ndarray]:
+    """{input: [outputs, *shape]}, the derivatives of every output's mean."""
+    result = ENGINE.adjoint(
+        simulator, None, run.schedule, run.draws, run.smooth, run.each_output(), actions=run.actions
+    )
+    parts = [
+        jax.tree.map(lambda leaf, k=k: leaf[k], result.schedule) for k in range(len(run.totals))
+    ]
+    return pull_back(simulator, inputs, parts)
 
 
 def _directions(entry: inputs_.Named, rng) -> list[tuple[str, np.ndarray]]:
@@ -63,14 +82,18 @@ def _directions(entry: inputs_.Named, rng) -> list[tuple[str, np.ndarray]]:
 
 
 class _Comparison:
-    """One direction of one input: its adjoint and its differences, an entry per output."""
+    """One direction of one input in one run: its adjoint and differences, an entry per output.
+
+    Every number moves by its own step; derivatives are by the largest of these moves.
+    """
 
     def __init__(self, simulator, inputs, run: Run, entry: inputs_.Named, direction, gradient):
         self.simulator, self.inputs, self.run, self.entry = simulator, inputs, run, entry
-        self.direction = direction
-        self.adjoint = np.array([np.sum(g * direction) for g in gradient])
+        moved = entry.input.step() * direction
+        self.bump = float(np.max(np.abs(moved)))
+        self.direction = moved / self.bump
+        self.adjoint = np.array([np.sum(g * self.direction) for g in gradient])
         self.dead = not np.any(gradient)
-        self.bump = entry.input.step()
         means = np.array(
             [np.abs(total[np.isfinite(total)]).mean() for total in run.totals.values()]
         )
@@ -80,12 +103,16 @@ class _Comparison:
         up, down = self._value(bump), self._value(-bump)
         return (up - down) / (2 * bump)
 
-    def disagrees(self, bump: float) -> np.ndarray:
-        """By how much adjoint and difference differ beyond tolerance and round-off, per output."""
-        found = self.difference(bump)
+    def disagrees(self, found: np.ndarray, bump: float) -> np.ndarray:
+        """The gap between adjoint and difference beyond tolerance and round-off, per output."""
         roundoff = 1e-13 * self.size / bump
         allowed = TOLERANCE * np.maximum(np.abs(found), np.abs(self.adjoint)) + roundoff
         return np.where(np.abs(found - self.adjoint) > allowed, np.abs(found - self.adjoint), 0.0)
+
+    def moves(self, bump: float) -> np.ndarray | None:
+        """The differences, where they are more than round-off of a sum over paths."""
+        found = np.nan_to_num(self.difference(bump))
+        return found if (np.abs(found) * bump > 1e-12 * self.size).any() else None
 
     def _value(self, bump: float) -> np.ndarray:
         chosen = self.entry.input
@@ -97,23 +124,26 @@ class _Comparison:
         return np.array([total[np.isfinite(total)].mean() for total in totals.values()])
 
 
-def _judge(notes: Notes, pair: _Comparison, outputs: list[str], where: str) -> bool:
-    """Writes down what is wrong with one direction of an input; whether anything was."""
+def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
+    """Writes down the mistakes along one direction of an input; whether there was any."""
+    pair = pairs[0]
     small = pair.difference(pair.bump)
     if not np.all(np.isfinite(small)):
         notes.warning(
             where,
             f"With a bump of {pair.bump:.3g} the outputs are not finite.",
-            "It stands on the edge of what is allowed; give a smaller one: Input(…, bump=…).",
+            "It stands on the edge of its range; give a smaller one: Input(…, bump=…).",
         )
         return True
     if pair.dead:
-        return _judge_dead(notes, pair, small, outputs, where)
-    wrong = pair.disagrees(pair.bump)
-    # A path that crosses a corner spoils one bump; a wrong derivative spoils a smaller one too.
-    if not wrong.any() or not (again := pair.disagrees(pair.bump / 8)).any():
-        return False
-    k = int(np.argmax(again / pair.size))
+        return _judge_dead(notes, pairs, outputs, where)
+    # A path that crosses a corner spoils one bump; a wrong derivative spoils smaller ones too.
+    for factor in SMALLER:
+        bump = factor * pair.bump
+        wrong = pair.disagrees(small if factor == 1 else pair.difference(bump), bump)
+        if not wrong.any():
+            return False
+    k = int(np.argmax(wrong / pair.size))
     notes.error(
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
@@ -123,27 +153,30 @@ def _judge(notes: Notes, pair: _Comparison, outputs: list[str], where: str) -> b
     return True
 
 
-def _judge_dead(notes: Notes, pair: _Comparison, small, outputs: list[str], where: str) -> bool:
-    """An input with derivative zero everywhere: it does nothing, or its way is cut."""
-    # Below this a move is round-off of the sum over paths.
-    if (np.abs(small) * pair.bump > 1e-12 * pair.size).any():
-        k = int(np.argmax(np.abs(small) / pair.size))
-        notes.error(
-            where,
-            f"Its derivative is exactly zero, but a bump moves {outputs[k]} by {small[k]:.6g} "
-            "a unit.",
-            "Look for stop_gradient, an integer cast, rounding or a comparison on its way.",
-        )
-        return True
-    wide = pair.difference(WIDE * pair.bump)
-    if (np.abs(np.nan_to_num(wide)) * pair.bump * WIDE > 1e-12 * pair.size).any():
-        k = int(np.argmax(np.abs(wide) / pair.size))
-        notes.warning(
-            where,
-            f"Its derivative is exactly zero, but {WIDE * pair.bump:.3g} more moves {outputs[k]}.",
-            "A limit that does not bind yet is no mistake; an integer cast, rounding or a "
-            "comparison is.",
-        )
-        return True
+def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
+    """An input with derivative zero in every run: it does nothing, or its way is cut."""
+    bump = pairs[0].bump
+    for pair in pairs:
+        if (small := pair.moves(bump)) is not None:
+            k = int(np.argmax(np.abs(small) / pair.size))
+            notes.error(
+                where,
+                f"Its derivative is exactly zero, but a bump moves {outputs[k]} by {small[k]:.6g} "
+                "a unit.",
+                "Look for stop_gradient, an integer cast, rounding or a comparison on its way.",
+            )
+            return True
+    for pair in pairs:
+        for factor in WIDE:
+            if (wide := pair.moves(factor * bump)) is not None:
+                k = int(np.argmax(np.abs(wide) / pair.size))
+                notes.warning(
+                    where,
+                    f"Its derivative is exactly zero, but {factor * bump:.3g} more moves "
+                    f"{outputs[k]}.",
+                    "A limit that does not bind yet is no mistake; an integer cast, rounding or a "
+                    "comparison is.",
+                )
+                return True
     notes.warning(where, "It changes no output.", "Use it in prepare, or leave it out.")
     return True

@@ -1,7 +1,7 @@
-"""What `snapo.check` learns from a rollout: numbers, observations, actions and noise.
+"""Rollouts of a few paths in float64 with smooth limits, and the numbers seen in them.
 
-A few paths under a simple random policy, in float64 with smooth limits; then the same again with
-the decisions held and one thing changed.
+The first follows a simple random policy; three more stay at low, middle and high actions, because
+one policy may never get to where an input or an action matters.
 """
 
 from typing import Any
@@ -18,7 +18,6 @@ from snapo.problem.noise import Stored
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Smooth
-from snapo.solver.adjoint import adjoint_gradient
 
 from .findings import Notes, Stop
 
@@ -38,7 +37,7 @@ class _Probe(Policy):
 
 
 class Run(eqx.Module):
-    """What the later examinations share."""
+    """One rollout, shared by the later examinations."""
 
     schedule: Schedule
     draws: Stored
@@ -68,8 +67,16 @@ class Run(eqx.Module):
         ).totals
 
 
-def rolled(notes: Notes, simulator, schedule, observation, scenarios, paths, smooth, seed) -> Run:
-    """A rollout of the random policy, and the first number in it that is not finite."""
+LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high actions
+
+
+def rolled(
+    notes: Notes, simulator, schedule, observation, scenarios, paths, smooth, seed
+) -> list[Run]:
+    """The random policy's rollout, then those near low, middle and high actions that are finite.
+
+    The first number of the random one that is not finite is an error.
+    """
     rng = np.random.default_rng(seed)
     T, K, size = simulator.horizon, simulator.noise_size, simulator.action.size
     if scenarios is None:
@@ -78,18 +85,28 @@ def rolled(notes: Notes, simulator, schedule, observation, scenarios, paths, smo
     else:
         draws = scenarios.draws(np.arange(paths), simulator)
         if not isinstance(draws, Stored):
-            raise TypeError(
-                "check: scenarios must be Supplied or Sobol; leave them out for normals."
-            )
-    gain = rng.normal(size=(size, observation.shape[0])) / np.sqrt(observation.shape[0])
-    policy = _Probe(rng.normal(size=size) * 0.5, gain, simulator.action)  # pyright: ignore
+            notes.error("scenarios", "They are drawn.", "Give Supplied or Sobol, or leave it out.")
+            raise Stop
+    features = observation.shape[0]
+    gain = rng.normal(size=(size, features)) / np.sqrt(max(features, 1))
+    random = _Probe(rng.normal(size=size) * 0.5, gain, simulator.action)  # pyright: ignore
+    first = _run(notes, simulator, random, schedule, draws, smooth)
+    _finite(notes, first[1], simulator.totals())
+    runs = [first[0]]
+    for level in LEVELS:
+        policy = _Probe(np.full(size, level), 0.3 * gain, simulator.action)  # pyright: ignore
+        run, out = _run(notes, simulator, policy, schedule, draws, smooth)
+        if all(np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves(out.totals)):
+            runs.append(run)
+    return runs
+
+
+def _run(notes: Notes, simulator, policy, schedule, draws, smooth) -> tuple[Run, Any]:
     record = ("state", "action", "outputs")
     with notes.during("rollout"):
         out = ENGINE.values(simulator, policy, schedule, draws, smooth, record=record)
-    _finite(notes, out, simulator.totals())
-    return Run(
-        schedule, draws, policy, smooth, out.record["action"], out.record["state"], out.totals
-    )
+    kept = out.record["action"], out.record["state"], out.totals
+    return Run(schedule, draws, policy, smooth, *kept), out
 
 
 def _finite(notes: Notes, out, kinds) -> None:
@@ -103,13 +120,8 @@ def _finite(notes: Notes, out, kinds) -> None:
             if wrong.any():
                 step, number = (int(i) for i in np.argwhere(wrong)[0][:2])
                 # The state at step t was made by step t - 1.
-                bad.append(
-                    (
-                        step - (kind == "state"),
-                        f"{kind[:-1] if kind == 'outputs' else kind} {name}",
-                        number,
-                    )
-                )
+                found = f"output {name}" if kind == "outputs" else f"state {name}"
+                bad.append((step - (kind == "state"), found, number))
     if bad:
         step, name, path = min(bad)
         where = notes.method("step") if step >= 0 else notes.method("initial")
@@ -149,128 +161,3 @@ def observed(notes: Notes, simulator: Simulator, run: Run) -> None:
                 f"Its values reach {largest:.3g} in size; networks learn badly far from order one.",
                 f"Divide it by its typical size, about {largest:.2g}.",
             )
-
-
-def used(notes: Notes, simulator: Simulator, run: Run, seed: int) -> list[int]:
-    """Which components of the action and of the noise change anything; the former are returned."""
-    rng = np.random.default_rng(seed + 1)
-    size, moving = simulator.action.size, []
-    with jax.enable_x64(True):
-        raw = rng.normal(size=run.actions.shape) * 2
-        fresh = np.asarray(jax.vmap(jax.vmap(simulator.action.squash))(jnp.asarray(raw)))
-    whole = isinstance(simulator.action, Simplex)
-    for component in range(1 if whole else size):
-        actions = fresh if whole else run.actions.copy()
-        if not whole:
-            actions[..., component] = fresh[..., component]
-        if _moved(run.totals, run.values(simulator, actions=actions)):
-            moving += list(range(size)) if whole else [component]
-        else:
-            notes.error(
-                f"{notes.method('step')}: action{'' if whole else f'[{component}]'}",
-                "It changes no output: the step ignores it, or its effect never shows.",
-                "Use it, or make the action set smaller.",
-            )
-    # Paths swap their numbers: the same law, other scenarios.
-    for component in range(simulator.noise_size):
-        noise = np.array(run.draws.step_noise)
-        noise[..., component] = np.roll(noise[..., component], 1, axis=1)
-        draws = Stored(run.draws.initial_noise, noise)  # pyright: ignore
-        if not _moved(run.totals, run.values(simulator, draws=draws)):
-            notes.warning(
-                f"{notes.method('step')}: noise[{component}]",
-                "It changes no output.",
-                f"Use it, or make noise_size (now {simulator.noise_size}) smaller.",
-            )
-    return moving
-
-
-def _moved(before: dict, after: dict) -> bool:
-    return any(not np.array_equal(before[name], after[name], equal_nan=True) for name in before)
-
-
-def reachable(notes: Notes, simulator: Simulator, run: Run, moving: list[int]) -> None:
-    """Whether a derivative reaches every action that moves an output, and is finite."""
-    result = ENGINE.adjoint(
-        simulator, run.policy, run.schedule, run.draws, run.smooth, run.each_output()
-    )
-    if not all(
-        np.all(np.isfinite(leaf)) for leaf in jax.tree.leaves((result.policy, result.schedule))
-    ):
-        locate(notes, simulator, run)
-    offset = np.abs(result.policy.offset).max(0)
-    for component in moving:
-        if offset[component] == 0:
-            notes.error(
-                f"{notes.method('step')}: action[{component}]",
-                "It moves the outputs, but its derivative is exactly zero: nothing can be learnt.",
-                "Look for rounding, a comparison, an integer or stop_gradient on its way; "
-                "write smooth.indicator or smooth.choose for a jump.",
-            )
-
-
-def locate(notes: Notes, simulator: Simulator, run: Run) -> None:
-    """Names the method and step at which a derivative is not finite, and stops.
-
-    The reverse sweep starts at the end, so the last bad step is the one that it meets first.
-    """
-    constants, T, N = run.schedule.constants, simulator.horizon, run.draws.size
-
-    def finite(function, *arguments):
-        """{argument: whether d(sum of floating results) / d argument is finite}, for one path."""
-        moving, fixed = eqx.partition(arguments, eqx.is_inexact_array)
-
-        def total(moving):
-            results = jax.tree.leaves(function(*eqx.combine(moving, fixed)))
-            return sum(jnp.sum(x) for x in results if jnp.issubdtype(x.dtype, jnp.floating))
-
-        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), adjoint_gradient(total)(moving))
-
-    def one(now, state, action, noise):
-        def step(state, now, action, constants):
-            return simulator.step(constants, now, state, action, noise, run.smooth)
-
-        def observe(state, now, constants):
-            return simulator.observe(constants, now, state)
-
-        return {
-            "step": finite(step, state, now, action, constants),
-            "observe": finite(observe, state, now, constants),
-        }
-
-    with jax.enable_x64(True):
-        mapped = jax.jit(lambda xs: jax.lax.map(lambda x: jax.vmap(one, (None, 0, 0, 0))(*x), xs))
-        marks = mapped((run.schedule.steps, run.states, run.actions, run.draws.step_noise))
-        marks = jax.tree.map(np.asarray, marks)
-    names = {
-        "step": ("state", "now", "action", "constants"),
-        "observe": ("state", "now", "constants"),
-    }
-    bad = []
-    for method, arguments in names.items():
-        for path, ok in jax.tree_util.tree_flatten_with_path(marks[method])[0]:
-            if not ok.all():
-                step, number = (int(i) for i in np.argwhere(~ok)[-1])
-                leaf = arguments[path[0].idx] + jax.tree_util.keystr(path[1:])
-                bad.append((step, method, leaf, number))
-    if bad:
-        step, method, leaf, path = max(bad)
-        notes.error(
-            notes.method(method),
-            f"Its derivative by {leaf} is not finite, first (from the end) at step {step} of {T} "
-            f"(path {path} of {N}).",
-            NOT_DIFFERENTIABLE,
-        )
-    else:
-        notes.error(
-            notes.method("initial") + " or terminal",
-            "A derivative is not finite.",
-            NOT_DIFFERENTIABLE,
-        )
-    raise Stop
-
-
-NOT_DIFFERENTIABLE = (
-    "A root, logarithm, power or division at zero has no derivative, even inside a branch that "
-    "jnp.where does not take: give the branch a harmless argument, f(jnp.where(ok, x, 1.0)), too."
-)

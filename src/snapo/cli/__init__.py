@@ -1,1 +1,1 @@
-"""The `snapo` command: `main` reads the arguments and answers at once, `commands` does the work."""
+"""The `snapo` command: `main` reads the arguments, `commands` prints the answers."""

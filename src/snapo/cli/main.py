@@ -5,21 +5,16 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
-KINDS = {
-    "gas-storage": "snapo.domains.gas_storage",
-    "pension": "snapo.domains.pension",
-    "pharma": "snapo.domains.pharma",
-}
-# Examples of several sizes, the first is the default; a kind that is not here has one example.
-SIZES = {"pension": ("small", "medium", "large")}
+ENGINES = ("auto", "xla", "native")
+CASE = "a TOML file, or a folder with case.toml"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs one command and returns its exit code: 0, 1 for a failure, 2 for bad input."""
-    parser = _parser()
-    options = parser.parse_args(arguments)
-    if options.command == "new":
-        options.size = _size(parser, options)
+    """Runs one command and returns its exit code.
+
+    0: done; 1: it failed; 2: something is wrong with the input; 130: it was interrupted.
+    """
+    options = _parser().parse_args(arguments)
     from .commands import run
 
     return run(options)
@@ -33,52 +28,79 @@ def _parser() -> argparse.ArgumentParser:
         epilog="start with: snapo new gas-storage mystore && snapo solve mystore",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
+    for add in (_add_new, _add_check, _add_solve, _add_report, _add_compare, _add_bench):
+        add(commands)
+    for each in commands.choices.values():
+        each.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    return parser
 
-    new = commands.add_parser("new", help="write a commented case that runs")
-    new.add_argument("kind", metavar="KIND", choices=sorted(KINDS), help=", ".join(sorted(KINDS)))
-    new.add_argument("folder", metavar="DIR", type=Path, help="made if missing; overwrites nothing")
-    sizes = sorted({size for each in SIZES.values() for size in each})
-    new.add_argument("--size", choices=sizes, help="of the example (pension; default: small)")
 
+def _add_new(commands) -> None:
+    new = commands.add_parser(
+        "new",
+        help="write a commented case that runs",
+        epilog="snapo new, without KIND, lists the kinds that are installed",
+    )
+    new.add_argument("kind", metavar="KIND", nargs="?", help="such as gas-storage")
+    new.add_argument(
+        "folder", metavar="DIR", type=Path, nargs="?", help="made if missing; overwrites nothing"
+    )
+    new.add_argument("--size", metavar="SIZE", help="of the example, where the kind has several")
+
+
+def _add_check(commands) -> None:
     check = commands.add_parser("check", help="read a case and say what is wrong with it")
     _add_case(check)
 
+
+def _add_solve(commands) -> None:
     solve = commands.add_parser("solve", help="train, evaluate and report")
     _add_case(solve)
     solve.add_argument(
         "--out", metavar="DIR", type=Path, help="folder of the run (default: run, beside the case)"
     )
-    solve.add_argument("--seed", metavar="N", type=_seed, help="instead of training.seed")
-    solve.add_argument("--engine", choices=("auto", "xla", "native"), default="auto")
+    solve.add_argument("--engine", choices=ENGINES, default="auto")
     solve.add_argument(
         "--reference", action="store_true", help="compute the exact references as well"
     )
     solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
-    solve.add_argument("--json", action="store_true", help="print one JSON object on stdout")
 
+
+def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
 
+
+def _add_compare(commands) -> None:
+    compare = commands.add_parser("compare", help="say how two runs differ")
+    compare.add_argument("first", metavar="RUN", type=Path)
+    compare.add_argument("second", metavar="RUN", type=Path)
+
+
+def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
-    bench.add_argument("--engine", choices=("auto", "xla", "native"), default="auto")
-    return parser
+    bench.add_argument("kind", metavar="KIND", nargs="?", help="default: all that are installed")
+    bench.add_argument("--engine", choices=ENGINES, default="auto")
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("case", metavar="CASE", type=Path, help=CASE)
     parser.add_argument(
-        "case", metavar="CASE", type=Path, help="a TOML file, or a folder with case.toml"
+        "--set",
+        metavar="KEY=VALUE",
+        dest="assignments",
+        action="append",
+        default=[],
+        help="a key of the case that has another value for this run: contract.inventory=2000, "
+        "assets.equity.weight=0.4 (an element of an array by its name or number); repeatable",
     )
+    parser.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
     parser.add_argument(
-        "--simulator", metavar="MODULE:CLASS", type=_simulator, help="a simulator of your own"
+        "--simulator",
+        metavar="MODULE:CLASS",
+        type=_simulator,
+        help='the code of a case of kind "own", beside the case or where you are',
     )
-
-
-def _size(parser: argparse.ArgumentParser, options: argparse.Namespace) -> str | None:
-    """The size of the example, where the kind has several."""
-    known = SIZES.get(options.kind, ())
-    if options.size is not None and options.size not in known:
-        parser.error(f"argument --size: {options.kind} has one example only")
-    return options.size or (known[0] if known else None)
 
 
 def _seed(text: str) -> int:

@@ -15,6 +15,7 @@ from jaxtyping import Array, Float, PyTree
 
 from snapo.problem.noise import Draws, Stored
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 
 
@@ -111,6 +112,10 @@ class Engine(abc.ABC):
         """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
+    def bind(self, problem: Problem) -> "Bound":
+        """This engine on a problem: its simulator and its schedule."""
+        return Bound(self, problem.simulator, problem.schedule)
+
     @abc.abstractmethod
     def values(
         self,
@@ -151,6 +156,33 @@ class Engine(abc.ABC):
         With weights [K, N], the derivatives of K such sums, from one forward sweep. What is not in
         `wrt` need not be found.
         """
+
+
+@dataclass(frozen=True, eq=False)
+class Bound:
+    """An engine with the simulator and the schedule that it rolls: what is left is said per call.
+
+    Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
+    """
+
+    engine: Engine
+    simulator: Simulator
+    schedule: Schedule
+
+    def values(self, policy: Policy | None, draws: Draws, smooth, **options) -> Rollout:
+        return self.engine.values(self.simulator, policy, self.schedule, draws, smooth, **options)
+
+    def adjoint(
+        self,
+        policy: Policy | None,
+        draws: Draws,
+        smooth,
+        weights: Mapping[str, ArrayLike],
+        **options,
+    ) -> Adjoint:
+        return self.engine.adjoint(
+            self.simulator, policy, self.schedule, draws, smooth, weights, **options
+        )
 
 
 def cast(tree: PyTree, dtype) -> PyTree:

@@ -1,16 +1,17 @@
 """Which engine runs a problem, and why."""
 
+from dataclasses import replace
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
 from snapo.problem.policy import Policy
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
 from .base import Engine
-from .native import Native, unsupported
+from .native import Native, unavailable, unsupported
 from .xla import Xla
 
 NAMES = ("auto", "xla", "native")
@@ -25,24 +26,43 @@ class Engines(NamedTuple):
     reason: str
 
 
-def choose(name: str, simulator: Simulator, policy: Policy, schedule: Schedule) -> Engines:
-    """The engine called `name`; "auto" takes the fastest that can run this simulator.
+Choice = str | Engine | Engines
 
-    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this simulator.
+
+def choose(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
+    """The engines that are wanted: by name, as one engine, or as a pair that was chosen before.
+
+    "auto" takes the fastest that can run this problem. One engine trains in float32 and evaluates
+    in float64, whatever its own precision.
+
+    **Raises:** `ValueError` for an unknown name, or when "native" cannot run this problem, or
+    nothing at all where llvmlite is not installed.
     """
-    if name not in NAMES:
-        raise ValueError(f"engine: got {name!r}; allowed is one of {', '.join(NAMES)}.")
+    if isinstance(wanted, Engines):
+        return wanted
+    if isinstance(wanted, Engine):
+        train, evaluate = (replace(wanted, precision=each) for each in ("float32", "float64"))
+        name = type(wanted).__name__.lower()
+        return Engines(train, evaluate, name, f"{wanted}, as it was given")
+    if wanted not in NAMES:
+        allowed = ", ".join(NAMES)
+        raise ValueError(f"engine: got {wanted!r}; allowed is an engine, or one of {allowed}.")
     devices = tuple(jax.devices())
     kind = devices[0].platform
-    if name == "xla":
+    if wanted == "xla":
         return _xla(devices, "it was asked for")
-    if name == "auto" and kind != "cpu":
+    if wanted == "auto" and kind != "cpu":
         return _xla(devices, f"there is a {kind.upper()}")
-    reason = unsupported(simulator, schedule, policy, Smooth(np.float32(0.1)))
+    missing = unavailable()
+    if missing is not None:
+        if wanted == "native":
+            raise ValueError(f"engine: native cannot run here, as {missing}")
+        return _xla(devices, missing)
+    reason = unsupported(problem.simulator, problem.schedule, policy, Smooth(np.float32(0.1)))
     if reason is None:
-        why = "it was asked for" if name == "native" else "it can compile this simulator"
+        why = "it was asked for" if wanted == "native" else "it can compile this simulator"
         return Engines(Native("float32"), Native("float64"), "native", f"native, as {why}")
-    if name == "native":
+    if wanted == "native":
         raise ValueError(f"engine: native cannot run this simulator: {reason}")
     return _xla(devices, f"the native engine cannot run this simulator: {reason}")
 

@@ -1,36 +1,102 @@
-"""Sets of actions: where a decision lies, and how a network's free numbers come into it."""
+"""Sets of actions: where a decision lies, and how a network's unbounded numbers get there."""
 
 import math
+from collections.abc import Sequence
+from typing import Any
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
+
+Bound = float | tuple[float, ...]
+
+
+def _bound(name: str, given: Any, size: int) -> Bound:
+    """One number where all components share it, else a tuple with one for each."""
+    each = np.asarray(given, np.float64)
+    if each.ndim == 0:
+        return float(each)
+    if each.shape != (size,):
+        raise ValueError(
+            f"Box: {name} has shape {each.shape} and size is {size}; give one number for all "
+            "components, or one for each."
+        )
+    # Equal sets compare equal, however they were written.
+    numbers = tuple(each.tolist())
+    return numbers[0] if len(set(numbers)) == 1 else numbers
 
 
 class Box(eqx.Module):
-    """Actions in a box: `size` numbers, each between `low` and `high` (infinite bounds allowed)."""
+    """Actions in a box: `size` numbers, each between its `low` and its `high`.
+
+    A bound is one number for all components, or a sequence of one per component; it may be
+    infinite. `Box(3, low=[0.0, -1.0, 0.0], high=[1.0, 1.0, math.inf])`
+    """
 
     size: int = eqx.field(static=True)
-    low: float = eqx.field(static=True, default=-math.inf)
-    high: float = eqx.field(static=True, default=math.inf)
+    low: Bound = eqx.field(static=True)
+    high: Bound = eqx.field(static=True)
 
-    def __check_init__(self):
-        if self.size < 1:
-            raise ValueError(f"Box: size is {self.size}; an action has at least one number.")
-        if not self.low < self.high:
-            raise ValueError(
-                f"Box: low is {self.low} and high is {self.high}; low must be below high."
-            )
+    def __init__(
+        self,
+        size: int,
+        low: float | Sequence[float] | np.ndarray = -math.inf,
+        high: float | Sequence[float] | np.ndarray = math.inf,
+    ):
+        if size < 1:
+            raise ValueError(f"Box: size is {size}; an action has at least one number.")
+        self.size = size
+        self.low, self.high = _bound("low", low, size), _bound("high", high, size)
+        for i, (least, most) in enumerate(zip(*self.bounds())):
+            if not least < most:
+                at = (
+                    "" if isinstance(self.low, float) and isinstance(self.high, float) else f"[{i}]"
+                )
+                raise ValueError(
+                    f"Box: low{at} is {least} and high{at} is {most}; low must be below high."
+                )
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """[size] low and [size] high, in float64."""
+        low, high = (
+            np.broadcast_to(np.asarray(b, np.float64), (self.size,)) for b in (self.low, self.high)
+        )
+        return low.copy(), high.copy()
+
+    @property
+    def _uniform(self) -> bool:
+        """Whether all components have the same bounds."""
+        return isinstance(self.low, float) and isinstance(self.high, float)
 
     def squash(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
         """Maps unbounded numbers into the box: the identity, a softplus or a logistic curve."""
-        if math.isinf(self.low) and math.isinf(self.high):
-            return raw
-        if math.isinf(self.high):
-            return self.low + jax.nn.softplus(raw)
-        if math.isinf(self.low):
-            return self.high - jax.nn.softplus(-raw)
-        return self.low + (self.high - self.low) * jax.nn.sigmoid(raw)
+        if self._uniform:
+            return _squash(raw, self.low, self.high)
+        low, high = self.bounds()
+        # The components of each kind (which ends are finite) together, then in their own order.
+        kinds = list(zip(np.isfinite(low).tolist(), np.isfinite(high).tolist()))
+        found = jnp.zeros_like(raw)
+        for kind in dict.fromkeys(kinds):
+            chosen = np.array([each == kind for each in kinds])
+            least, most = (np.where(chosen & np.isfinite(b), b, 0.0) for b in (low, high))
+            ends = (
+                jnp.asarray(least, raw.dtype) if kind[0] else -math.inf,
+                jnp.asarray(most, raw.dtype) if kind[1] else math.inf,
+            )
+            found = jnp.where(chosen, _squash(raw, *ends), found)
+        return found
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """base + correction, clipped to the box; rounded by `smooth`, whose scale is the box's
+        width, or one where that is infinite."""
+        low, high = self.bounds()
+        width = np.where(np.isfinite(high - low), high - low, 1.0)
+        if self._uniform:
+            return smooth.clip(base + correction, self.low, self.high, scale=float(width[0]))
+        low, high, width = (jnp.asarray(x, correction.dtype) for x in (low, high, width))
+        return smooth.clip(base + correction, low, high, scale=width)
 
 
 class Simplex(eqx.Module):
@@ -45,3 +111,19 @@ class Simplex(eqx.Module):
     def squash(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
         """Maps unbounded numbers onto the simplex by a softmax."""
         return jax.nn.softmax(raw)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """Shares whose logarithms are those of `base` plus a correction."""
+        return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
+
+
+def _squash(raw: Array, low: Any, high: Any) -> Array:
+    """Into (low, high); an infinite end is a Python number."""
+    above, below = (isinstance(end, float) and math.isinf(end) for end in (low, high))
+    if above and below:
+        return raw
+    if below:
+        return low + jax.nn.softplus(raw)
+    if above:
+        return high - jax.nn.softplus(-raw)
+    return low + (high - low) * jax.nn.sigmoid(raw)

@@ -1,7 +1,7 @@
 """Stages with different state, horizon and outputs, as ONE simulator.
 
-A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map says how
-the final state of one becomes the first state of the next.
+A reactor and then a crystalliser: each stage is a `Simulator` of its own, and a map turns the
+final state of one into the first state of the next.
 """
 
 from collections.abc import Callable, Mapping, Sequence
@@ -10,21 +10,23 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PyTree
 
 from .actions import Box
-from .simulator import Schedule, Simulator, Total
+from .simulator import Interface, Schedule, Simulator, Total, at
 
 Map = Callable[[PyTree, PyTree, PyTree], PyTree]
 
 
 class Chain(Simulator):
-    """Simulators one after the other; the same policy decides in all of them.
+    """Simulators one after the other, with one policy for all of them or one for each (`Stages`).
 
     **Arguments:**
 
-    - `stages`: the simulators. Their action sets must be Boxes with the same bounds; the chain's
-      has the largest size, and a stage reads the first numbers of an action and of the noise.
+    - `stages`: the simulators. Their action sets must be Boxes; the chain's is the smallest Box
+      that holds them all, and a stage reads the first numbers of an action and of the noise. Where
+      its own bounds are narrower, the action is clipped to them.
     - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` turns the final
       state of stage i into the first state of stage i + 1, whose own `initial` is not asked.
     - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
@@ -51,12 +53,8 @@ class Chain(Simulator):
                 f"Chain: names are {self.names}; give {len(self.stages)} different ones."
             )
         sets = [stage.action for stage in self.stages]
-        bounds = {(s.low, s.high) if isinstance(s, Box) else None for s in sets}
-        if len(bounds) > 1 or None in bounds:
-            raise ValueError(
-                f"Chain: the stages' action sets are {sets}; all must be Boxes with the same "
-                "bounds. Give every stage Box(size, 0, 1), say, and scale inside its step."
-            )
+        if not all(isinstance(each, Box) for each in sets):
+            raise ValueError(f"Chain: the stages' action sets are {sets}; all must be Boxes.")
         self.totals()  # refuses one name with two kinds of total
 
     @property
@@ -65,8 +63,13 @@ class Chain(Simulator):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        first = self.stages[0].action
-        return Box(max(s.action.size for s in self.stages), first.low, first.high)  # pyright: ignore
+        size = max(stage.action.size for stage in self.stages)
+        low, high = np.full(size, np.inf), np.full(size, -np.inf)
+        for stage in self.stages:
+            own = slice(stage.action.size)
+            least, most = stage.action.bounds()  # pyright: ignore[reportAttributeAccessIssue]
+            low[own], high[own] = np.minimum(low[own], least), np.maximum(high[own], most)
+        return Box(size, low, high)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -116,7 +119,7 @@ class Chain(Simulator):
         def run(i):
             """One step of stage i: its next state, and its outputs as the chain names them."""
             simulator = self.stages[i]
-            drawn, chosen = noise[: simulator.noise_size], action[: simulator.action.size]
+            drawn, chosen = noise[: simulator.noise_size], self._own(i, action)
             after, outputs = simulator.step(
                 constants[i], now["stages"][i], state["stages"][i], chosen, drawn, smooth
             )
@@ -152,9 +155,8 @@ class Chain(Simulator):
             shapes = jax.eval_shape(lambda i=i: leave(i)[1] if i < last else run(i)[1])
             for name in shapes:
                 idle[name] = {"sum": 0.0, "max": -jnp.inf, "last": 0.0}[kinds.get(name, "sum")]
-        idle |= state[
-            "last"
-        ]  # an output of which the last counts keeps its value through other stages
+        # An output of which the last counts keeps its value through other stages.
+        idle |= state["last"]
         branches = [
             lambda i=i, leaving=leaving: branch(i, leaving)
             for i in range(last + 1)
@@ -215,6 +217,31 @@ class Chain(Simulator):
         return jax.lax.switch(
             now["branch"] // 2, [lambda i=i: padded(i) for i in range(len(self.stages))]
         )
+
+    def interface(self, schedule: Schedule) -> Interface:
+        """That of the chain, with those of the stages, whose observations are not padded."""
+        constants, now = schedule.constants, at(schedule.steps, 0)
+
+        def observations():
+            state = self.initial(constants, jnp.zeros(self.initial_noise_size))["stages"]
+            return [
+                stage.observe(constants[i], now["stages"][i], state[i])
+                for i, stage in enumerate(self.stages)
+            ]
+
+        sizes = [seen.shape[0] for seen in jax.eval_shape(observations)]
+        stages = [Interface(stage.action, size) for stage, size in zip(self.stages, sizes)]
+        return Interface(self.action, max(sizes) + len(sizes), tuple(stages))
+
+    def _own(self, i: int, action):
+        """The numbers of an action that stage i reads, within its own bounds."""
+        own = self.stages[i].action
+        low, high = own.bounds()  # pyright: ignore[reportAttributeAccessIssue]
+        least, most = (bound[: own.size] for bound in self.action.bounds())
+        chosen = action[: own.size]
+        if np.array_equal(low, least) and np.array_equal(high, most):
+            return chosen
+        return jnp.clip(chosen, jnp.asarray(low, chosen.dtype), jnp.asarray(high, chosen.dtype))
 
     def _inputs(self, inputs) -> Sequence[PyTree]:
         if isinstance(inputs, Mapping) and self.names:

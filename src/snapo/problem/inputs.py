@@ -8,12 +8,15 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+RELATIVE_STEP = 1e-5  # of a number's size: the step of its finite difference
+NOTHING = 1e-9  # of the largest entry: what is smaller is a zero with round-off
+
 
 def _float64(value: Any) -> np.ndarray:
     array = np.asarray(value)
     if array.dtype.kind not in "fiu":
         raise TypeError(
-            f"Input: the value {value!r} is no number. Dates, names and switches belong to the "
+            f"Input: the value {value!r} is not a number. Dates, names and switches belong to the "
             "simulator."
         )
     return array.astype(np.float64)
@@ -27,13 +30,13 @@ class Input(eqx.Module):
     - `value`: numbers, kept as float64 NumPy.
     - `unit`: of the value, such as "EUR/MWh"; a sensitivity is per this unit.
     - `labels`: one per entry, in C order (dates, tenors, species); numbered when not given.
-    - `bump`: the step of a finite difference that checks the gradient; by default 1e-5 times the
-      largest entry (at least 1e-5).
-    - `move`: by how much reports and sliders move it, in `unit`; None: by a share of itself.
+    - `bump`: the step of a finite difference that checks the gradient; by default a share of each
+      number's own size (see `step`).
+    - `move`: the amount by which reports and sliders move it, in `unit`; None: a share of itself.
     - `trade_unit`, `trade_factor`: the unit in which its owner thinks, and how many of them make
       one `unit`: a rate in 1/year is 10,000 bp. Without one it is `unit` itself.
     - `group`: the family of risk it belongs to, such as "price", "volatility" or "contract".
-    - `words`: one phrase that says its meaning.
+    - `words`: its meaning, in one phrase.
 
     A correlation matrix enters as its strict lower triangle.
     """
@@ -66,15 +69,25 @@ class Input(eqx.Module):
             return ("",)
         return tuple(",".join(map(str, index)) for index in np.ndindex(self.value.shape))
 
-    def step(self) -> float:
-        """The step of a finite difference, in the input's unit."""
+    def step(self) -> np.ndarray:
+        """The step of a finite difference of every number, in the input's unit, shaped like it.
+
+        `bump` where it is given, else 1e-5 of the number's own size. A zero takes the size of the
+        largest entry; where all are zero, the step is a thousandth of `move`, or else 1e-5.
+        """
         if self.bump is not None:
-            return self.bump
-        return 1e-5 * max(1.0, float(np.max(np.abs(self.value), initial=0.0)))
+            return np.full(self.value.shape, float(self.bump))
+        size = np.abs(self.value)
+        largest = np.max(size, initial=0.0)
+        if largest == 0:
+            # A move is about a hundredth of what it moves.
+            least = 1e-5 if not self.move else 1e-3 * abs(self.move)
+            return np.full(self.value.shape, least)
+        return RELATIVE_STEP * np.where(size > NOTHING * largest, size, largest)
 
 
 class Frozen(eqx.Module):
-    """A table that a policy holds and training leaves alone."""
+    """A table that a policy holds and that training does not change."""
 
     array: Any
 
@@ -94,7 +107,7 @@ def is_input(x: Any) -> bool:
 
 
 def plain(inputs: PyTree) -> PyTree:
-    """The same module with plain arrays in place of every `Input`: what `prepare` receives."""
+    """The same module with plain arrays in place of every `Input`, as `prepare` receives it."""
     return jax.tree.map(lambda x: x.value if is_input(x) else x, inputs, is_leaf=is_input)
 
 
@@ -112,7 +125,7 @@ def values(inputs: PyTree) -> list[np.ndarray]:
 def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
     """The plain module with `new` values in place of the inputs, in the order of `named`.
 
-    Unlike `plain`, the new values may be traced: this is the way in for differentiation.
+    Unlike `plain`, it takes traced values, so that `prepare` can be differentiated.
     """
     remaining = iter(new)
     return jax.tree.map(lambda x: next(remaining) if is_input(x) else x, inputs, is_leaf=is_input)

@@ -1,16 +1,27 @@
-"""Objectives: what a path's totals are worth together, always to be made as LARGE as possible.
+"""Objectives: the worth of all paths' totals together, always to be made as LARGE as possible.
 
 An objective gives a value and the weight of every path and output, its derivative; engines
 take weights, never objectives, so risk measures need no second kind of adjoint. `influence`
 is each path's share of the value to first order: its spread gives the standard error. For a
 cost, negate: `-Mean("cost")`. Objectives add and scale: `Mean("x") + 0.5 * CVaR("x", 0.95)`.
+
+An objective of one's own is one formula in `jax.numpy`; weights and errors follow from it::
+
+    @dataclass(frozen=True)
+    class Sharpe(snapo.Objective):
+        outputs = ("profit",)
+        def formula(self, totals):
+            return jnp.mean(totals["profit"]) / jnp.std(totals["profit"])
 """
 
 import abc
 from collections.abc import Mapping
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+
+from . import functional
 
 Totals = Mapping[str, np.ndarray]
 Weights = dict[str, np.ndarray]
@@ -18,29 +29,52 @@ Weights = dict[str, np.ndarray]
 
 @dataclass(frozen=True)
 class Objective(abc.ABC):
-    """A number made from path totals {name: [N]}. Subclasses are frozen dataclasses."""
+    """A number made from path totals {name: [N]}, the same in whatever order the paths are.
 
+    A subclass is a frozen dataclass with `outputs` and `formula`. Value, weights and influence
+    follow from the formula; the objectives below have closed forms in place of it.
+    """
+
+    @property
     @abc.abstractmethod
+    def outputs(self) -> Any:
+        """The names of the outputs used, a tuple; a plain class attribute will do."""
+
+    @property
+    def linear(self) -> Any:
+        """Whether the weights do not depend on the totals, which saves a forward sweep.
+
+        It is declared, not detected: a subclass says `linear = True`.
+        """
+        return False
+
+    def formula(self, totals: Mapping[str, Any]) -> Any:
+        """The objective in `jax.numpy`, of the totals {name: [N]} of its outputs in float64."""
+        raise NotImplementedError(
+            f"{type(self).__name__}: write formula(self, totals), one number in jax.numpy."
+        )
+
     def value(self, totals: Totals) -> float:
         """The objective on these paths."""
+        return functional.value(self, self.used(totals))
 
-    @abc.abstractmethod
     def weights(self, totals: Totals) -> Weights:
         """Its derivative with respect to every path total used: {name: [N]}."""
+        return functional.weights(self, self.used(totals))
 
-    @abc.abstractmethod
     def influence(self, totals: Totals) -> np.ndarray:
         """[N]: numbers whose mean is the value and whose spread is its sampling error."""
+        return functional.influence(self, self.used(totals))
 
-    @property
-    @abc.abstractmethod
-    def outputs(self) -> tuple[str, ...]:
-        """The names of the outputs used."""
-
-    @property
-    def linear(self) -> bool:
-        """Whether the weights do not depend on the totals (then no extra sweep is needed)."""
-        return False
+    def used(self, totals: Totals) -> dict[str, np.ndarray]:
+        """The totals of this objective's outputs in float64; an unknown name is an error."""
+        for name in self.outputs:
+            if name not in totals:
+                raise KeyError(
+                    f"{type(self).__name__}: no output {name!r}; the simulator gives "
+                    f"{sorted(totals)}."
+                )
+        return {name: np.asarray(totals[name], np.float64) for name in self.outputs}
 
     def __add__(self, other: "Objective") -> "Weighted":
         return Weighted((1.0, self), (1.0, other))
@@ -59,7 +93,7 @@ class Objective(abc.ABC):
 
 @dataclass(frozen=True)
 class _OneOutput(Objective):
-    """An objective of one output's totals x: subclasses say value, slope and influence."""
+    """An objective of one output's totals x in closed form, by its slope and influence."""
 
     output: str
 
@@ -71,19 +105,11 @@ class _OneOutput(Objective):
         return float(np.mean(self.influence(totals)))
 
     def weights(self, totals: Totals) -> Weights:
-        x = self._totals(totals)
+        x = self.used(totals)[self.output]
         return {self.output: self._slope(x) / x.size}
 
     def influence(self, totals: Totals) -> np.ndarray:
-        return self._influence(self._totals(totals))
-
-    def _totals(self, totals: Totals) -> np.ndarray:
-        if self.output not in totals:
-            raise KeyError(
-                f"{type(self).__name__}: no output {self.output!r}; the simulator gives "
-                f"{sorted(totals)}."
-            )
-        return np.asarray(totals[self.output], np.float64)
+        return self._influence(self.used(totals)[self.output])
 
     @abc.abstractmethod
     def _slope(self, x: np.ndarray) -> np.ndarray:

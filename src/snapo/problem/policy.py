@@ -1,7 +1,10 @@
-"""Policies: from what is observed to an action. Networks, residuals and classical rules.
+"""Policies: from an observation to an action. Networks, residuals and classical rules.
 
 A policy is any `eqx.Module` with `policy(observation, smooth) -> action` and the action in
 the simulator's fixed set. Baselines are policies that plug in where the network goes.
+
+A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
+the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.
 """
 
 import abc
@@ -11,10 +14,12 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from .actions import Box, Simplex
 from .inputs import Frozen
+from .simulator import Interface
 
 
 class Policy(eqx.Module):
@@ -23,6 +28,13 @@ class Policy(eqx.Module):
     @abc.abstractmethod
     def __call__(self, observation: Float[Array, " features"], smooth) -> Float[Array, " size"]:
         """The action at this observation."""
+
+    def for_problem(self, interface: Interface, key) -> "Policy":
+        """The policy for this set of actions and number of features: itself, unless it is a recipe.
+
+        `interface` is `simulator.interface(schedule)`; first weights are drawn with `key`.
+        """
+        return self
 
 
 class Network(eqx.Module):
@@ -54,72 +66,183 @@ class Network(eqx.Module):
 
 
 class MLP(Policy):
-    """A network whose outputs are squashed into the action set (see `Box` and `Simplex`)."""
+    """A network whose outputs are squashed into the action set (see `Box` and `Simplex`).
 
-    network: Network
-    action: Box | Simplex
+    `MLP(action, features, key=key)` is made at once. `MLP(hidden=(64, 64))` is a recipe: `solve`
+    makes it for the simulator's actions and features.
+    """
+
+    network: Network | None
+    action: Box | Simplex | None
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    activation: Callable = eqx.field(static=True)
 
     def __init__(
         self,
-        action: Box | Simplex,
-        features: int,
+        action: Box | Simplex | None = None,
+        features: int | None = None,
         *,
-        key,
+        key=None,
         hidden: tuple[int, ...] = (32, 32),
         activation: Callable = jax.nn.silu,
     ):
-        self.network = Network((features, *hidden, action.size), key=key, activation=activation)
-        self.action = action
+        self.hidden, self.activation, self.action = tuple(hidden), activation, action
+        self.network = _network(self, action, features, key)
 
     def __call__(self, observation, smooth):
-        return self.action.squash(self.network(observation))
+        network, action = _made(self)
+        return action.squash(network(observation))
+
+    def for_problem(self, interface: Interface, key) -> "MLP":
+        if self.network is not None:
+            return _fitting(self, self.network, interface)
+        return MLP(
+            interface.action,
+            interface.features,
+            key=key,
+            hidden=self.hidden,
+            activation=self.activation,
+        )
 
 
 class Residual(Policy):
     """A base rule plus `scale` times a network, kept inside the action set.
 
     For a `Box` the sum is clipped (rounded while training), for a `Simplex` the network moves
-    the logarithms of the base's shares. The base is not trained.
+    the logarithms of the base's shares. The base is not trained. Without action set, features and
+    key it is a recipe, as `MLP` is; its base may be one too.
     """
 
     base: Frozen
-    network: Network
-    action: Box | Simplex
+    network: Network | None
+    action: Box | Simplex | None
     scale: float = eqx.field(static=True)
+    hidden: tuple[int, ...] = eqx.field(static=True)
+    activation: Callable = eqx.field(static=True)
 
-    def __init__(self, base: Policy, action, features: int, *, key, scale=1.0, hidden=(32, 32)):
-        self.base = Frozen(base)
-        self.network = Network((features, *hidden, action.size), key=key)
-        self.action = action
-        self.scale = scale
+    def __init__(
+        self,
+        base: Policy,
+        action: Box | Simplex | None = None,
+        features: int | None = None,
+        *,
+        key=None,
+        scale: float = 1.0,
+        hidden: tuple[int, ...] = (32, 32),
+        activation: Callable = jax.nn.silu,
+    ):
+        self.base, self.scale = Frozen(base), scale
+        self.hidden, self.activation, self.action = tuple(hidden), activation, action
+        self.network = _network(self, action, features, key)
 
     def __call__(self, observation, smooth):
-        base = self.base.array(observation, smooth)
-        correction = self.scale * self.network(observation)
-        if isinstance(self.action, Simplex):
-            return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
-        low, high = self.action.low, self.action.high
-        width = high - low if np.isfinite(high - low) else 1.0
-        return smooth.clip(base + correction, low, high, scale=width)
+        network, action = _made(self)
+        correction = self.scale * network(observation)
+        return action.near(self.base.array(observation, smooth), correction, smooth)
+
+    def for_problem(self, interface: Interface, key) -> "Residual":
+        if self.network is not None:
+            return _fitting(self, self.network, interface)
+        return Residual(
+            self.base.array.for_problem(interface, key),
+            interface.action,
+            interface.features,
+            key=key,
+            scale=self.scale,
+            hidden=self.hidden,
+            activation=self.activation,
+        )
+
+
+def _network(policy: MLP | Residual, action, features, key) -> Network | None:
+    """The network of a policy; None while it is a recipe."""
+    given = [each is not None for each in (action, features, key)]
+    if not any(given):
+        return None
+    if not all(given):
+        raise ValueError(
+            f"{type(policy).__name__}: give the action set, the number of features and a key "
+            "together, or none of them: then solve finds them."
+        )
+    widths = (features, *policy.hidden, action.size)
+    return Network(widths, key=key, activation=policy.activation)
+
+
+def _made(policy: MLP | Residual) -> tuple[Network, Box | Simplex]:
+    if policy.network is None or policy.action is None:
+        raise ValueError(
+            f"{type(policy).__name__}: this is a recipe without numbers; make the policy with "
+            "for_problem(simulator.interface(schedule), key), as solve does."
+        )
+    return policy.network, policy.action
+
+
+def _fitting(policy, network: Network, interface: Interface):
+    """The policy itself, if its network has the right numbers of features and actions."""
+    given = network.weights[0].shape[1], network.weights[-1].shape[0]
+    if given != (interface.features, interface.action.size):
+        raise ValueError(
+            f"{type(policy).__name__}: it takes {given[0]} features and gives {given[1]} actions; "
+            f"this simulator has {interface.features} and {interface.action.size}."
+        )
+    return policy
 
 
 class Constant(Policy):
-    """Always the same action."""
+    """Always the same action; `Constant()` starts in the middle of the action set."""
 
-    value: Array = eqx.field(converter=jnp.asarray)
+    value: Array | None
+
+    def __init__(self, value: ArrayLike | None = None):
+        self.value = None if value is None else jnp.asarray(value)
 
     def __call__(self, observation, smooth):
+        if self.value is None:
+            raise ValueError("Constant: this is a recipe without numbers; give it a value.")
         return self.value.astype(observation.dtype)
+
+    def for_problem(self, interface: Interface, key) -> "Constant":
+        return Constant(_middle(interface)) if self.value is None else self
 
 
 class Linear(Policy):
-    """Linear feedback: gain @ observation + offset."""
+    """Linear feedback: gain @ observation + offset; with `action`, kept inside that set.
 
-    gain: Array = eqx.field(converter=jnp.asarray)
-    offset: Array = eqx.field(converter=jnp.asarray, default=0.0)
+    `Linear()` starts with a gain of zero [size, features] in the middle of the action set, and is
+    kept inside it.
+    """
+
+    gain: Array | None
+    offset: Array
+    action: Box | Simplex | None
+
+    def __init__(
+        self,
+        gain: ArrayLike | None = None,
+        offset: ArrayLike = 0.0,
+        action: Box | Simplex | None = None,
+    ):
+        self.gain = None if gain is None else jnp.asarray(gain)
+        self.offset, self.action = jnp.asarray(offset), action
 
     def __call__(self, observation, smooth):
-        return self.gain @ observation + self.offset
+        if self.gain is None:
+            raise ValueError("Linear: this is a recipe without numbers; give it a gain.")
+        feedback = self.gain @ observation
+        if self.action is None:
+            return feedback + self.offset
+        return self.action.near(self.offset, feedback, smooth)
+
+    def for_problem(self, interface: Interface, key) -> "Linear":
+        if self.gain is not None:
+            return self
+        gain = jnp.zeros((interface.action.size, interface.features), jnp.float32)
+        return Linear(gain, _middle(interface), interface.action)
+
+
+def _middle(interface: Interface) -> Float[Array, " size"]:
+    """The action that a network without weights would take."""
+    return interface.action.squash(jnp.zeros(interface.action.size, jnp.float32))
 
 
 class BaseStock(Policy):
@@ -148,7 +271,7 @@ class Threshold(Policy):
 
 
 def trainable(policy: Policy) -> tuple[Policy, Policy]:
-    """Splits a policy into what is trained and the rest (integers, `Frozen` tables)."""
+    """Splits a policy into the trained numbers and the rest (integers, `Frozen` tables)."""
     marks = jax.tree.map(
         lambda leaf: False if isinstance(leaf, Frozen) else eqx.is_inexact_array(leaf),
         policy,

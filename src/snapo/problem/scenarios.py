@@ -7,7 +7,7 @@ threefry, `Sobol` supplies scrambled low-discrepancy points through a Brownian b
 """
 
 import abc
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +20,7 @@ from .noise import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
 from .simulator import Simulator
 
 BLOCKS = 32
+FEWEST = 160  # supplied paths that can be divided: 32 blocks to evaluate on
 SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and Kuo 2008)
 
 
@@ -30,6 +31,14 @@ class Scenarios(abc.ABC):
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
         """The noise of the paths with these numbers."""
+
+    def batch(self, step: int, paths: int, simulator: Simulator) -> Draws:
+        """The noise of one training step: other paths at every step, the same ones every run."""
+        raise ValueError(f"{type(self).__name__}: these scenarios are for evaluation only.")
+
+    def available(self, wanted: int) -> int:
+        """How many of the paths that are wanted there are."""
+        return wanted
 
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:
@@ -50,6 +59,10 @@ class Pseudo(Scenarios):
     seed: int = 0
     antithetic: bool = True
     stream: int = 0
+
+    def batch(self, step: int, paths: int, simulator: Simulator) -> Counter:
+        fresh = replace(self, stream=self.stream + step)
+        return fresh.draws(np.arange(paths), simulator)
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
         uses = STEP_STREAM, INITIAL_STREAM
@@ -118,11 +131,33 @@ class Sobol(Scenarios):
 
 @dataclass(frozen=True, eq=False)
 class Supplied(Scenarios):
-    """Scenarios of one's own in place of normals: `step_noise` [T, paths, K], and optionally
-    `initial_noise` [paths, K0]. The paths are taken to be independent."""
+    """Scenarios of one's own in place of normals.
+
+    - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are taken to be
+      independent.
+    - `seed`: of the choice of paths at every training step.
+    """
 
     step_noise: np.ndarray
     initial_noise: np.ndarray | None = None
+    seed: int = 0
+
+    @property
+    def size(self) -> int:
+        """The number of paths."""
+        return self.step_noise.shape[1]
+
+    def available(self, wanted: int) -> int:
+        return min(wanted, self.size)
+
+    def batch(self, step: int, paths: int, simulator: Simulator) -> Stored:
+        random = np.random.default_rng([self.seed, TRAIN, step])
+        return self.draws(random.choice(self.size, paths), simulator)
+
+    def part(self, first: int, last: int) -> "Supplied":
+        """The paths from number `first` to `last`, which is not included, as scenarios."""
+        initial = None if self.initial_noise is None else self.initial_noise[first:last]
+        return replace(self, step_noise=self.step_noise[:, first:last], initial_noise=initial)
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
         steps, available, size = self.step_noise.shape
@@ -142,6 +177,56 @@ class Supplied(Scenarios):
 
     def groups(self, paths: np.ndarray) -> np.ndarray:
         return paths
+
+
+TRAIN, VALIDATE, EVALUATE = 1, 2, 3  # what a stream of `Pseudo` is used for, in its upper half
+
+
+def stream(use: int, number: int = 0) -> int:
+    """The number of a stream: streams of different uses never meet."""
+    return (use << 32) + number
+
+
+@dataclass(frozen=True)
+class Sources:
+    """One source of scenarios for each role: none is used for another.
+
+    - `training`: gives other paths at every step.
+    - `validation`: the paths on which policies are compared while training, always the same.
+    - `evaluation`: the paths on which the value and its sensitivities are measured.
+    """
+
+    training: Scenarios
+    validation: Scenarios
+    evaluation: Scenarios
+
+    @classmethod
+    def of(cls, given: "Scenarios | Sources | None", seed: int = 0) -> "Sources":
+        """The sources that a caller means: fresh normals of `seed` where nothing else is said.
+
+        Scenarios of normals are those of the evaluation. Supplied paths are divided: the first
+        three fifths train, the next fifth validates, the last evaluates.
+        """
+        if isinstance(given, Sources):
+            return given
+        if isinstance(given, Supplied):
+            return cls.divided(replace(given, seed=seed))
+        fresh = (Pseudo(seed, stream=stream(use)) for use in (TRAIN, VALIDATE, EVALUATE))
+        training, validation, evaluation = fresh
+        return cls(training, validation, given or evaluation)
+
+    @classmethod
+    def divided(cls, supplied: Supplied) -> "Sources":
+        """Supplied paths in three parts of three, one and one fifth."""
+        if supplied.size < FEWEST:
+            raise ValueError(
+                f"Supplied: {supplied.size} paths are too few to train, validate and evaluate on "
+                f"different ones; give at least {FEWEST}, or Sources(training, validation, "
+                "evaluation)."
+            )
+        first, second = supplied.size * 3 // 5, supplied.size * 4 // 5
+        edges = ((0, first), (first, second), (second, supplied.size))
+        return cls(*(supplied.part(*each) for each in edges))
 
 
 def _key(seed: int, stream: int, use: int) -> np.ndarray:

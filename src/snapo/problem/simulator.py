@@ -1,13 +1,13 @@
-"""What a user writes: ONE path of a decision problem, in plain ``jax.numpy``.
+"""The simulator, written by the user: ONE path of a decision problem, in plain ``jax.numpy``.
 
 No batch dimension, no random keys and no loop over time: the engines add those. A
-simulator says how the inputs become a schedule (`prepare`), where a path starts
-(`initial`), what the policy sees (`observe`) and what one decision does (`step`).
+simulator has the way from the inputs to a schedule (`prepare`), the start of a path
+(`initial`), the policy's observation (`observe`) and the effect of one decision (`step`).
 """
 
 import abc
 from collections.abc import Mapping
-from typing import Any, ClassVar, Literal
+from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
 import jax
@@ -32,6 +32,18 @@ class Schedule(eqx.Module):
 
     constants: PyTree
     steps: PyTree
+
+
+class Interface(NamedTuple):
+    """All that a policy has to fit.
+
+    - `action`: the set in which its actions lie; `features`: the length of its observation.
+    - `stages`: of a `Chain`, the same for every stage by itself.
+    """
+
+    action: Box | Simplex
+    features: int
+    stages: tuple["Interface", ...] = ()
 
 
 class Simulator(eqx.Module):
@@ -60,7 +72,7 @@ class Simulator(eqx.Module):
 
     @abc.abstractmethod
     def observe(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, " features"]:
-        """What the policy sees, of order one; `now` is `schedule.steps` at this step."""
+        """The policy's observation, of order one; `now` is `schedule.steps` at this step."""
 
     @abc.abstractmethod
     def step(self, constants, now, state, action, noise, smooth) -> tuple[State, Outputs]:
@@ -89,6 +101,10 @@ class Simulator(eqx.Module):
     def slack(self, constants, now, state, outputs) -> Mapping[str, Any]:
         """Named distances to the limits after a step, negative where one is violated."""
         return {}
+
+    def interface(self, schedule: Schedule) -> Interface:
+        """The set of actions and the number of features, for policies that are still to be made."""
+        return Interface(self.action, probe(self, schedule)[1].shape[0])
 
 
 def at(steps: PyTree, t: int) -> PyTree:

@@ -1,4 +1,4 @@
-"""Hard constraints from one definition: smooth while training, exact when it counts.
+"""Hard constraints from one definition: smooth in training, exact in the value.
 
 A simulator and a policy receive `smooth` and write their limits with it::
 
@@ -11,8 +11,8 @@ written. The temperature is an array, so annealing it never recompiles.
 
 Corners (`positive_part`, `minimum`, `maximum`, `clip`, `absolute`) are rounded by a quartic of
 compact support: outside the width they ARE the exact function, and a smooth minimum never
-exceeds the exact one, so what was feasible stays feasible. Jumps (`indicator`, `choose`,
-`share`) become logistic curves, whose tails tell training on which side the answer lies.
+exceeds the exact one, so that feasible volumes stay feasible. Jumps (`indicator`, `choose`,
+`share`) become logistic curves, whose tails have a slope towards the better side.
 All are finite in value and first and second derivative at the kink, at equal arguments, at
 infinities and at temperature zero: the branch not taken is evaluated at a harmless point.
 """
@@ -94,7 +94,7 @@ class Constraints(eqx.Module):
 
         - `groups`: disjoint `(members, low, high)`: the members' sum lies within [low, high].
           Group sums are found first, by the same formula on the groups' mean logits, then
-          shares within each group; assets in no group stand for themselves.
+          shares within each group; an asset in no group is a group of its own.
         - Bounds must be attainable: sum(low) <= total <= sum(high), in every group too.
         """
         n = logits.shape[0]
@@ -104,7 +104,7 @@ class Constraints(eqx.Module):
         members = [jnp.asarray(g[0]) for g in groups]
         grouped = {int(i) for g in groups for i in g[0]}
         if len(grouped) < sum(len(g[0]) for g in groups):
-            raise ValueError("simplex: an asset stands in two groups; groups must be disjoint.")
+            raise ValueError("simplex: an asset is in two groups; groups must be disjoint.")
         alone = jnp.asarray([i for i in range(n) if i not in grouped], int)
         mean = jnp.stack([logits[m].mean() for m in members])
         floor = jnp.stack([jnp.maximum(low[m].sum(), g[1]) for m, g in zip(members, groups)])
@@ -194,7 +194,7 @@ def _finite_difference(a: ArrayLike, b: ArrayLike) -> tuple[Array, Array]:
 
 def _fill(logits: Array, low: Array, high: Array, total: Array) -> Array:
     """low + (high - low) logistic(logits + level), adding up to `total`."""
-    # Only differences count; those beyond all reason are cut, so that the level is always found.
+    # Only differences count; extreme ones are cut, so that the level is always found.
     middle = jax.lax.stop_gradient(jnp.max(logits) + jnp.min(logits)) / 2
     logits = jnp.clip(logits - middle, -FARTHEST, FARTHEST)
     level = _level(logits, low, high, total)

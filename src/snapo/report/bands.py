@@ -16,11 +16,17 @@ DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
 
 
 def quantile_fan(
-    axes: Axes, years: np.ndarray, fan: Mapping[str, np.ndarray], unit: str, level: float | None
+    axes: Axes,
+    years: np.ndarray,
+    fan: Mapping[str, np.ndarray],
+    unit: str,
+    level: float | None,
+    across: str = "Year",
 ) -> None:
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
-    `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at.
+    `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
+    the horizontal axis where it does not count years.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),
@@ -36,7 +42,7 @@ def quantile_fan(
     if level is not None:
         axes.axhline(level, color=LIGHT["limit"], linewidth=1.1, linestyle=(0, (1, 1.5)))
     axes.set_xlim(years[0], years[-1])
-    axes.set_xlabel("Year")
+    axes.set_xlabel(across)
     number_axis(axes.xaxis, 10)
     number_axis(axes.yaxis)
     unit_above(axes, unit)

@@ -10,16 +10,28 @@ import numpy as np
 
 from .quantity import array, finite, money, plus_minus
 
+SENSITIVITIES = (
+    "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved",
+)  # fmt: skip
+
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """One line of sensitivities.csv: d value / d input, per one unit of the input."""
+    """One line of sensitivities.csv: d value / d input, per one unit of the input.
+
+    - `value`, `standard_error`: with the decisions held.
+    - `smooth`, `smooth_error`: through the policy's reaction, where it was asked for.
+    - `moved`: how far the held one moved in the second half of training.
+    """
 
     input: str
     label: str
+    unit: str
     value: float
     standard_error: float | None
-    unit: str
+    smooth: float | None
+    smooth_error: float | None
+    moved: float | None
 
 
 @dataclass(frozen=True)
@@ -29,13 +41,16 @@ class Folder:
     **Attributes:**
 
     - `result`: result.json.
-    - `details`: details.json; read with `get` and `numbers`, since any key may be missing.
+    - `details`: run.json's `about` and the tables of all parts that are done; read with `get` and
+      `numbers`, since any key may be missing.
+    - `parts`: {name: {"state", "note", "seconds"}} of run.json.
     - `sensitivities`: the lines of sensitivities.csv.
     - `profile`, `history`: columns of profile.csv and history.csv by name, as text.
     """
 
     result: dict[str, Any]
     details: dict[str, Any]
+    parts: dict[str, dict[str, Any]]
     sensitivities: tuple[Sensitivity, ...]
     profile: dict[str, list[str]]
     history: dict[str, list[str]]
@@ -43,28 +58,32 @@ class Folder:
     @classmethod
     def read(cls, folder: Path):
         """Reads the run in `folder`; a file that is not there counts as empty."""
+        record = _object(folder / "run.json")
+        details = dict(record.get("about", {}))
+        for file in sorted(folder.glob("parts/*.json")):
+            details |= _object(file)
         lines = _columns(folder / "sensitivities.csv")
-        names = ("input", "label", "value", "standard_error", "unit")
-        cells = [lines.get(name, []) for name in names]
+        rows = zip(*(lines.get(name, []) for name in SENSITIVITIES), strict=True)
         sensitivities = tuple(
-            Sensitivity(name, label, slope, _number(error), unit)
-            for name, label, value, error, unit in zip(*cells, strict=True)
-            if (slope := _number(value)) is not None
+            Sensitivity(name, label, unit, slope, *map(_number, others))
+            for name, label, unit, held, *others in rows
+            if (slope := _number(held)) is not None
         )
         return cls(
             _object(folder / "result.json"),
-            _object(folder / "details.json"),
+            details,
+            record.get("parts", {}),
             sensitivities,
             _columns(folder / "profile.csv"),
             _columns(folder / "history.csv"),
         )
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of details.json, or `default` where it is missing or null."""
+        """The entry "today.spot" of the parts' tables, or `default` where it is missing or null."""
         return lookup(self.details, path, default)
 
     def numbers(self, path: str, column: str = "") -> np.ndarray | None:
-        """A list of details.json as float64, else the column of profile.csv, else None."""
+        """A list of the parts' tables as float64, else the column of profile.csv, else None."""
         found = array(self.get(path))
         return self.column("profile", column) if found is None and column else found
 
@@ -76,6 +95,11 @@ class Folder:
     @property
     def currency(self) -> str:
         return str(self.get("currency", ""))
+
+    @property
+    def unit(self) -> str:
+        """The unit of the value: its own, else the currency."""
+        return str(self.get("unit", self.currency))
 
     def money(self, value: Any, places: int | None = None, sign: bool = False) -> str:
         return money(value, self.currency, places, sign)

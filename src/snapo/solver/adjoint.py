@@ -11,17 +11,17 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Engine, Xla
+from snapo.engine import Adjoint, Bound, Engine, Xla
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
 
 
@@ -35,7 +35,10 @@ class Gradient(NamedTuple):
 def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
 ) -> dict[str, np.ndarray]:
-    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}."""
+    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}.
+
+    The transpose of `prepare`.
+    """
     with jax.enable_x64(True):
         stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
         moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
@@ -43,18 +46,17 @@ def pull_back(
 
 
 def value_and_gradient(
-    simulator: Simulator,
-    inputs: PyTree,
+    problem: Problem,
     policy: Policy,
     *,
-    objective: Objective,
-    scenarios: Scenarios,
     paths: int = 4096,
     smooth: Any = None,
     held: bool = False,
     engine: Engine | None = None,
 ) -> tuple[float, Gradient]:
-    """The objective and its exact gradient for the policy and every input, on these paths.
+    """The objective and its exact gradient for the policy and every input.
+
+    On the first `paths` paths of the problem's evaluation.
 
     **Arguments:**
 
@@ -62,24 +64,19 @@ def value_and_gradient(
       use `Smooth(temperature)` for derivatives through the policy's reaction, or
     - `held`: the decisions are recorded first and then replayed; the policy's gradient is zero.
     """
-    engine = engine or Xla(precision="float64")
+    bound = (engine or Xla(precision="float64")).bind(problem)
     smooth = Exact() if smooth is None else smooth
-    schedule = prepare(simulator, inputs)
-    draws = scenarios.draws(np.arange(paths), simulator)
-    value, result = weighted_adjoint(
-        engine, simulator, policy, schedule, draws, smooth, objective, held=held
-    )
-    moved = pull_back(simulator, inputs, [result.schedule])
+    draws = problem.sources.evaluation.draws(np.arange(paths), problem.simulator)
+    value, result = weighted_adjoint(bound, policy, draws, smooth, problem.objective, held=held)
+    moved = pull_back(problem.simulator, problem.inputs, [result.schedule])
     gradient = {name: array[0] for name, array in moved.items()}
     nothing = jax.tree.map(np.zeros_like, eqx.filter(policy, eqx.is_inexact_array))
     return value, Gradient(nothing if held else result.policy, gradient)
 
 
 def weighted_adjoint(
-    engine: Engine,
-    simulator: Simulator,
+    bound: Bound,
     policy: Policy,
-    schedule: Schedule,
     draws: Draws,
     smooth,
     objective: Objective,
@@ -95,21 +92,13 @@ def weighted_adjoint(
     if held or not objective.linear:
         record = ("action",) if held else ()
         window = {key: options[key] for key in ("window", "start") if key in options}
-        first = engine.values(simulator, policy, schedule, draws, smooth, record=record, **window)
+        first = bound.values(policy, draws, smooth, record=record, **window)
         actions = first.record.get("action")
         weights = objective.weights(float64(first.totals))
     else:
         weights = flat_weights(objective, draws.size)
-    result = engine.adjoint(
-        simulator,
-        None if held else policy,
-        schedule,
-        draws,
-        smooth,
-        weights,
-        actions=actions,
-        **options,
-    )
+    decider = None if held else policy
+    result = bound.adjoint(decider, draws, smooth, weights, actions=actions, **options)
     return objective.value(float64(result.totals)), result
 
 
@@ -144,7 +133,8 @@ def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
 @eqx.filter_jit
 def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
     def schedule(values):
-        made = simulator.prepare(inputs_.replace(inputs, values))
+        # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.
+        made = jax.tree.map(jnp.asarray, simulator.prepare(inputs_.replace(inputs, values)))
         return eqx.filter(made, eqx.is_inexact_array)
 
     made, pull = jax.vjp(schedule, values)

@@ -1,21 +1,15 @@
 """Why believe the number: the adjoint against bumps on the same paths, and every limit kept."""
 
-from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
-import jax
 import numpy as np
-from jaxtyping import PyTree
 
 from snapo.engine import Engine, Xla
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Weights
+from snapo.problem.objective import Weights
 from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
-from snapo.problem.simulator import Simulator
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64, pull_back
@@ -82,28 +76,24 @@ class Feasibility(NamedTuple):
         return self._asdict() | {"passed": self.worst > -round_off}
 
 
-def nudged(inputs: PyTree, zeros: Mapping[str, float] | None = None, seed: int = 0) -> PyTree:
-    """The inputs, each number moved by a random thousandth of itself at most.
+def nudged(problem: Problem, seed: int = 0) -> Problem:
+    """The problem with each number of its inputs moved by a random thousandth of itself at most.
 
     Round numbers tie: a store that fills in exactly eight days stands on a kink of its limits,
-    where every path has two derivatives. Nearby, hardly any path has. `zeros` says by how much an
-    input that is zero may be moved, upwards; one not named stays zero.
+    where every path has two derivatives. Nearby, hardly any path has. A number that is zero is
+    moved upwards, by up to its input's `move`; without one it stays zero.
     """
-    random, given = np.random.default_rng(seed), inputs_.named(inputs)
-    moved = []
-    for name, entry in given:
-        size = np.where(entry.value == 0, (zeros or {}).get(name, 0.0), NUDGE * entry.value)
+    random, moved = np.random.default_rng(seed), []
+    for entry in problem.named.values():
+        size = np.where(entry.value == 0, entry.move or 0.0, NUDGE * entry.value)
         low = np.where(entry.value == 0, 0.5, -1.0)
         moved.append(entry.value + size * random.uniform(low, 1.0, entry.value.shape))
-    return _with_values(inputs, moved)
+    return problem.with_inputs(moved)
 
 
 def bump_check(
-    simulator: Simulator,
-    inputs: PyTree,
+    problem: Problem,
     policy: Policy,
-    objective: Objective,
-    scenarios: Scenarios,
     paths: int = 512,
     *,
     smooth: Any = None,
@@ -112,25 +102,30 @@ def bump_check(
 ) -> list[Bump]:
     """The adjoint against differences in float64, on the same paths.
 
-    With `smooth` the policy reacts; without, the exact simulator replays its recorded decisions.
+    On the first `paths` paths of the problem's evaluation. With `smooth` the policy reacts;
+    without, the exact simulator replays its recorded decisions.
     Every input is bumped along one random direction of signs, or with `every` entry by entry.
     Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
     difference; along a direction in which different paths take different sides, it is neither,
     and only the paths without a kink within the step are compared (see `Bump.crossing`).
     """
-    engine = engine or Xla(precision="float64")
-    draws = scenarios.draws(np.arange(paths), simulator)
-    replay = _Replay.of(engine, simulator, inputs, policy, objective, draws, smooth)
+    source = problem.sources.evaluation
+    draws = source.draws(np.arange(source.available(paths)), problem.simulator)
+    replay = _Replay.of(engine or Xla(precision="float64"), problem, policy, draws, smooth)
     gradient, random = replay.gradient(), np.random.default_rng(1)
     centre = replay.paths({})
     found = []
-    for name, given in inputs_.named(inputs):
+    for name, given in problem.named.items():
         directions = _directions(given, every, random)
         scale = float(np.max(np.abs(gradient[name]), initial=0.0))
-        if not every:
-            scale = float(np.sum(np.abs(gradient[name])))
         for label, direction in directions:
-            along = _Along(replay, name, direction, given.step(), centre)
+            # Each number moves by its own step; `part` is relative to the largest of them.
+            moved = given.step() * direction
+            step = float(np.max(np.abs(moved)))
+            part = moved / step
+            if not every:
+                scale = float(np.sum(np.abs(gradient[name] * part)))
+            along = _Along(replay, name, part, step, centre)
             found.append(along.compare(label, gradient, scale))
     return found
 
@@ -139,8 +134,7 @@ class _Replay(NamedTuple):
     """The paths of one check: same noise, same weights, and same decisions or same policy."""
 
     engine: Engine
-    simulator: Simulator
-    inputs: PyTree
+    problem: Problem
     policy: Policy | None
     draws: Draws
     smooth: Any
@@ -148,32 +142,30 @@ class _Replay(NamedTuple):
     weights: Weights
 
     @classmethod
-    def of(cls, engine, simulator, inputs, policy, objective: Objective, draws, smooth):
-        schedule, held = prepare(simulator, inputs), smooth is None
-        smooth = Exact() if held else smooth
-        first = engine.values(
-            simulator, policy, schedule, draws, smooth, record=("action",) if held else ()
-        )
+    def of(cls, engine: Engine, problem: Problem, policy, draws, smooth):
+        held, smooth = smooth is None, smooth or Exact()
+        record = ("action",) if held else ()
+        first = engine.bind(problem).values(policy, draws, smooth, record=record)
         decider, actions = (None, first.record["action"]) if held else (policy, None)
-        weights = objective.weights(float64(first.totals))
-        return cls(engine, simulator, inputs, decider, draws, smooth, actions, weights)
+        weights = problem.objective.weights(float64(first.totals))
+        return cls(engine, problem, decider, draws, smooth, actions, weights)
 
     def paths(self, bumps: dict[str, np.ndarray]) -> np.ndarray:
-        """What each path adds to the weighted value, [paths], with these inputs shifted."""
-        named = inputs_.named(self.inputs)
-        moved = [entry.input.value + bumps.get(entry.name, 0.0) for entry in named]
-        schedule = prepare(self.simulator, _with_values(self.inputs, moved))
-        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
-        totals = float64(self.engine.values(*given, actions=self.actions).totals)
+        """The share of each path in the weighted value, [paths], with these inputs shifted."""
+        named = self.problem.named
+        moved = self.problem.at({name: named[name].value + bump for name, bump in bumps.items()})
+        bound = self.engine.bind(moved)
+        found = bound.values(self.policy, self.draws, self.smooth, actions=self.actions)
+        totals = float64(found.totals)
         return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
 
     def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """The adjoint by every input, of all paths or of those to `keep`."""
-        schedule = prepare(self.simulator, self.inputs)
-        given = (self.simulator, self.policy, schedule, self.draws, self.smooth)
+        bound = self.engine.bind(self.problem)
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
-        passed = self.engine.adjoint(*given, weights, actions=self.actions, wrt=("schedule",))
-        moved = pull_back(self.simulator, self.inputs, [passed.schedule])
+        given = (self.policy, self.draws, self.smooth, weights)
+        passed = bound.adjoint(*given, actions=self.actions, wrt=("schedule",))
+        moved = pull_back(self.problem.simulator, self.problem.inputs, [passed.schedule])
         return {name: found[0] for name, found in moved.items()}
 
 
@@ -232,32 +224,15 @@ def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np
     return list(zip(given.names(), units))
 
 
-def _with_values(inputs: PyTree, values: list) -> PyTree:
-    """The same inputs with other values."""
-    remaining = iter(values)
-
-    def put(leaf):
-        if not inputs_.is_input(leaf):
-            return leaf
-        return eqx.tree_at(lambda i: i.value, leaf, np.asarray(next(remaining), np.float64))
-
-    return jax.tree.map(put, inputs, is_leaf=inputs_.is_input)
-
-
 def feasibility(
-    simulator: Simulator,
-    schedule,
-    policy: Policy,
-    scenarios: Scenarios,
-    paths: int = 4096,
-    engine: Engine | None = None,
+    problem: Problem, policy: Policy, paths: int = 4096, *, engine: Engine | None = None
 ) -> list[Feasibility]:
     """The smallest slack of every limit that the simulator declares, in the exact simulator."""
-    engine = engine or Xla(precision="float64")
+    bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
     worst: dict[str, Feasibility] = {}
-    for block in scenarios.blocks(paths):
-        draws = scenarios.draws(block, simulator)
-        rolled = engine.values(simulator, policy, schedule, draws, Exact(), record=("slack",))
+    for block in source.blocks(source.available(paths)):
+        draws = source.draws(block, problem.simulator)
+        rolled = bound.values(policy, draws, Exact(), record=("slack",))
         for name, slack in rolled.record["slack"].items():
             slack = np.asarray(slack)
             step, path = np.unravel_index(np.argmin(slack), slack.shape)

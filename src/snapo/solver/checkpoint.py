@@ -2,6 +2,8 @@
 
 import json
 import os
+import zipfile
+import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -15,7 +17,6 @@ from jaxtyping import PyTree
 
 from .train import Progress, Record
 
-DIGEST = "inputs"  # the entry of a fingerprint that stands for all numbers of the schedule
 _TREES = ("policy", "average", "best", "halfway", "optimiser")
 
 
@@ -23,10 +24,9 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
-def save(progress: Progress, file: Path, fingerprint: Mapping[str, Any]) -> None:
-    """Writes the whole state of training; `fingerprint` says which run it belongs to."""
+def save(progress: Progress, file: Path) -> None:
+    """Writes the whole state of training."""
     state = {
-        "fingerprint": dict(fingerprint),
         "step": progress.step,
         "best_value": progress.best_value,
         "stale": progress.stale,
@@ -36,59 +36,29 @@ def save(progress: Progress, file: Path, fingerprint: Mapping[str, Any]) -> None
     save_arrays(file, {name: getattr(progress, name) for name in _TREES}, state)
 
 
-def load(file: Path, like: Progress, fingerprint: Mapping[str, Any]) -> Progress:
-    """The state of training in `file`, for the run that `like` and `fingerprint` describe.
+def load(file: Path, like: Progress) -> Progress:
+    """The state of training in `file`, for a policy and an optimiser shaped as in `like`.
 
-    **Raises:** `CheckpointError` when anything that decides the numbers has changed since.
+    **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy.
     """
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
-    # Through JSON, so that tuples and lists compare equal.
-    now = json.loads(json.dumps(dict(fingerprint)))
-    for key, value in now.items():
-        before = state["fingerprint"].get(key)
-        if before != value:
-            changed = f"{key} = {before!r}, and now it is {value!r}"
-            if key == DIGEST:
-                changed = "other inputs: contract, market or model have changed"
-            raise CheckpointError(
-                f"{file}: this run was started with {changed}; resume with the same, or solve "
-                "afresh into another folder."
-            )
+    plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
     history = tuple(Record(*record) for record in state["history"])
-    return replace(
-        like,
-        **trees,
-        step=state["step"],
-        best_value=state["best_value"],
-        stale=state["stale"],
-        status=state["status"],
-        history=history,
-    )
+    return replace(like, **trees, **plain, history=history)
 
 
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
     """All array leaves of a tree with a JSON header, through a temporary file beside the target."""
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
-    arrays = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
-    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    partial = file.with_name(file.name + ".partial")
-    with partial.open("wb") as stream:
-        np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(file)
+    _save(file, {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}, header)
 
 
 def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     """The tree again, shaped like `like`, and the header. Nothing is unpickled."""
     moving, fixed = eqx.partition(like, eqx.is_array)
     leaves, structure = jax.tree.flatten(moving)
-    try:
-        with np.load(file, allow_pickle=False) as stored:
-            header = json.loads(stored["header"].tobytes().decode())
-            found = [stored[f"leaf_{i}"] for i in range(len(stored.files) - 1)]
-    except (OSError, ValueError, KeyError) as error:
-        raise CheckpointError(f"{file}: this file cannot be read ({error}).") from None
+    stored, header = _load(file)
+    found = list(stored.values())
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in found]
     if shapes[0] != shapes[1]:
         raise CheckpointError(f"{file}: this file holds a policy of another shape.")
@@ -98,3 +68,42 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
         for new, old in zip(found, leaves)
     ]
     return eqx.combine(structure.unflatten(kept), fixed), header
+
+
+def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mapping) -> None:
+    """Arrays under names of several words, with a JSON header."""
+    names = [list(name) for name in arrays]
+    numbered = {f"leaf_{i}": np.asarray(array) for i, array in enumerate(arrays.values())}
+    _save(file, numbered, {"names": names, "header": dict(header)})
+
+
+def load_named(file: Path) -> tuple[dict[tuple[str, ...], np.ndarray], dict[str, Any]]:
+    """The inverse of `save_named`."""
+    stored, header = _load(file)
+    try:
+        names, header = header["names"], header["header"]
+    except (KeyError, TypeError):
+        raise CheckpointError(f"{file}: this is another kind of file.") from None
+    return {tuple(name): array for name, array in zip(names, stored.values())}, header
+
+
+def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
+    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
+    partial = file.with_name(file.name + ".partial")
+    with partial.open("wb") as stream:
+        np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
+        stream.flush()
+        os.fsync(stream.fileno())
+    partial.replace(file)
+
+
+def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
+    """The arrays in their order and the header, whatever may be wrong with the file."""
+    try:
+        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
+            header = json.loads(stored["header"].tobytes().decode())
+            names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
+            return {name: stored[name] for name in names}, header
+    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+        what = str(error).splitlines()[0] if str(error) else type(error).__name__
+        raise CheckpointError(f"{file}: this file cannot be read ({what}).") from None

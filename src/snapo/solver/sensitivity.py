@@ -13,17 +13,15 @@ from typing import Any, NamedTuple
 import equinox as eqx
 import jax
 import numpy as np
-from jaxtyping import PyTree
 
-from snapo.engine import Engine, Xla
+from snapo.engine import Bound, Engine, Xla
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Weights
+from snapo.problem.objective import Weights
 from snapo.problem.policy import Policy, trainable
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from .adjoint import adjoint_gradient, flat_weights, float64, pull_back
@@ -53,13 +51,20 @@ class Estimate(NamedTuple):
 
 
 class Row(NamedTuple):
-    """One line of a sensitivity table; `value` is per one `unit` of the input."""
+    """One line of a sensitivity table: derivatives per one `unit` of the input.
+
+    `held` and `smooth` each with its standard error; `moved` is how far `held` moved in the second
+    half of training. What was not asked for is not a number.
+    """
 
     input: str
     label: str
-    value: float
-    standard_error: float
     unit: str
+    held: float
+    held_error: float
+    smooth: float
+    smooth_error: float
+    moved: float
 
 
 class Sensitivities(NamedTuple):
@@ -78,20 +83,76 @@ class Sensitivities(NamedTuple):
     policy_gradient: tuple[float, float] | None = None
 
     def rows(self) -> Iterator[Row]:
-        """The held table, input by input."""
+        """Every number of every input, in the order of the inputs."""
         for name, given in self.inputs.items():
-            found = self.held[name]
-            numbers = zip(given.names(), found.value.ravel(), found.standard_error.ravel())
-            for label, value, error in numbers:
-                yield Row(name, label, float(value), float(error), given.unit)
+            columns = [*_columns(self.held, name), *_columns(self.smooth, name)]
+            moved = None if self.moved is None else self.moved[name].ravel()
+            columns.append(moved)
+            nothing = np.full(given.value.size, np.nan)
+            numbers = zip(*(nothing if each is None else each for each in columns))
+            for label, row in zip(given.names(), numbers):
+                yield Row(name, label, given.unit, *map(float, row))
+
+    def table(self) -> Any:
+        """The rows as a pandas data frame, where pandas is installed; else a list of dicts."""
+        rows = [row._asdict() for row in self.rows()]
+        try:
+            from pandas import DataFrame  # pyright: ignore[reportMissingImports]
+        except ModuleNotFoundError:
+            return rows
+        return DataFrame(rows, columns=list(Row._fields))
+
+    def __str__(self) -> str:
+        """The table as text; of an input with many numbers, the largest ones."""
+        head = ("input", "label", "held", "", "smooth", "", "moved", "unit")
+        lines = [head, *(line for name in self.inputs for line in self._lines(name))]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+        return "\n".join(
+            "  ".join(
+                cell.ljust(width) if i in LEFT else cell.rjust(width)
+                for i, (cell, width) in enumerate(zip(line, widths))
+            ).rstrip()
+            for line in lines
+        )
+
+    def _lines(self, name: str) -> list[tuple[str, ...]]:
+        """One input as lines of cells."""
+        rows = [row for row in self.rows() if row.input == name]
+        shown = sorted(rows, key=lambda row: -abs(row.held))[:SHOWN] if len(rows) > SHOWN else rows
+        lines = [
+            (
+                row.input, row.label, _figure(row.held), _error(row.held_error),
+                _figure(row.smooth), _error(row.smooth_error), _figure(row.moved), f"/{row.unit}",
+            )
+            for row in rows if row in shown
+        ]  # fmt: skip
+        if len(rows) > SHOWN:
+            lines.append((name, f"and {len(rows) - SHOWN} smaller", "", "", "", "", "", ""))
+        return lines
+
+
+SHOWN = 12  # numbers of one input that are printed
+LEFT = (0, 1, 7)  # columns of words
+
+
+def _columns(found: Mapping[str, Estimate] | None, name: str) -> tuple:
+    """The derivatives by one input and their errors, flat; None where there are none."""
+    if found is None:
+        return None, None
+    return found[name].value.ravel(), found[name].standard_error.ravel()
+
+
+def _figure(number: float) -> str:
+    return f"{number:,.5g}" if np.isfinite(number) else ""
+
+
+def _error(number: float) -> str:
+    return f"± {number:,.2g}" if np.isfinite(number) else ""
 
 
 def sensitivities(
-    simulator: Simulator,
-    inputs: PyTree,
+    problem: Problem,
     policy: Policy,
-    objective: Objective,
-    scenarios: Scenarios,
     paths: int,
     *,
     smooth: Any = None,
@@ -101,31 +162,28 @@ def sensitivities(
 ) -> Sensitivities:
     """Held derivatives on `paths`, and if `smooth` is given, smooth ones on `smooth_paths`.
 
-    Standard errors come from 32 independent blocks of paths. `earlier` is a policy from halfway
-    through training: its held derivatives on the same paths tell how far they still moved.
+    On the problem's evaluation scenarios. Standard errors come from 32 independent blocks of
+    paths. `earlier` is a policy from halfway through training: its held derivatives on the same
+    paths tell how far they still moved.
     """
-    engine = engine or Xla(precision="float64")
-    schedule = prepare(simulator, inputs)
-    named = {entry.name: entry.input for entry in inputs_.named(inputs)}
-    blocks = scenarios.blocks(paths)
+    bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
+    paths = source.available(paths)
+    blocks = source.blocks(paths)
 
     def held(policy: Policy) -> dict[str, np.ndarray]:
-        passes = _held(engine, simulator, policy, schedule, objective, scenarios, blocks)
-        return pull_back(simulator, inputs, passes)
+        return pull_back(problem.simulator, problem.inputs, _held(problem, bound, policy, blocks))
 
     found = held(policy)
     moved = None
     if earlier is not None:
         before = held(earlier)
         moved = {name: found[name].mean(0) - before[name].mean(0) for name in found}
-    result = Sensitivities(named, _estimates(found), moved=moved)
+    result = Sensitivities(problem.named, _estimates(found), moved=moved)
     if smooth is None:
         return result
-    blocks = scenarios.blocks(min(smooth_paths, paths))
-    passes, gradients = _smooth(
-        engine, simulator, policy, schedule, objective, scenarios, blocks, smooth
-    )
-    through = _estimates(pull_back(simulator, inputs, passes))
+    blocks = source.blocks(min(smooth_paths, paths))
+    passes, gradients = _smooth(problem, bound, policy, blocks, smooth)
+    through = _estimates(pull_back(problem.simulator, problem.inputs, passes))
     norm = float(np.linalg.norm(gradients.mean(0)))
     noise = float(np.linalg.norm(gradients.std(0, ddof=1)) / np.sqrt(len(gradients)))
     return result._replace(smooth=through, policy_gradient=(norm, noise))
@@ -136,57 +194,39 @@ def _estimates(blocks: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
     return {name: Estimate(x) for name, x in blocks.items()}
 
 
-def _held(engine, simulator, policy, schedule, objective, scenarios: Scenarios, blocks) -> list:
+def _held(problem: Problem, bound: Bound, policy: Policy, blocks) -> list:
     """The schedule's derivatives block by block, decisions recorded and replayed."""
-    weights = _weights(engine, simulator, policy, schedule, objective, scenarios, blocks, Exact())
-    passes = []
-    for block, weight in zip(blocks, weights):
-        draws = scenarios.draws(block, simulator)
-        record = engine.values(
-            simulator, policy, schedule, draws, Exact(), record=("action",)
-        ).record
-        result = engine.adjoint(
-            simulator,
-            None,
-            schedule,
-            draws,
-            Exact(),
-            weight,
-            actions=record["action"],
-            wrt=("schedule",),
-        )
+    passes, exact = [], Exact()
+    for block, weight in zip(blocks, _weights(problem, bound, policy, blocks, exact)):
+        draws = problem.sources.evaluation.draws(block, problem.simulator)
+        actions = bound.values(policy, draws, exact, record=("action",)).record["action"]
+        result = bound.adjoint(None, draws, exact, weight, actions=actions, wrt=("schedule",))
         passes.append(jax.tree.map(np.asarray, result.schedule))
     return passes
 
 
-def _smooth(engine, simulator, policy, schedule, objective, scenarios, blocks, smooth):
+def _smooth(problem: Problem, bound: Bound, policy: Policy, blocks, smooth):
     """The schedule's derivatives block by block through the policy, and the policy's own [B, P]."""
-    weights = _weights(engine, simulator, policy, schedule, objective, scenarios, blocks, smooth)
     passes, gradients = [], []
-    for block, weight in zip(blocks, weights):
-        draws = scenarios.draws(block, simulator)
-        result = engine.adjoint(simulator, policy, schedule, draws, smooth, weight)
+    for block, weight in zip(blocks, _weights(problem, bound, policy, blocks, smooth)):
+        draws = problem.sources.evaluation.draws(block, problem.simulator)
+        result = bound.adjoint(policy, draws, smooth, weight)
         passes.append(jax.tree.map(np.asarray, result.schedule))
         leaves = jax.tree.leaves(trainable(result.policy)[0])
         gradients.append(np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in leaves)]))
     return passes, np.stack(gradients)
 
 
-def _weights(
-    engine, simulator, policy, schedule, objective: Objective, scenarios, blocks, smooth
-) -> list[Weights]:
+def _weights(problem: Problem, bound: Bound, policy: Policy, blocks, smooth) -> list[Weights]:
     """Each block's path weights, such that every block estimates the whole derivative.
 
     A risk measure's weights come from all paths together and are held.
     """
+    objective, source = problem.objective, problem.sources.evaluation
     if objective.linear:
         return [flat_weights(objective, len(block)) for block in blocks]
-    parts = [
-        float64(
-            engine.values(simulator, policy, schedule, scenarios.draws(b, simulator), smooth).totals
-        )
-        for b in blocks
-    ]
+    draws = [source.draws(block, problem.simulator) for block in blocks]
+    parts = [float64(bound.values(policy, each, smooth).totals) for each in draws]
     sizes = [len(block) for block in blocks]
     joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     whole = objective.weights(joined)
@@ -197,11 +237,8 @@ def _weights(
 
 
 def second_order(
-    simulator: Simulator,
-    inputs: PyTree,
+    problem: Problem,
     policy: Policy,
-    objective: Objective,
-    scenarios: Scenarios,
     paths: int,
     directions: list[Mapping[str, np.ndarray]],
     smooth: Any,
@@ -213,13 +250,11 @@ def second_order(
     Each result is {input: array}: d (held derivative) / d direction. XLA only; on Mean-like
     objectives the weights are constant, on others they are held.
     """
-    engine = Xla(precision="float64")
-    draws = scenarios.draws(np.arange(paths), simulator)
-    schedule = prepare(simulator, inputs)
-    totals = float64(engine.values(simulator, policy, schedule, draws, smooth).totals)
-    weights = objective.weights(totals)
-    names = [entry.name for entry in inputs_.named(inputs)]
-    values = inputs_.values(inputs)
+    engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
+    draws = problem.sources.evaluation.draws(np.arange(paths), simulator)
+    totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
+    weights = problem.objective.weights(totals)
+    names, values = list(problem.named), inputs_.values(inputs)
     results = []
     for direction in directions:
         unknown = set(direction) - set(names)

@@ -2,25 +2,22 @@
 
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 
 from . import checkpoint
 from .files import write_csv, write_text
-from .sensitivity import Row, Sensitivities
+from .sensitivity import Estimate, Row, Sensitivities
 from .train import Record
 
-POLICY, SENSITIVITIES, HISTORY, RESULT = (
-    "policy.npz",
-    "sensitivities.csv",
-    "history.csv",
-    "result.json",
-)
+POLICY, SOLUTION = "policy.npz", "solution.npz"
+SENSITIVITIES, HISTORY, RESULT = "sensitivities.csv", "history.csv", "result.json"
 
 
 @dataclass(frozen=True)
@@ -40,7 +37,7 @@ class Solution:
     standard_error: float
     smooth_value: float
     smoothing_gap: float
-    policy: Policy
+    policy: Policy | None
     policy_gradient_norm: float
     sensitivities: Sensitivities | None
     totals: Mapping[str, np.ndarray]
@@ -56,15 +53,18 @@ class Solution:
     versions: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
+        table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
+        return "\n".join([*self.lines(), *table])
+
+    def lines(self) -> list[str]:
+        """The value and how it was found, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
-        return "\n".join(
-            [
-                f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {self.status}",
-                f"engine {self.engine}: {self.reason}",
-                f"paths {self.paths}, seed {self.seed}; {seconds}",
-            ]
-        )
+        return [
+            f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {self.status}",
+            f"engine {self.engine}: {self.reason}",
+            f"paths {self.paths}, seed {self.seed}; {seconds}",
+        ]
 
     def summary(self) -> dict[str, Any]:
         """The result as plain data, for JSON."""
@@ -82,17 +82,95 @@ class Solution:
         }
 
     def save(self, folder: Path | str) -> None:
-        """Writes result.json, sensitivities.csv, history.csv and the policy's numbers."""
+        """Writes result.json, sensitivities.csv, history.csv, and the arrays of everything."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
-        extra = {"reason": self.reason, "control": self.control, "versions": dict(self.versions)}
-        write_text(folder / RESULT, json.dumps(self.summary() | extra, indent=1))
+        write_text(folder / RESULT, json.dumps(self.summary() | self._beside(), indent=1))
         if self.sensitivities is not None:
             write_csv(folder / SENSITIVITIES, Row._fields, self.sensitivities.rows())
         write_csv(folder / HISTORY, Record._fields, self.history)
-        checkpoint.save_arrays(folder / POLICY, self.policy, {"versions": dict(self.versions)})
+        policies = {"policy": self.policy, "halfway": self.halfway}
+        checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})
+        found = self.sensitivities
+        header = (
+            self.summary()
+            | self._beside()
+            | {
+                "history": self.history,
+                "inputs": {} if found is None else _described(found.inputs),
+                "policy_gradient": None if found is None else found.policy_gradient,
+            }
+        )
+        checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, found), header)
+
+    @classmethod
+    def load(cls, folder: Path | str, like: Policy | None = None) -> "Solution":
+        """The solution that was saved in a folder; nothing in it is executed.
+
+        `like` is a policy of the same shape; without one the solution comes without its policy.
+
+        **Raises:** `CheckpointError` where a file is missing, damaged or of another shape.
+        """
+        folder = Path(folder)
+        arrays, header = checkpoint.load_named(folder / SOLUTION)
+        policies: dict[str, Any] = {"policy": None, "halfway": None}
+        if like is not None:
+            shapes = {"policy": like, "halfway": like if header["halfway"] else None}
+            policies = checkpoint.load_arrays(folder / POLICY, shapes)[0]
+        totals = {name: array for (kind, name), array in arrays.items() if kind == "total"}
+        found = _sensitivities(arrays, header) if header["inputs"] else None
+        history = tuple(Record(*record) for record in header["history"])
+        plain: dict[str, Any] = {name: header[name] for name in PLAIN}
+        return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
+
+    def _beside(self) -> dict[str, Any]:
+        """Plain data that is not in the summary."""
+        return {
+            "reason": self.reason,
+            "control": self.control,
+            "versions": dict(self.versions),
+            "halfway": self.halfway is not None,
+        }
 
 
-def load_policy(folder: Path | str, like: Policy) -> Policy:
-    """The trained policy of a run folder; `like` is a policy of the same shape."""
-    return checkpoint.load_arrays(Path(folder) / POLICY, like)[0]
+PLAIN = (
+    "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm", "seconds",
+    "engine", "reason", "paths", "seed", "status", "control", "versions",
+)  # fmt: skip
+KINDS = ("held", "smooth")
+
+
+def _described(inputs: Mapping[str, Input]) -> dict[str, dict[str, Any]]:
+    """All that is said about every input, without its numbers."""
+    return {
+        name: {
+            each.name: getattr(given, each.name) for each in fields(given) if each.name != "value"
+        }
+        for name, given in inputs.items()
+    }
+
+
+def _arrays(totals: Mapping[str, np.ndarray], found: Sensitivities | None) -> dict:
+    """{(kind, name): array} of everything that is an array."""
+    arrays = {("total", name): np.asarray(total) for name, total in totals.items()}
+    if found is not None:
+        arrays |= {("input", name): given.value for name, given in found.inputs.items()}
+        for kind in KINDS:
+            table = getattr(found, kind) or {}
+            arrays |= {(kind, name): each.blocks for name, each in table.items()}
+        arrays |= {("moved", name): each for name, each in (found.moved or {}).items()}
+    return arrays
+
+
+def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
+    """The inverse of `_arrays` and `_described`."""
+
+    def table(kind: str) -> dict[str, Any]:
+        return {name: array for (which, name), array in arrays.items() if which == kind}
+
+    inputs = {name: Input(arrays["input", name], **said) for name, said in header["inputs"].items()}
+    held, smooth = ({n: Estimate(x) for n, x in table(kind).items()} for kind in KINDS)
+    gradient = header["policy_gradient"]
+    return Sensitivities(
+        inputs, held, smooth or None, table("moved") or None, gradient and tuple(gradient)
+    )

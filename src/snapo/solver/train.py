@@ -19,18 +19,14 @@ import numpy as np
 import optax
 from jaxtyping import Array, PyTree
 
-from snapo.engine import Clip, Engine, Window
-from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective
+from snapo.engine import Bound, Clip, Engine, Window
 from snapo.problem.policy import Policy, trainable
-from snapo.problem.scenarios import Pseudo, Supplied
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
 from .finite_paths import adjoint_of_finite_paths
 
-TRAIN_STREAM, VALIDATE_STREAM, EVALUATE_STREAM = 1, 2, 3
 DIVERGED_SHARE = 0.05  # more than this share of paths not finite: the run has diverged
 
 
@@ -68,33 +64,6 @@ class Training:
         """Geometric from start to end, which is reached at three quarters of the steps."""
         done = min(1.0, step / max(1.0, 0.75 * self.steps))
         return self.temperature_start * (self.temperature_end / self.temperature_start) ** done
-
-
-class Source(NamedTuple):
-    """Where training and validation paths come from: fresh ones, or those supplied."""
-
-    simulator: Simulator
-    training: Training
-    supplied: Supplied | None
-
-    def train(self, step: int) -> Draws:
-        """The paths of one step."""
-        seed, paths = self.training.seed, self.training.paths
-        if self.supplied is None:
-            scenarios = Pseudo(seed, stream=(TRAIN_STREAM << 32) + step)
-            return scenarios.draws(np.arange(paths), self.simulator)
-        available = self.supplied.step_noise.shape[1]
-        chosen = np.random.default_rng([seed, TRAIN_STREAM, step]).choice(available, paths)
-        return self.supplied.draws(chosen, self.simulator)
-
-    def validate(self) -> Draws:
-        """The paths on which policies are compared, always the same."""
-        paths = self.training.validation_paths
-        if self.supplied is None:
-            scenarios = Pseudo(self.training.seed, stream=VALIDATE_STREAM << 32)
-            return scenarios.draws(np.arange(paths), self.simulator)
-        available = self.supplied.step_noise.shape[1]
-        return self.supplied.draws(np.arange(min(paths, available)), self.simulator)
 
 
 class Record(NamedTuple):
@@ -137,48 +106,40 @@ def begin(policy: Policy, training: Training) -> Progress:
     return Progress(0, policy, policy, policy, policy, state, nothing, 0, (), "training")
 
 
-class Task(NamedTuple):
-    """What a run of training works on; `update` is the compiled step of the optimiser."""
+class Loop(NamedTuple):
+    """All that one step of training needs; `update` is the compiled step of the optimiser."""
 
-    simulator: Simulator
-    schedule: Schedule
-    objective: Objective
+    problem: Problem
     training: Training
-    engine: Engine
-    source: Source
+    bound: Bound
     update: Callable
 
 
 def train(
-    simulator: Simulator,
-    schedule: Schedule,
+    problem: Problem,
     progress: Progress,
-    objective: Objective,
     training: Training,
     engine: Engine,
     callbacks: Sequence[Callback] = (),
-    supplied: Supplied | None = None,
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
 
-    `supplied` scenarios take the place of fresh ones: each step draws some of their paths.
     On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
     of the result is "trained", "stopped early" or "diverged".
     """
-    source = Source(simulator, training, supplied)
-    task = Task(simulator, schedule, objective, training, engine, source, _updater(training))
+    loop = Loop(problem, training, engine.bind(problem), _updater(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
         if progress.step == 0:
             # What training starts from may be hard to beat: it is the first candidate.
-            progress = _validate(task, progress)
+            progress = _validate(loop, progress)
         while progress.status == "training":
             # An interrupt must not leave a step whose validation is due and not done.
-            moved = _advance(task, progress) if progress.step < training.steps else progress
+            moved = _advance(loop, progress) if progress.step < training.steps else progress
             due = _due(moved, training)
             if due:
-                moved = _conclude(task, _validate(task, moved), time.perf_counter() - started)
+                moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             progress = moved
             for callback in callbacks if due else ():
                 callback(progress)
@@ -195,24 +156,19 @@ def _due(progress: Progress, training: Training) -> bool:
     return over or progress.step % training.validation_every == 0
 
 
-def _advance(task: Task, progress: Progress) -> Progress:
+def _advance(loop: Loop, progress: Progress) -> Progress:
     """One step: fresh paths, one adjoint pass, one update."""
-    step, training = progress.step, task.training
-    draws, temperature = task.source.train(step), training.temperature(step)
+    step, training, problem = progress.step, loop.training, loop.problem
+    draws = problem.sources.training.batch(step, training.paths, problem.simulator)
+    temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
+    options = _options(loop, progress, draws, smooth)
     value, result, bad = adjoint_of_finite_paths(
-        task.engine,
-        task.simulator,
-        progress.policy,
-        task.schedule,
-        draws,
-        smooth,
-        task.objective,
-        **_options(task, progress, draws, smooth),
+        loop.bound, progress.policy, draws, smooth, problem.objective, **options
     )
     if bad > DIVERGED_SHARE * training.paths:
         return replace(progress, status="diverged")
-    policy, average, optimiser, norm = task.update(
+    policy, average, optimiser, norm = loop.update(
         progress.policy, progress.average, progress.optimiser, result.policy, np.float32(step)
     )
     last = progress.history[-1] if progress.history else None
@@ -230,9 +186,9 @@ def _advance(task: Task, progress: Progress) -> Progress:
     )
 
 
-def _options(task: Task, progress: Progress, draws: Draws, smooth) -> dict:
+def _options(loop: Loop, progress: Progress, draws, smooth) -> dict:
     """The clip, and the window of this step with its starting states."""
-    training, horizon = task.training, task.simulator.horizon
+    training, horizon = loop.training, loop.problem.simulator.horizon
     options: dict = {"wrt": ("policy",)}
     if training.clip is not None:
         options["clip"] = Clip(training.clip)
@@ -241,16 +197,19 @@ def _options(task: Task, progress: Progress, draws: Draws, smooth) -> dict:
         firsts = np.arange(0, horizon - length + 1, max(1, length // 2))
         first = int(firsts[progress.step % len(firsts)])
         if first:
-            given = (task.simulator, progress.policy, task.schedule, draws, smooth)
-            options["start"] = task.engine.values(*given, window=Window(0, first)).state
+            before = loop.bound.values(progress.policy, draws, smooth, window=Window(0, first))
+            options["start"] = before.state
         options["window"] = Window(first, length)
     return options
 
 
-def _validate(task: Task, progress: Progress) -> Progress:
+def _validate(loop: Loop, progress: Progress) -> Progress:
     """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
-    given = (task.simulator, progress.average, task.schedule, task.source.validate(), Exact())
-    value = task.objective.value(float64(task.engine.values(*given).totals))
+    problem, source = loop.problem, loop.problem.sources.validation
+    paths = np.arange(source.available(loop.training.validation_paths))
+    draws = source.draws(paths, problem.simulator)
+    totals = loop.bound.values(progress.average, draws, Exact()).totals
+    value = problem.objective.value(float64(totals))
     better = np.isfinite(value) and value > progress.best_value
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value
@@ -261,9 +220,9 @@ def _validate(task: Task, progress: Progress) -> Progress:
     return replace(progress, best=best, best_value=best_value, stale=stale, history=history)
 
 
-def _conclude(task: Task, progress: Progress, seconds: float) -> Progress:
+def _conclude(loop: Loop, progress: Progress, seconds: float) -> Progress:
     """The clock of the last record, and whether the run is over."""
-    status, training = progress.status, task.training
+    status, training = progress.status, loop.training
     if status == "training" and progress.step >= training.steps:
         status = "trained"
     elif status == "training" and training.patience and progress.stale >= training.patience:

@@ -3,11 +3,13 @@
 import platform
 from importlib.metadata import PackageNotFoundError, version
 
+LIBRARIES = ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy", "scipy", "llvmlite", "diffrax")
+
 
 def versions() -> dict[str, str]:
     """What decides the numbers besides the inputs: this package, its libraries and the machine."""
     found = {"python": platform.python_version(), "machine": platform.machine()}
-    for name in ("snapo", "jax", "jaxlib", "equinox", "optax", "numpy"):
+    for name in LIBRARIES:
         try:
             found[name] = version(name)
         except PackageNotFoundError:

@@ -1,56 +1,43 @@
-"""A run that leaves everything in a folder, survives being stopped, and goes on where it was."""
+"""The folder of a run: what decides its numbers, its parts, and files written whole or not at all.
+
+run.json            layout, kind, everything that decides the numbers, the state of every part
+result.json         the headline: value, standard error, references, seconds, status
+case/               a copy of the case
+parts/NAME.json     the tables of one part
+checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
+groups.npz          what independent groups of paths are worth, by which runs are compared
+report.html
+"""
 
 import hashlib
 import json
 import math
 import shutil
 import tempfile
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import asdict, replace
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
-from jaxtyping import PyTree
 
 from snapo.case.error import CaseError
-from snapo.engine import Engines, choose
-from snapo.problem.objective import Objective
-from snapo.problem.policy import MLP, Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios, Supplied
-from snapo.problem.simulator import Schedule, Simulator, probe
-from snapo.solver import checkpoint
-from snapo.solver import solve as solver
-from snapo.solver.files import write_csv, write_text
-from snapo.solver.solution import HISTORY, RESULT, Solution
-from snapo.solver.train import Progress, Record, Training, begin
+from snapo.solver.files import write_text
+from snapo.solver.solution import HISTORY, POLICY, SENSITIVITIES, SOLUTION
 from snapo.solver.versions import versions
 
-CHECKPOINT = "checkpoint.npz"
-DETAILS, PROFILE = "details.json", "profile.csv"
+from .study import Part
+
+RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
+CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
+WRITTEN = (
+    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, "profile.csv"
+)  # fmt: skip
+LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
+CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
-Tell = Callable[[str], None]
 
-
-class Task(NamedTuple):
-    """What is solved: the arguments of `snapo.solve`, all of them settled."""
-
-    simulator: Simulator
-    inputs: PyTree
-    schedule: Schedule
-    policy: Policy
-    objective: Objective
-    training: Training
-    evaluation: solver.Evaluation
-    engines: Engines
-    scenarios: Scenarios | None = None
-    supplied: Supplied | None = None
-
-
-def check_folder(out: Path) -> None:
+def check_writable(out: Path) -> None:
     """An unwritable folder or a full disk is found before training, not after."""
     place = out
     while not place.exists() and place != place.parent:
@@ -68,133 +55,169 @@ def check_folder(out: Path) -> None:
         raise CaseError(str(out), "", None, what)
 
 
-def solve_into(out: Path, task: Task, resume: bool, tell: Tell) -> tuple[Solution, list[str]]:
-    """Solves with a checkpoint and the history in `out`; also returns what could not be written."""
-    out.mkdir(parents=True, exist_ok=True)
-    mark = fingerprint(task)
-    state = _state(out / CHECKPOINT, begin(task.policy, task.training), mark, resume, tell)
-    troubles: list[str] = []
-
-    def keep(state: Progress) -> None:
-        """Best policy and history so far, on disk; a write that fails does not lose the run."""
-        _report(state, task.training, tell)
-        try:
-            checkpoint.save(state, out / CHECKPOINT, mark)
-            write_csv(out / HISTORY, Record._fields, state.history)
-        except OSError as error:
-            troubles.append(f"{error.filename or out}: {error.strerror}")
-            tell(f"could not write: {troubles[-1]}")
-
-    solution = solver.solve(
-        task.simulator,
-        task.inputs,
-        task.policy,
-        objective=task.objective,
-        scenarios=task.scenarios,
-        training=task.training,
-        evaluation=task.evaluation,
-        engine=task.engines,
-        callbacks=[keep],
-        progress=state,
-        supplied=task.supplied,
-    )
-    tell(str(solution))
-    return solution, troubles
+def case_files(folder: Path) -> list[Path]:
+    """The files beside a case that may belong to it."""
+    return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in CASE_FILES)
 
 
-def _state(file: Path, fresh: Progress, mark: Mapping, resume: bool, tell: Tell) -> Progress:
-    """Where training starts: at the checkpoint when asked and there is one, else afresh."""
-    if not (resume and file.exists()):
-        return fresh
-    try:
-        state = checkpoint.load(file, fresh, mark)
-    except checkpoint.CheckpointError as error:
-        what = str(error).removeprefix(f"{file}: ").rstrip(".")
-        raise CaseError(str(file), "", None, what) from None
-    tell(f"resuming after step {state.step}")
-    return state
+def copy_case(file: Path, out: Path) -> None:
+    """A copy of the case beside its results, with the files that may belong to it."""
+    target = out / CASE
+    target.mkdir(parents=True, exist_ok=True)
+    for each in case_files(file.parent):
+        if each.parent.resolve() != target.resolve():
+            shutil.copyfile(each, target / each.name)
 
 
-def fingerprint(task: Task) -> dict[str, Any]:
-    """What decides the numbers of a run: a resumed one must have the same."""
-    digest = hashlib.sha256()
-    for leaf in jax.tree.leaves(task.schedule):
-        digest.update(np.ascontiguousarray(leaf).tobytes())
+def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
+    """Everything that decides the numbers of a run: a resumed one must have the same.
+
+    The keys of the case as they were read (with `--set`), the bytes of the files beside it, the
+    options of the command, the versions of the libraries and the machine.
+    """
+    files = {
+        each.name: hashlib.sha256(each.read_bytes()).hexdigest()
+        for each in case_files(file.parent)
+        if each != file
+    }
     return {
-        checkpoint.DIGEST: digest.hexdigest(),
-        "training": asdict(task.training),
-        "objective": repr(task.objective),
-        "engine": task.engines.name,
+        "case": json.loads(json.dumps(data, default=str)),
+        "files": files,
+        "options": dict(options),
         "versions": versions(),
     }
 
 
-def _report(state: Progress, training: Training, tell: Tell) -> None:
-    if state.history:
-        last = state.history[-1]
-        tell(
-            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
-            f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
-        )
+def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dict[str, Any]:
+    """The record of a run (run.json): that of the run to resume, or a new one.
 
+    A new run removes the files of the one that was there before.
 
-class Pages(NamedTuple):
-    """What a domain adds to a run folder.
-
-    - `details`: the figures of the report, as plain data or NumPy.
-    - `profile`: header and rows of `profile.csv`, from the details.
-    - `report`: writes `report.html` from the files in a folder.
+    **Raises:** `CaseError` where a run to resume was started with something else.
     """
+    (out / PARTS).mkdir(parents=True, exist_ok=True)
+    if resume and (old := check_same(out, decides)):
+        return old
+    for each in _written(out):
+        each.unlink(missing_ok=True)
+    new = {"layout": LAYOUT, "kind": kind, "decides": dict(decides), "parts": {}}
+    save(out, new)
+    return new
 
-    details: Callable[[], dict[str, Any]]
-    profile: Callable[[dict[str, Any]], tuple[Iterable[str], Iterable[Iterable]]]
-    report: Callable[[Path], Path]
 
+def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
+    """The record of the run to resume in a folder, None where there is none yet.
 
-def write_run(
-    out: Path,
-    kind: str,
-    solution: Solution,
-    references: Mapping[str, float | None],
-    troubles: list[str],
-    pages: Pages,
-    tell: Tell,
-) -> dict[str, Any]:
-    """The files of a finished run, and what `result.json` says.
-
-    What cannot be written, now or during training (`troubles`), becomes a status.
+    **Raises:** `CaseError` where it was started with something else, or by an earlier version.
     """
-    found = solution.summary()
-    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
-    result = {"kind": kind} | {key: found.pop(key) for key in head} | {"references": references}
-    status = "not written" if troubles else solution.status
-    result |= found | {"status": status, "run": str(out)}
+    if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
+        return None
+    old = read(out)
+    if difference := changed(old["decides"], decides):
+        what = f"this run was started with {difference}; resume with the same, or solve into "
+        raise CaseError(str(out / RUN), "", None, what + "another folder")
+    return old
+
+
+def _written(out: Path) -> list[Path]:
+    """The files of an earlier run that a report would read; nothing else is touched."""
+    return [*(out / PARTS).glob("*.json"), *(out / name for name in WRITTEN)]
+
+
+def save(out: Path, record: Mapping[str, Any]) -> None:
+    """Writes run.json."""
+    write_text(out / RUN, json.dumps(record, indent=1))
+
+
+def read(out: Path) -> dict[str, Any]:
+    """The record of the run in a folder.
+
+    **Raises:** `CaseError` where there is no run, or one that an earlier version wrote.
+    """
+    file = out / RUN
     try:
-        solution.save(out)
-        write_text(out / RESULT, json.dumps(plain_json(result), indent=1))
-        tell("measuring what the report shows")
-        details = pages.details()
-        write_text(out / DETAILS, json.dumps(plain_json(details)))
-        write_csv(out / PROFILE, *pages.profile(details))
-        pages.report(out)
-    except OSError as error:
-        tell(f"could not write: {error.filename or out}: {error.strerror}")
-        result["status"] = "not written"
-    return result
+        record = json.loads(file.read_text(encoding="utf-8"))
+        layout = int(record["layout"])
+    except FileNotFoundError:
+        raise _no_run(out) from None
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        what = f"this file cannot be read ({error}); solve the case again"
+        raise CaseError(str(file), "", None, what) from None
+    if layout != LAYOUT:
+        what = f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
+        raise CaseError(str(file), "layout", layout, what)
+    return record
 
 
-def copy_case(file: Path, out: Path) -> None:
-    """A copy of the case beside its results, with the plain files that may belong to it."""
-    target = out / "case"
-    target.mkdir(exist_ok=True)
-    for each in file.parent.iterdir():
-        if each.is_file() and each.suffix.lower() in (".toml", ".csv"):
-            shutil.copyfile(each, target / each.name)
+def _no_run(out: Path) -> CaseError:
+    if (out / RESULT).exists() or (out / CHECKPOINT).exists():
+        what = (
+            "an earlier version of snapo wrote this run, and its files are laid out in another "
+            f"way; solve its case again: snapo solve {out / CASE} --out NEW"
+        )
+        return CaseError(str(out), "", None, what)
+    what = "this is not the folder of a run: `snapo solve` writes run.json into it"
+    return CaseError(str(out), "", None, what)
+
+
+class Difference(NamedTuple):
+    """One setting of two runs that is not the same: its name, and its values (None: not given)."""
+
+    name: str
+    first: Any
+    second: Any
+
+
+def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
+    """All settings that differ between two tables of what decides a run."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        for key in [*old, *(key for key in new if key not in old)]:
+            name = f"{where}.{key}" if where else key
+            yield from differences(old.get(key), new.get(key), name)
+    elif old != new:
+        yield Difference(where.removeprefix("case.").removeprefix("options."), old, new)
+
+
+def changed(old: Any, new: Any) -> str:
+    """The first difference of two tables as a clause, "training.steps = 240, and now it is 300"."""
+    found = next(differences(old, new), None)
+    if found is None:
+        return ""
+    if found.name.startswith("files."):
+        return f"another {found.name.removeprefix('files.')}"
+    return f"{found.name} = {in_words(found.first)}, and now it is {in_words(found.second)}"
+
+
+def in_words(value: Any) -> str:
+    """A setting as it stands in a case, cut short where it is long."""
+    text = "not given" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else text[:57] + "..."
+
+
+def write_part(out: Path, part: Part, tables: Mapping[str, Any]) -> dict[str, Any]:
+    """Keeps the tables of a part, and returns them as they come back from its file."""
+    text = json.dumps(plain_json(tables))
+    write_text(out / PARTS / part.file, text)
+    return json.loads(text)
+
+
+def read_part(out: Path, part: Part) -> dict[str, Any] | None:
+    """The tables of a part that was done before; None where its file is not there or damaged."""
+    return read_table(out / PARTS / part.file)
+
+
+def read_table(file: Path) -> dict[str, Any] | None:
+    """The object in a JSON file; None where it is not there or damaged."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    return found if isinstance(found, dict) else None
 
 
 def plain_json(value: Any) -> Any:
     """Plain JSON data: NumPy becomes lists, what is not finite becomes null."""
-    if isinstance(value, dict):
+    if isinstance(value, Mapping):
         return {str(key): plain_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):
         return [plain_json(each) for each in value]
@@ -202,32 +225,4 @@ def plain_json(value: Any) -> Any:
         return plain_json(value.tolist())
     if isinstance(value, float) and not math.isfinite(value):
         return None
-    return value
-
-
-def solve_own(
-    *,
-    simulator: Simulator,
-    inputs: PyTree,
-    objective: Objective,
-    training: Any,
-    evaluation: Any,
-    out: Path,
-    seed: int,
-    engine: str,
-    resume: bool,
-    progress: Tell,
-) -> dict[str, Any]:
-    """A simulator of the user's own, for `snapo solve CASE --simulator module:Class`."""
-    check_folder(Path(out))
-    settings = replace(Training(**training.model_dump()), seed=seed)
-    schedule = prepare(simulator, inputs)
-    features = probe(simulator, schedule)[1].shape[0]
-    policy = MLP(simulator.action, features, key=jax.random.key(seed))
-    engines = choose(engine, simulator, policy, schedule)
-    measured = solver.Evaluation(**evaluation.model_dump())
-    task = Task(simulator, inputs, schedule, policy, objective, settings, measured, engines)
-    solution, troubles = solve_into(Path(out), task, resume, progress)
-    solution.save(out)
-    status = "not written" if troubles else solution.status
-    return {"kind": type(simulator).__name__} | solution.summary() | {"status": status, "run": out}
+    return str(value) if isinstance(value, Path) else value

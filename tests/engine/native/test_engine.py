@@ -8,7 +8,8 @@ from jaxtyping import Array
 from tests.engine.native.problems import TOLERANCE, Store, Tanh, Wide, difference
 
 from snapo.engine import Clip, Window, Xla
-from snapo.engine.native import Native, compiler
+from snapo.engine.native import Native
+from snapo.lanes.machine.processor import host
 from snapo.problem.noise import Stored
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule
@@ -156,7 +157,7 @@ def test_nothing_is_compiled_twice(store, monkeypatch):
     noise = draws(simulator)
     native = Native()
     native.values(simulator, policy, schedule, noise, Smooth(0.3))
-    monkeypatch.setattr("snapo.engine.native.compiler.machine", None)
+    monkeypatch.setattr("snapo.engine.native.call.linked", None)
     native.values(simulator, policy, schedule, noise, Smooth(0.1))
     native.values(simulator, Tanh((4, 14, 2), seed=1), schedule, draws(simulator, 99), Smooth(0.2))
 
@@ -182,7 +183,7 @@ def test_results_are_numpy_arrays_of_the_precision(store):
     assert isinstance(double, np.ndarray) and double.dtype == np.float64
 
 
-@pytest.mark.parametrize("paths", [3, compiler.lanes("float32")])
+@pytest.mark.parametrize("paths", [3, host().lanes("float32")])
 def test_results_keep_nothing_else_alive(store, paths):
     """Not what the kernel wrote beside them: numbers of one block lie in a row as they are."""
     simulator, policy, schedule = store

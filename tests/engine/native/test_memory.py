@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from tests.engine.native.problems import Store, Tanh
 
-from snapo.engine.native import Native, engine, runtime
+from snapo.engine.native import Native, call, runtime
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -79,7 +79,7 @@ def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     cache cost nothing. JAX keeps its traces until its own caches are full or cleared.
     """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    monkeypatch.setattr(engine, "KEPT", 4)
+    monkeypatch.setattr(call, "KEPT", 4)
     policy, native = Tanh((4, 14, 2)), Native()
 
     def some(numbers) -> None:
@@ -94,7 +94,7 @@ def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
     before, maps, _ = megabytes(), *maps_and_threads()
     for first in range(20, 80, 20):
         some(range(first, first + 20))
-    assert len(engine._runners) <= 4
+    assert len(call._runners) <= 4
     assert maps_and_threads()[0] - maps < 50
     assert megabytes() - before < 60 * 0.6
 

@@ -1,4 +1,4 @@
-"""Noise drawn inside the kernel against `scenarios`: the same words, normals to rounding."""
+"""Noise drawn inside the kernel against `snapo.problem.noise`: the same words, normals to rounding."""
 
 from typing import ClassVar
 
@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.engine.native import Native
-from snapo.problem import scenarios
+from snapo.problem import noise
 from snapo.problem.actions import Box
 from snapo.problem.policy import Constant
 from snapo.problem.scenarios import Pseudo
@@ -38,20 +38,20 @@ class Echo(Simulator):
 
 
 def words(key, size: int, paths, steps, antithetic: bool) -> np.ndarray:
-    """The words that `scenarios` draws, [steps, paths, size]."""
+    """The words that `noise` draws, [steps, paths, size]."""
     pairs = (size + 1) // 2
     numbers = paths >> 1 if antithetic else paths
     counters = steps[:, None, None] * np.uint32(pairs) + np.arange(pairs, dtype=np.uint32)
     shape = (len(steps), len(paths), pairs)
     first = jnp.broadcast_to(jnp.asarray(numbers)[:, None], shape)
-    pair = scenarios.threefry(key, first, jnp.broadcast_to(counters, shape))
+    pair = noise.threefry(key, first, jnp.broadcast_to(counters, shape))
     return np.stack(pair, -1).reshape(len(steps), len(paths), -1)[..., :size]
 
 
 def exact(words: np.ndarray, dtype) -> np.ndarray:
-    """The formula of `scenarios.normal` in extended precision, with its rounded coefficients."""
+    """The formula of `noise.normal` in extended precision, with its rounded coefficients."""
     wide = np.longdouble
-    tables = scenarios._PPND16 if dtype == np.float64 else scenarios._PPND7
+    tables = noise._PPND16 if dtype == np.float64 else noise._PPND7
     m = (words & 0x7FFFFFFF).astype(wide)
     tail, q = (m + wide(0.5)) * wide(2) ** -32, (0x7FFFFFFF - m) * wide(2) ** -32 + wide(2) ** -33
 

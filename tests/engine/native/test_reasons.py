@@ -9,9 +9,12 @@ from tests.engine.native.problems import Store, Tanh, difference
 
 from snapo.engine import Window, Xla
 from snapo.engine.choose import choose
-from snapo.engine.native import Native, Unsupported, body, unsupported
+from snapo.engine.native import Native, Unsupported, unsupported
+from snapo.lanes.body import operations
 from snapo.problem.actions import Box
+from snapo.problem.objective import Mean
 from snapo.problem.policy import Constant
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -55,9 +58,10 @@ def test_every_part_of_a_simulator_names_the_primitive_and_the_line(kind):
     schedule = simulator.prepare(None)
     reason = unsupported(simulator, schedule, POLICY, Exact())
     assert reason is not None and REASONS[kind] in reason and "test_reasons.py:" in reason
-    assert choose("auto", simulator, POLICY, schedule).name == "xla"
+    problem = Problem(simulator, None, Mean("cash"))
+    assert choose("auto", problem, POLICY).name == "xla"
     with pytest.raises(ValueError, match="native cannot run this simulator"):
-        choose("native", simulator, POLICY, schedule)
+        choose("native", problem, POLICY)
 
 
 def test_what_can_be_compiled_has_no_reason():
@@ -76,7 +80,7 @@ def test_an_accident_in_the_emitter_is_a_reason(monkeypatch):
     def broken(*args):
         raise IndexError("out of range")
 
-    monkeypatch.setattr(body.Body, "single", broken)
+    monkeypatch.setattr(operations, "single", broken)
     store = Store()
     reason = unsupported(store, store.prepare(None), POLICY, Exact())
     assert reason is not None and "out of range" in reason and "problems.py:" in reason

@@ -77,9 +77,9 @@ def test_the_kernel_works_after_a_fork():
 
 
 def _runners():
-    from snapo.engine.native import engine
+    from snapo.engine.native import call
 
-    return engine._runners
+    return call._runners
 
 
 def _captured(simulator) -> runtime.Inputs:
@@ -154,12 +154,12 @@ def test_explain_shows_every_stage():
 
 
 def test_kernels_are_found_on_disk(tmp_path, monkeypatch):
-    from snapo.engine.native import compiler
+    from snapo.lanes.machine import disk
 
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     _runners().clear()
     expected = call(Native())
     assert list(tmp_path.rglob("*.o"))
     _runners().clear()
-    monkeypatch.setattr(compiler, "compile_text", None)
+    monkeypatch.setattr(disk, "object_code", None)
     assert difference(expected, call(Native())) == 0

@@ -1,19 +1,23 @@
 """The native engine: a step and its transpose, compiled into one kernel for blocks of paths.
 
-The stages, each in its own module, in the order in which a simulator passes through them:
+The compiler is `snapo.lanes`; here is the part that knows a rollout. In the order in which a
+simulator passes through it:
 
-    rollout, trace   what JAX sees of `initial`, `step` and `terminal`, cut by what varies
-    program          the pieces as straight-line programs
-    passes           rewriting, sharing, dropping; what is stored and what is computed again
-    schedule         the order, and which operations share a loop
-    body, arrays, dots, …   LLVM IR of each kind of operation; math, angles: curves
-    kernel           memory layouts and the functions of a kernel
-    compiler         machine code, and its cache on disk
-    runtime          memory and threads
+    given, functions    trees that paths share; the phases as functions of arrays
+    rollout             the phases traced and cut
+    kernel/             rows of memory, and all functions of a kernel:
+      layouts, context    the rows; the kernel under construction
+      phases, sweep, forward, reverse    the two sweeps of each phase
+      noise, draw         noise inside the kernel
+      shared, driver      the tables that all paths share; the loop over blocks of paths
+    call, runtime       trees into rows and back; memory and threads
+    engine, explain     `values` and `adjoint`; every stage as text, and reasons
 """
 
+from snapo.lanes.unsupported import Unsupported as Unsupported
+
+from .available import unavailable as unavailable
 from .engine import Native as Native
 from .explain import Explanation as Explanation
 from .explain import explain as explain
 from .explain import unsupported as unsupported
-from .program import Unsupported as Unsupported

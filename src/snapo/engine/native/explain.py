@@ -5,21 +5,25 @@ from dataclasses import dataclass
 import jax
 import numpy as np
 
+from snapo.lanes.machine.pipeline import assembly
+from snapo.lanes.machine.processor import host
+from snapo.lanes.unsupported import Unsupported
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.simulator import Schedule, Simulator
+from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
 from ..base import Window
-from . import compiler
-from .engine import Native, _Call
-from .kernel import Stages
-from .program import Unsupported
+from .call import Call
+from .engine import Native
+from .functions import Setup
+from .kernel.context import Stages
+from .kernel.kernel import Kernel
 
 
 @dataclass(frozen=True)
 class Explanation:
-    """What each stage made of a simulator; prints as a text to read from top to bottom."""
+    """A simulator after each stage; prints as a text to read from top to bottom."""
 
     programs: tuple[tuple[str, str], ...]
     memory: str
@@ -33,8 +37,8 @@ class Explanation:
         return "\n\n".join([*parts, f"== machine\n{self.target}"])
 
     def assembly(self) -> str:
-        """The processor's instructions."""
-        return compiler.assembly(self.llvm)
+        """The instructions that this processor runs: those of the code that engines load."""
+        return assembly(self.llvm)
 
 
 def explain(
@@ -48,14 +52,12 @@ def explain(
 
     **Arguments:**
 
-    - `schedule`: what `prepare` gave; without it `simulator.prepare(None)` is asked.
+    - `schedule`: the result of `prepare`; without it `simulator.prepare(None)` is asked.
     - `policy`: a small network where none is given.
 
     **Returns:** programs (each operation on one path, `v…` differing between paths and `s…` not),
     the layout of memory, and LLVM IR. Raises `Unsupported` with the reason where there is one.
     """
-    from snapo.problem.simulator import probe
-
     schedule = simulator.prepare(None) if schedule is None else schedule
     if policy is None:
         features = probe(simulator, schedule)[1].shape[0]
@@ -64,9 +66,11 @@ def explain(
     smooth = smooth or Smooth(0.1)
     kernel = _kernel(Native(precision), simulator, schedule, policy, smooth, stages=stages)
     rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
-    processor, _, register = compiler.host()
-    target = f"{processor}: registers of {register} bytes, blocks of {kernel.lanes} paths"
-    # Emitted last, but what the paths share comes first in time.
+    processor = host()
+    target = (
+        f"{processor.name}: registers of {processor.register} bytes, blocks of {kernel.lanes} paths"
+    )
+    # Emitted last, but everything that the paths share comes first in time.
     programs = sorted(stages, key=lambda stage: "computed once" not in stage[0])
     return Explanation(tuple(programs), "\n".join(rows), kernel.text, target)
 
@@ -98,14 +102,12 @@ def _kernel(
     record=(),
     clip: float | None = None,
     stages: Stages | None = None,
-):
+) -> Kernel:
     """The kernel of a whole adjoint."""
-    from .rollout import Setup
-
     with engine.numbers():
         draws = Pseudo(0).draws(np.arange(2), simulator)
         window = Window(0, simulator.horizon)
-        call = _Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
+        call = Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
         wrt = ("policy", "schedule", "start")
         setup = Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)
         return call.kernel(setup, None, stages)

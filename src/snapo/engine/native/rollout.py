@@ -1,41 +1,17 @@
-"""The three phases of a rollout as functions of flat arrays, traced and cut.
+"""The phases of a rollout, traced and cut: all that the writer of a kernel needs to know."""
 
-    initial    noise or given states        ->  carry
-    step       carry, noise (and actions)   ->  carry, records
-    final      carry                        ->  totals, state
-
-The carry is the state's leaves and the running totals. Between the phases only arrays flow, so
-each is compiled for itself and differentiated for itself.
-"""
-
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
-from jaxtyping import PyTree
 
-from . import trace
-from .trace import CALL, PATH, STEP, Cut, Leaf
+from snapo.lanes.program.cut import CALL, PATH, STEP, Cut, Leaf, cut, inlined
 
-
-@dataclass(frozen=True)
-class Setup:
-    """What a kernel is compiled for, besides the simulator, the policy and the types of arrays."""
-
-    dtype: str
-    adjoint: bool
-    record: tuple[str, ...]
-    actions: bool
-    start: bool
-    ends: bool
-    clip: float | None
-    wrt: tuple[str, ...]
-    counter: bool
-    antithetic: bool
+from .functions import Functions, Setup
+from .given import floating, jax_type
 
 
 @dataclass(eq=False)
@@ -50,7 +26,7 @@ class Phase:
 
 @dataclass(eq=False)
 class Traced:
-    """Everything that the emitter needs, and how the caller's trees map to it."""
+    """Everything that the writer of a kernel needs, and the way back to the caller's trees."""
 
     setup: Setup
     call: list[Leaf]
@@ -64,51 +40,6 @@ class Traced:
     bound: Callable | None
 
 
-class Given:
-    """A tree that all paths share, taken apart once per call: flattening is what a call pays for.
-
-    Arrays, as NumPy with floating ones in the call's precision, are read anew at every call;
-    everything else is compiled in.
-    """
-
-    def __init__(self, tree, dtype):
-        leaves, self.tree = jax.tree.flatten(tree)
-        self.leaves = [cast(x, dtype) if _is_array(x) else x for x in leaves]
-
-    @property
-    def arrays(self) -> list[np.ndarray]:
-        return [x for x in self.leaves if isinstance(x, np.ndarray)]
-
-    def key(self, skip: int = 0) -> tuple:
-        """What a kernel depends on: structure, types, shapes, and everything that is no array."""
-        return self.tree, tuple(
-            (x.shape[skip:], x.dtype) if isinstance(x, np.ndarray) else (type(x), x)
-            for x in self.leaves
-        )
-
-    def split(self) -> tuple[PyTree, PyTree]:
-        """The tree with its arrays only, and with all the rest only; None elsewhere."""
-        arrays = [x if isinstance(x, np.ndarray) else None for x in self.leaves]
-        rest = [None if isinstance(x, np.ndarray) else x for x in self.leaves]
-        return jax.tree.unflatten(self.tree, arrays), jax.tree.unflatten(self.tree, rest)
-
-    def like(self, values: Iterable) -> PyTree:
-        """The tree with these in place of its arrays, in order, and None in place of the rest."""
-        values = iter(values)
-        filled = [next(values) if isinstance(x, np.ndarray) else None for x in self.leaves]
-        return jax.tree.unflatten(self.tree, filled)
-
-
-def _is_array(x) -> bool:
-    return isinstance(x, np.ndarray | np.generic | jax.Array)
-
-
-def cast(x, dtype) -> np.ndarray:
-    """An array as NumPy, floating ones in this precision: nothing is compiled for it."""
-    array = np.asarray(x)
-    return array.astype(dtype, copy=False) if jnp.issubdtype(array.dtype, jnp.floating) else array
-
-
 def traced(
     shared, steps, state_like, setup: Setup, noise_sizes: tuple[int, int], action_size: int
 ) -> Traced:
@@ -116,10 +47,10 @@ def traced(
     dtype = np.dtype(setup.dtype)
     leaves, tree = jax.tree.flatten(shared[0])
     step_leaves, step_tree = jax.tree.flatten(steps[0])
-    step_leaves = [jax.ShapeDtypeStruct(x.shape[1:], _type(x)) for x in step_leaves]
+    step_leaves = [jax.ShapeDtypeStruct(x.shape[1:], jax_type(x)) for x in step_leaves]
     moving = jax.tree.leaves(_differentiable(shared[0], setup.wrt))
-    call = [Leaf(np.shape(x), _type(x), bool(m)) for x, m in zip(leaves, moving)]
-    now = [Leaf(x.shape, x.dtype, "schedule" in setup.wrt and _floating(x)) for x in step_leaves]
+    call = [Leaf(np.shape(x), jax_type(x), bool(m)) for x, m in zip(leaves, moving)]
+    now = [Leaf(x.shape, x.dtype, "schedule" in setup.wrt and floating(x)) for x in step_leaves]
 
     def pieces(values):
         return eqx.combine(jax.tree.unflatten(tree, values), shared[1])
@@ -128,195 +59,31 @@ def traced(
         return eqx.combine(jax.tree.unflatten(step_tree, values), steps[1])
 
     call_avals, now_avals = [x.aval for x in call], [x.aval for x in now]
-    builder = _Functions(setup, dtype, pieces, current, len(call), len(now))
+    builder = Functions(setup, dtype, pieces, current, len(call), len(now))
     builder.describe(call_avals, now_avals, state_like, noise_sizes, action_size)
     phases = {}
     for name, function, inputs, outputs, with_now in builder.phases():
         path_avals = [aval for _, aval in inputs]
         avals = [*call_avals, *(now_avals if with_now else []), *path_avals]
-        closed = trace.inlined(function, avals)
+        closed = inlined(function, avals)
         levels = (
             [CALL] * len(call) + [STEP] * (len(now) if with_now else 0) + [PATH] * len(path_avals)
         )
         known = [*call, *(now if with_now else []), *[None] * len(path_avals)]
         keys = [*outputs, *[("scale", i) for i in range(len(closed.jaxpr.outvars) - len(outputs))]]
         labelled = [(key, v.aval) for key, v in zip(keys, closed.jaxpr.outvars)]
-        phases[name] = Phase(name, trace.cut(closed, levels, known), inputs, labelled)
+        phases[name] = Phase(name, cut(closed, levels, known), inputs, labelled)
     return Traced(
         setup, call, now, builder.state, builder.state_tree, builder.names, builder.final_names,
         builder.record_tree, phases, builder.bound(),
     )  # fmt: skip
 
 
-def _type(x) -> np.dtype:
-    """The type that JAX gives this array under the present precision."""
-    return np.dtype(jax.dtypes.canonicalize_dtype(x.dtype))
-
-
-def _floating(x) -> bool:
-    return bool(np.issubdtype(x.dtype, np.floating))
-
-
 def _differentiable(shared, wrt: tuple[str, ...]):
     """True for floating arrays of the policy and the constants, where they are asked for."""
     policy, constants, smooth, simulator = shared
     return (
-        jax.tree.map(lambda x: "policy" in wrt and _floating(x), policy),
-        jax.tree.map(lambda x: "schedule" in wrt and _floating(x), constants),
+        jax.tree.map(lambda x: "policy" in wrt and floating(x), policy),
+        jax.tree.map(lambda x: "schedule" in wrt and floating(x), constants),
         *jax.tree.map(lambda x: False, (smooth, simulator)),
     )
-
-
-class _Functions:
-    """The phases as functions of flat lists of arrays."""
-
-    def __init__(self, setup: Setup, dtype, pieces, current, calls: int, nows: int):
-        self.setup, self.dtype = setup, dtype
-        self.pieces, self.current = pieces, current
-        self.calls, self.nows = calls, nows
-
-    def describe(self, call, now, state_like, noise_sizes, action_size) -> None:
-        """Shapes of states, outputs and records, and the one trace of the user's step."""
-        real = self.dtype
-        self.noise = [jax.ShapeDtypeStruct((n,), real) for n in noise_sizes]
-        self.action = jax.ShapeDtypeStruct((action_size,), real)
-        if state_like is None:
-
-            def first(call, noise):
-                _, constants, _, simulator = self.pieces(call)
-                return simulator.initial(constants, noise)
-
-            state_like = jax.eval_shape(first, call, self.noise[1])
-        leaves, self.state_tree = jax.tree.flatten(state_like)
-        self.state = [jax.ShapeDtypeStruct(x.shape, self._kind(x)) for x in leaves]
-
-        given = call, now, self.state, self.noise[0], self.action
-        self.once, kept = jax.make_jaxpr(self._outputs, return_shape=True)(*given)
-        self.after, self.names = jax.tree.structure(kept), list(kept[1])
-        self.record_tree = jax.tree.structure(kept[2])
-
-        def last(call, state):
-            _, constants, smooth, simulator = self.pieces(call)
-            return simulator.terminal(constants, self._state(state), smooth)
-
-        ending = jax.eval_shape(last, call, self.state) if self.setup.ends else {}
-        self.final_names = [*self.names, *(n for n in ending if n not in self.names)]
-
-    def _kind(self, x):
-        dtype = np.dtype(x.dtype)
-        return self.dtype if np.issubdtype(dtype, np.floating) else _type(x)
-
-    def _state(self, leaves):
-        return jax.tree.unflatten(self.state_tree, leaves)
-
-    def _leaves(self, state) -> list[Any]:
-        """A state's leaves in their types; their shapes may not change."""
-        leaves = [jnp.asarray(x) for x in self.state_tree.flatten_up_to(state)]
-        for leaf, known in zip(leaves, self.state):
-            if leaf.shape != known.shape:
-                raise ValueError(
-                    f"The state changes shape: `initial` gives {known.shape} "
-                    f"where `step` gives {leaf.shape}."
-                )
-        return [leaf.astype(known.dtype) for leaf, known in zip(leaves, self.state)]
-
-    def _outputs(self, call, now, leaves, noise, action):
-        policy, constants, smooth, simulator = self.pieces(call)
-        now, state = self.current(now), self._state(leaves)
-        if not self.setup.actions:
-            action = policy(simulator.observe(constants, now, state), smooth)
-        after, outputs = simulator.step(constants, now, state, action, noise, smooth)
-        outputs = {name: jnp.asarray(value, self.dtype) for name, value in outputs.items()}
-        kept = {"state": state, "action": action, "outputs": outputs}
-        if "slack" in self.setup.record:
-            kept["slack"] = dict(simulator.slack(constants, now, after, outputs))
-        return after, outputs, {name: kept[name] for name in self.setup.record}
-
-    def _initial(self, *values):
-        call, own = values[: self.calls], values[self.calls :]
-        _, constants, _, simulator = self.pieces(call)
-        if self.setup.start:
-            leaves = self._leaves(self._state(own))
-        else:
-            leaves = self._leaves(simulator.initial(constants, own[0]))
-        kinds = simulator.totals()
-        zeros = [-np.inf if kinds.get(n, "sum") == "max" else 0.0 for n in self.names]
-        return [*leaves, *(jnp.asarray(z, self.dtype) for z in zeros)]
-
-    def _step(self, *values):
-        call, rest = values[: self.calls], values[self.calls :]
-        now, own = rest[: self.nows], rest[self.nows :]
-        n = len(self.state)
-        leaves, totals, own = own[:n], own[n : n + len(self.names)], own[n + len(self.names) :]
-        noise = own[0]
-        action = own[1] if self.setup.actions else jnp.zeros(self.action.shape, self.dtype)
-        found = trace.evaluate(self.once, [*call, *now, *leaves, noise, action])
-        after, outputs, kept = jax.tree.unflatten(self.after, found)
-        kinds = self.pieces(call)[3].totals()
-        totals = [_add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
-        return [*self._leaves(after), *totals, *jax.tree.leaves(kept), *self._scales(call)]
-
-    def _final(self, *values):
-        call, own = values[: self.calls], values[self.calls :]
-        n = len(self.state)
-        totals = dict(zip(self.names, own[n:]))
-        _, constants, smooth, simulator = self.pieces(call)
-        if self.setup.ends:
-            kinds = simulator.totals()
-            for name, value in simulator.terminal(constants, self._state(own[:n]), smooth).items():
-                value = jnp.asarray(value, self.dtype)
-                totals[name] = _add(kinds.get(name, "sum"), totals.get(name), value)
-        return [*(totals[name] for name in self.final_names), *own[:n]]
-
-    def phases(self) -> Iterator[Any]:
-        """(name, function, inputs, outputs, whether it sees the step) of every phase."""
-        total = jax.ShapeDtypeStruct((), self.dtype)
-        state = [(("state", i), x) for i, x in enumerate(self.state)]
-        carry = [*state, *((("total", n), total) for n in self.names)]
-        keys = [key for key, _ in carry]
-        start = [(("start", i), x) for i, x in enumerate(self.state)]
-        entry = start if self.setup.start else [("noise", self.noise[1])]
-        own = [*carry, ("noise", self.noise[0])]
-        own += [("action", self.action)] if self.setup.actions else []
-        records = [("record", i) for i in range(self.record_tree.num_leaves)]
-        final = [
-            *(("final", n) for n in self.final_names),
-            *(("end", i) for i in range(len(self.state))),
-        ]
-        yield "initial", self._initial, entry, keys, False
-        yield "step", self._step, own, [*keys, *records], True
-        yield "final", self._final, carry, final, False
-
-    def bound(self) -> Callable | None:
-        """Clips the cotangents of the state (not those of the totals), as `Clip` does."""
-        if self.setup.clip is None:
-            return None
-        floats = [i for i, x in enumerate(self.state) if _floating(x)]
-        norm, tiny = self.setup.clip, np.finfo(self.dtype).tiny
-
-        def bound(back, outputs, size):
-            scales = outputs[len(outputs) - len(floats) :]
-            square = sum(jnp.sum((g * s) ** 2) for g, s in zip(back, scales))
-            factor = jnp.minimum(1.0, norm * size / jnp.sqrt(jnp.maximum(square, tiny)))
-            return [*(g * factor for g in back[: len(floats)]), *back[len(floats) :]]
-
-        return bound if floats else None
-
-    def _scales(self, call) -> list[Any]:
-        """`state_scale` of every floating leaf of the state, where adjoints are clipped."""
-        if self.setup.clip is None:
-            return []
-        _, constants, _, simulator = self.pieces(call)
-        scale = simulator.state_scale(constants)
-        leaves = [1.0] * len(self.state) if scale is None else self.state_tree.flatten_up_to(scale)
-        return [
-            jnp.broadcast_to(jnp.asarray(s, x.dtype), x.shape)
-            for s, x in zip(leaves, self.state)
-            if _floating(x)
-        ]
-
-
-def _add(kind: str, total, value):
-    if total is None or kind == "last":
-        return value
-    return jnp.maximum(total, value) if kind == "max" else total + value

@@ -1,15 +1,19 @@
-"""Running a kernel: aligned memory, blocks of paths over threads, sums in a fixed order."""
+"""Running a kernel: blocks of paths over threads, sums in a fixed order."""
 
 import os
-import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
-from .compiler import Machine
-from .kernel import CONTEXT, Kernel
+from snapo.lanes.machine.linked import Linked
+from snapo.lanes.machine.memory import Memory, address
+from snapo.lanes.machine.threads import spread
+
+from .kernel.context import CONTEXT
+from .kernel.kernel import Kernel
 
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
@@ -18,45 +22,9 @@ PROCESSORS = os.cpu_count() or 1
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
-class Memory:
-    """Named rows of zero bytes on 64-byte boundaries, and their addresses.
-
-    They are of one allocation: kernels take addresses, and NumPy is slow to tell them.
-    """
-
-    def __init__(self, sizes: dict[str, int]):
-        raw = np.zeros(64 + sum(map(_rounded, sizes.values())), np.uint8)
-        base = address(raw)
-        at = -base % 64
-        self.rows: dict[str, np.ndarray] = {}
-        self.where: dict[str, int] = {}
-        for name, size in sizes.items():
-            self.rows[name], self.where[name] = raw[at : at + size], base + at
-            at += _rounded(size)
-
-    def __getitem__(self, name: str) -> np.ndarray:
-        return self.rows[name]
-
-    def lend(self, name: str, array: np.ndarray) -> None:
-        """Adds an array that lies elsewhere."""
-        self.rows[name], self.where[name] = array, address(array)
-
-    def holds(self, sizes: dict[str, int]) -> bool:
-        """Whether every row has at least its size."""
-        return all(self.rows[name].size >= size for name, size in sizes.items())
-
-
-def _rounded(size: int) -> int:
-    return -(-size // 64) * 64
-
-
-def address(array: np.ndarray) -> int:
-    return array.__array_interface__["data"][0]
-
-
 @dataclass(eq=False)
 class Inputs:
-    """What one run reads, as rows of the kernel's layouts."""
+    """All that one run reads, as rows of the kernel's layouts."""
 
     paths: int
     length: int
@@ -67,7 +35,7 @@ class Inputs:
 
 @dataclass(eq=False)
 class Outputs:
-    """What one run wrote, as rows of the kernel's layouts; the sums of an adjoint kernel only."""
+    """All that one run writes, as rows of layouts; the sums in an adjoint kernel only."""
 
     final: np.ndarray
     records: np.ndarray | None
@@ -79,7 +47,7 @@ class Outputs:
 class Runner:
     """A compiled kernel with scratch memory that is used again from call to call."""
 
-    def __init__(self, kernel: Kernel, machine: Machine):
+    def __init__(self, kernel: Kernel, machine: Linked):
         self.kernel, self.machine = kernel, machine
         self._spare: list[Memory] = []
 
@@ -111,16 +79,17 @@ class Runner:
             first, last = blocks * group // groups, blocks * (group + 1) // groups
             functions["run"](address(own), first, last)
 
-        with self._own(context, scratch) as own:
+        mine = partial(self._own, context, scratch)
+        with mine() as own:
             functions["prepare"](address(own))
-        self._spread(one, groups, min(threads, groups), memory["stop"], context, scratch)
+        spread(one, groups, min(threads, groups), memory["stop"], mine)
         out = Outputs(memory["final"], memory.rows.get("records"))
         if adjoint:
             sums, total = memory["sums"].view(np.float64), memory["total"]
             np.sum(sums.reshape(groups, -1), axis=0, out=total.view(np.float64))
             out.call_sums, out.step_sums = total[:calls], total[calls:]
             out.start_cotangent = memory["start_cotangent"]
-            with self._own(context, scratch) as own:
+            with mine() as own:
                 _add_up_in(own, memory.where["total"], calls)
                 functions["finish"](address(own))
         return out
@@ -130,39 +99,6 @@ class Runner:
         if not self.kernel.traced.setup.adjoint:
             return length
         return int(min(length, max(1, TAPE // self.kernel.layouts["tape"].stride)))
-
-    def _spread(self, one, groups: int, threads: int, stop, context, scratch) -> None:
-        """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C."""
-        waiting = iter(range(groups))
-        lock = threading.Lock()
-        failures: list[BaseException] = []
-
-        def work() -> None:
-            with self._own(context, scratch) as own:
-                while not stop[0]:
-                    with lock:
-                        group = next(waiting, None)
-                    if group is None:
-                        break
-                    one(group, own)
-
-        def help() -> None:
-            try:
-                work()
-            except BaseException as error:  # pragma: no cover
-                failures.append(error)
-                stop[:] = 1
-
-        others = [_helper().take(help) for _ in range(threads - 1)]
-        try:
-            work()
-            _wait(others)
-        except BaseException:
-            stop[:] = 1
-            _wait(others)
-            raise
-        if failures:
-            raise failures[0]
 
     def _scratch(self, segment: int, segments: int) -> dict[str, int]:
         """The sizes of one thread's scratch memory."""
@@ -193,52 +129,6 @@ class Runner:
         finally:
             if len(self._spare) < 2 * PROCESSORS:
                 self._spare.append(scratch)
-
-
-class Helper(threading.Thread):
-    """A thread that waits for work: starting one anew would cost more than a small kernel."""
-
-    def __init__(self):
-        super().__init__(name="snapo", daemon=True)
-        self.begin = threading.Lock()
-        self.begin.acquire()
-        self.start()
-
-    def take(self, work: Callable[[], None]) -> threading.Lock:
-        """Begins the work, and returns the lock that is free once it is done."""
-        done = threading.Lock()
-        done.acquire()
-        self.task = work, done
-        self.begin.release()
-        return done
-
-    def run(self) -> None:
-        while True:
-            self.begin.acquire()
-            work, done = self.task
-            work()
-            del work, self.task  # what the work held is free before the caller goes on
-            _idle.append(self)
-            done.release()
-
-
-_idle: list[Helper] = []
-if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
-    os.register_at_fork(after_in_child=_idle.clear)
-
-
-def _helper() -> Helper:
-    try:
-        return _idle.pop()
-    except IndexError:
-        return Helper()
-
-
-def _wait(others: list[threading.Lock]) -> None:
-    """Until each lock is free; it may be done twice."""
-    for done in others:
-        with done:
-            pass
 
 
 def _context(values: dict[str, int]) -> np.ndarray:

@@ -1,0 +1,96 @@
+"""Actions and noise that change nothing, and actions that no derivative reaches."""
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.actions import Simplex
+from snapo.problem.noise import Stored
+from snapo.problem.simulator import Simulator
+
+from .derivatives import locate
+from .findings import Notes
+from .rollout import ENGINE, Run
+
+
+def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
+    """The components of the action that change an output in any of the runs.
+
+    Components of the action or of the noise that change none in any run are findings.
+    """
+    size, moving = simulator.action.size, []
+    whole = isinstance(simulator.action, Simplex)
+    fresh = _fresh_actions(simulator, runs[0], seed)
+
+    def other_action(run: Run, component: int) -> dict[str, Any]:
+        if whole:
+            return {"actions": fresh}
+        actions = np.array(run.actions)
+        actions[..., component] = fresh[..., component]
+        return {"actions": actions}
+
+    def other_noise(run: Run, component: int) -> dict[str, Any]:
+        # Paths swap their numbers: the same law, other scenarios.
+        noise = np.array(run.draws.step_noise)
+        noise[..., component] = np.roll(noise[..., component], 1, axis=1)
+        return {"draws": Stored(run.draws.initial_noise, noise)}  # pyright: ignore
+
+    for component in range(1 if whole else size):
+        if _matters(simulator, runs, other_action, component):
+            moving += list(range(size)) if whole else [component]
+        else:
+            notes.error(
+                f"{notes.method('step')}: action{'' if whole else f'[{component}]'}",
+                "It changes no output: the step ignores it, or its effect never shows.",
+                "Use it, or make the action set smaller.",
+            )
+    for component in range(simulator.noise_size):
+        if not _matters(simulator, runs, other_noise, component):
+            notes.warning(
+                f"{notes.method('step')}: noise[{component}]",
+                "It changes no output.",
+                f"Use it, or make noise_size (now {simulator.noise_size}) smaller.",
+            )
+    return moving
+
+
+def _fresh_actions(simulator: Simulator, run: Run, seed: int) -> np.ndarray:
+    """Random actions anywhere in the set: [T, paths, size]."""
+    raw = np.random.default_rng(seed + 1).normal(size=run.actions.shape) * 2
+    with jax.enable_x64(True):
+        return np.asarray(jax.vmap(jax.vmap(simulator.action.squash))(jnp.asarray(raw)))
+
+
+def _matters(simulator: Simulator, runs: list[Run], change, component: int) -> bool:
+    """Whether a change of one component changes an output of any run."""
+    for run in runs:
+        after = run.values(simulator, **change(run, component))
+        same = (np.array_equal(run.totals[name], after[name], equal_nan=True) for name in after)
+        if not all(same):
+            return True
+    return False
+
+
+def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[int]) -> None:
+    """Whether a finite derivative reaches, in any run, every action that moves an output."""
+    left = set(moving)
+    for k, run in enumerate(runs):
+        if k and not left:
+            break
+        result = ENGINE.adjoint(
+            simulator, run.policy, run.schedule, run.draws, run.smooth, run.each_output()
+        )
+        found = jax.tree.leaves((result.policy, result.schedule))
+        if not all(np.all(np.isfinite(leaf)) for leaf in found):
+            locate(notes, simulator, run)
+        offset = np.abs(result.policy.offset).max(0)
+        left -= {component for component in left if offset[component] != 0}
+    for component in sorted(left):
+        notes.error(
+            f"{notes.method('step')}: action[{component}]",
+            "It moves the outputs, but its derivative is exactly zero: nothing can be learnt.",
+            "Look for rounding, a comparison, an integer or stop_gradient on its way; "
+            "write smooth.indicator or smooth.choose for a jump.",
+        )

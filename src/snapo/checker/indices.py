@@ -1,0 +1,184 @@
+"""Indices beyond the end of an array, which JAX moves to the last entry without a word.
+
+`noise[2]` of two normals is the second one again. Indices that are known when a method is traced
+are followed through its program; those that depend on the state are not.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend.core as jex
+import numpy as np
+from jax._src import source_info_util
+from jax.lax import GatherScatterMode
+
+from snapo.problem.simulator import Schedule, Simulator, at
+from snapo.problem.smooth import Exact
+
+from .findings import Notes
+
+
+class Beyond(NamedTuple):
+    """An index past the end: of what (if it has a name), the line, the index, and the length."""
+
+    label: str
+    line: str
+    index: int
+    length: int
+
+
+def within(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
+    """Every known index of `initial`, `observe`, `step` and `terminal` lies within its array."""
+    constants, now = schedule.constants, at(schedule.steps, 0)
+    noise, action = np.zeros(simulator.noise_size), np.zeros(simulator.action.size)
+    start = np.zeros(simulator.initial_noise_size)
+
+    with jax.enable_x64(True):
+        state = jax.eval_shape(simulator.initial, constants, start)
+        calls: dict[str, tuple[Any, dict[str, Any]]] = {
+            "initial": (simulator.initial, {"constants": constants, "noise": start}),
+            "observe": (simulator.observe, {"constants": constants, "now": now, "state": state}),
+            "step": (
+                lambda c, n, s, a, z: simulator.step(c, n, s, a, z, Exact()),
+                {"constants": constants, "now": now, "state": state}
+                | {"action": action, "noise": noise},
+            ),
+            "terminal": (
+                lambda c, s: simulator.terminal(c, s, Exact()),
+                {"constants": constants, "state": state},
+            ),
+        }
+        for name, (function, given) in calls.items():
+            with notes.during(name):
+                closed = jax.make_jaxpr(function)(*given.values())
+            for found in dict.fromkeys(_beyond(closed.jaxpr, closed.consts, _labels(given))):
+                # A negative index was written before JAX added the length to it.
+                index = found.index - found.length * (found.index < 0)
+                notes.error(
+                    f"{notes.method(name)}: {found.label or 'an array'}[{index}]",
+                    f"It has {found.length} entries; JAX reads the nearest one, or drops a write, "
+                    f"without an error. In: {found.line}",
+                    "Correct the index, or the size that is declared.",
+                )
+
+
+def _labels(given: dict[str, Any]) -> list[str]:
+    """The names of a call's arrays, in the order in which JAX takes them."""
+    return [
+        name + jax.tree_util.keystr(path)
+        for name, tree in given.items()
+        for path, _ in jax.tree_util.tree_flatten_with_path(tree)[0]
+    ]
+
+
+def _beyond(jaxpr, consts, labels=(), given=(), caller: str = "") -> Iterator[Beyond]:
+    """Walks a program with the integers that are known in it."""
+    known = {v: np.asarray(c) for v, c in zip(jaxpr.constvars, consts)}
+    known |= {v: x for v, x in zip(jaxpr.invars, given) if x is not None}
+    name = dict(zip(jaxpr.invars, labels))
+
+    def read(atom):
+        return np.asarray(atom.val) if isinstance(atom, jex.Literal) else known.get(atom)
+
+    for eqn in jaxpr.eqns:
+        values = [read(atom) for atom in eqn.invars]
+        line = source_info_util.summarize(eqn.source_info)
+        line = caller if line == "<unknown>" else line
+        label = "" if not eqn.invars else _name_of(eqn.invars[0], name)
+        for index, length in _outside(eqn, values):
+            yield Beyond(label, line, index, length)
+        for inner, passed in _inner(eqn, values):
+            names = [_name_of(a, name) for a in eqn.invars] if len(passed) == len(values) else ()
+            yield from _beyond(inner.jaxpr, inner.consts, names, passed, line)
+        if eqn.primitive.name in _ARITHMETIC and all(x is not None for x in values):
+            result = _ARITHMETIC[eqn.primitive.name](eqn, *values)
+            if result is not None and result.size <= MOST and result.dtype.kind in "iub":
+                known[eqn.outvars[0]] = result
+        elif eqn.primitive.name == "convert_element_type" and not isinstance(
+            eqn.invars[0], jex.Literal
+        ):
+            name[eqn.outvars[0]] = _name_of(eqn.invars[0], name)
+
+
+MOST = 100_000  # entries of an index array that is followed
+
+
+def _name_of(atom, names: dict) -> str:
+    return "" if isinstance(atom, jex.Literal) else names.get(atom, "")
+
+
+def _outside(eqn, values) -> Iterator[tuple[int, int]]:
+    """(index, length) of every known index of an equation that lies outside."""
+    kind = eqn.primitive.name
+    shape = [int(n) for n in getattr(eqn.invars[0].aval, "shape", ())] if eqn.invars else []
+    if kind == "dynamic_slice":
+        for start, length, size in zip(values[1:], shape, eqn.params["slice_sizes"]):
+            if start is not None and not 0 <= int(start) <= length - size:
+                yield int(start), length
+    elif kind == "gather" and values[1] is not None:
+        if eqn.params["mode"] != GatherScatterMode.PROMISE_IN_BOUNDS:
+            return
+        axes, sizes = eqn.params["dimension_numbers"].start_index_map, eqn.params["slice_sizes"]
+        yield from _worst(values[1], [(shape[a], sizes[a]) for a in axes])
+    elif kind.startswith("scatter") and values[1] is not None:
+        axes = eqn.params["dimension_numbers"].scatter_dims_to_operand_dims
+        yield from _worst(values[1], [(shape[a], 1) for a in axes])
+
+
+def _worst(indices: np.ndarray, ranges: list[tuple[int, int]]) -> Iterator[tuple[int, int]]:
+    """One entry outside of each range, of indices [..., ranges]."""
+    for k, (length, size) in enumerate(ranges):
+        column = indices[..., k]
+        outside = column[(column < 0) | (column > length - size)]
+        if outside.size:
+            yield int(outside.flat[0]), length
+
+
+def _inner(eqn, values):
+    """The programs inside an equation, with the known values of their arguments."""
+    kind, params = eqn.primitive.name, eqn.params
+    if kind == "cond":
+        return [(branch, values[1:]) for branch in params["branches"]]
+    if kind == "scan":
+        fixed = params["num_consts"]
+        return [(params["jaxpr"], values[:fixed])]
+    found = [x for x in params.values() if isinstance(x, jex.ClosedJaxpr)]
+    return [(x, values if len(x.jaxpr.invars) == len(values) else []) for x in found]
+
+
+def _iota(eqn):
+    params = eqn.params
+    shape, axis = params["shape"], params["dimension"]
+    line = np.arange(shape[axis]).reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return np.broadcast_to(line, shape).astype(params["dtype"])
+
+
+def _broadcast(eqn, x, *_):
+    shape, axes = eqn.params["shape"], eqn.params["broadcast_dimensions"]
+    wide = [1] * len(shape)
+    for size, axis in zip(x.shape, axes):
+        wide[axis] = size
+    return np.broadcast_to(x.reshape(wide), shape)
+
+
+def _integers(eqn, x):
+    kind = np.dtype(eqn.params["new_dtype"]).kind
+    return x.astype(eqn.params["new_dtype"]) if kind in "iub" and x.dtype.kind in "iub" else None
+
+
+# The primitives of which indices are made, on known arrays.
+_ARITHMETIC: dict[str, Any] = {
+    "lt": lambda eqn, a, b: a < b,
+    "ge": lambda eqn, a, b: a >= b,
+    "add": lambda eqn, a, b: a + b,
+    "sub": lambda eqn, a, b: a - b,
+    "mul": lambda eqn, a, b: a * b,
+    "select_n": lambda eqn, which, *cases: np.choose(which.astype(int), cases),
+    "squeeze": lambda eqn, x: x.reshape(eqn.outvars[0].aval.shape),
+    "reshape": lambda eqn, x, *_: x.reshape(eqn.outvars[0].aval.shape),
+    "concatenate": lambda eqn, *xs: np.concatenate(xs, eqn.params["dimension"]),
+    "iota": _iota,
+    "broadcast_in_dim": _broadcast,
+    "convert_element_type": _integers,
+}

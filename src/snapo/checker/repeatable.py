@@ -1,0 +1,59 @@
+"""Purity: two traces of a method must be the same program."""
+
+import re
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.problem import inputs as inputs_
+from snapo.problem.simulator import Schedule, Simulator, at
+from snapo.problem.smooth import Exact
+
+from .findings import Notes
+
+
+def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
+    """Two traces of every method must be the same program."""
+    constants, now = schedule.constants, at(schedule.steps, 0)
+    noise: Any = np.full(simulator.noise_size, 0.1)
+    action: Any = np.full(simulator.action.size, 0.5)
+    initial_noise: Any = np.full(simulator.initial_noise_size, 0.1)
+
+    with jax.enable_x64(True):
+        start = jax.jit(lambda: simulator.initial(constants, initial_noise))()
+        calls = {
+            "prepare": lambda: (
+                lambda v: simulator.prepare(inputs_.replace(inputs, v)),
+                inputs_.values(inputs),
+            ),
+            "initial": lambda: (lambda z: simulator.initial(constants, z), initial_noise),
+            "observe": lambda: (lambda s: simulator.observe(constants, now, s), start),
+            "step": lambda: (
+                lambda x: simulator.step(constants, now, x[0], x[1], x[2], Exact()),
+                (start, action, noise),
+            ),
+            "terminal": lambda: (lambda s: simulator.terminal(constants, s, Exact()), start),
+        }
+        for name, fresh in calls.items():
+            with notes.during(name):
+                if _program(*fresh()) == _program(*fresh()):
+                    continue
+                # Programs may differ in print alone; numbers decide.
+                (f, x), (g, y) = fresh(), fresh()
+                first, second = jax.tree.leaves(jax.jit(f)(x)), jax.tree.leaves(jax.jit(g)(y))
+            if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second)):
+                notes.error(
+                    notes.method(name),
+                    "Two calls with the same arguments differ: randomness, a clock or a counter "
+                    "in Python.",
+                    "Use the noise that step is given, and carry what changes in the state.",
+                )
+    notes.stop_on_errors()
+
+
+def _program(function, argument) -> str:
+    closed = jax.make_jaxpr(function)(argument)
+    constants = [np.asarray(c).tobytes() for c in closed.consts]
+    return re.sub(r"0x[0-9a-f]+", "", str(closed.jaxpr)) + repr(constants)

@@ -1,0 +1,124 @@
+"""The user's own module: found beside the case, run once, and its mistakes put in words."""
+
+import hashlib
+import importlib
+import importlib.util
+import os
+import sys
+import traceback
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from types import ModuleType
+from typing import Any, NamedTuple
+
+from snapo.case.error import CaseError, Unquoted
+
+OPTION = "--simulator"
+
+
+class Code(NamedTuple):
+    """A class of the user's own, and the file that it is written in (None: an installed module)."""
+
+    found: Any
+    file: Path | None
+    hash: str
+
+
+def load_class(module: str, name: str, folder: Path) -> Code:
+    """The class `name` of `module`: beside the case, in the working directory, or installed.
+
+    **Raises:** `CaseError` where there is none, or the module cannot be run.
+    """
+    place = Unquoted(f"{module}:{name}")
+    if module in sys.stdlib_module_names:
+        what = "a module of Python itself has this name; give yours another one"
+        raise CaseError(OPTION, "", place, what)
+    loaded = _loaded(module, place, folder)
+    found = getattr(loaded, name, None)
+    if found is None:
+        here = [key for key, each in vars(loaded).items() if _written_in(each, module)]
+        hint = f"; its classes are {', '.join(here)}" if here else ""
+        raise CaseError(OPTION, "", place, f"the module {module} has no {name}{hint}")
+    from snapo.problem.simulator import Simulator
+
+    if not (isinstance(found, type) and issubclass(found, Simulator)):
+        what = f"{name} is not a class made from snapo.Simulator"
+        raise CaseError(OPTION, "", place, what)
+    file = Path(loaded.__file__) if loaded.__file__ else None
+    digest = hashlib.sha256(file.read_bytes()).hexdigest() if file else ""
+    return Code(found, file, digest)
+
+
+def _written_in(each: Any, module: str) -> bool:
+    return isinstance(each, type) and each.__module__ == module
+
+
+def _loaded(module: str, place: Unquoted, folder: Path) -> ModuleType:
+    looked = list(dict.fromkeys([folder.resolve(), Path.cwd()]))
+    for where in looked:
+        file = where.joinpath(*module.split(".")).with_suffix(".py")
+        if file.is_file():
+            with beside(where), readable(file):
+                return _run(module, file)
+    try:
+        return importlib.import_module(module)
+    except ModuleNotFoundError as error:
+        if error.name not in (module, module.partition(".")[0]):
+            raise
+        where = " or ".join(dict.fromkeys(map(str, looked)))
+        what = f"there is no {module.replace('.', '/')}.py in {where}"
+        raise CaseError(OPTION, "", place, what) from None
+
+
+def _run(module: str, file: Path) -> ModuleType:
+    """The module in `file`, run anew: another case may have a module of the same name."""
+    spec = importlib.util.spec_from_file_location(module, file)
+    assert spec is not None and spec.loader is not None
+    made = importlib.util.module_from_spec(spec)
+    sys.modules[module] = made  # dataclasses look their module up
+    try:
+        spec.loader.exec_module(made)
+    except BaseException:
+        del sys.modules[module]
+        raise
+    return made
+
+
+@contextmanager
+def beside(folder: Path) -> Iterator[None]:
+    """Modules beside the simulator can be imported while it is run."""
+    sys.path.insert(0, str(folder))
+    try:
+        yield
+    finally:
+        sys.path.remove(str(folder))
+
+
+@contextmanager
+def readable(file: Path) -> Iterator[None]:
+    """Turns whatever the code in `file` raises into one message with its line."""
+    try:
+        yield
+    except CaseError:
+        raise
+    except SyntaxError as error:
+        where = f"line {error.lineno}" if error.lineno else ""
+        raise CaseError(short(error.filename or file), where, None, f"{error.msg}") from error
+    except Exception as error:
+        frames = traceback.extract_tb(error.__traceback__)
+        own = [frame for frame in frames if frame.filename == str(file)]
+        where = f"line {own[-1].lineno}" if own else ""
+        line = f" In: {own[-1].line}" if own and own[-1].line else ""
+        text = str(error).strip().rstrip(".")
+        what = f"{type(error).__name__}: {text}.{line}".rstrip(".")
+        raise CaseError(short(file), where, None, what) from error
+
+
+def short(file: str | Path) -> str:
+    """A file from where the user is, where that is shorter."""
+    try:
+        near = os.path.relpath(file)
+    except ValueError:
+        return str(file)
+    return near if len(near) < len(str(file)) else str(file)

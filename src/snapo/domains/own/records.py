@@ -1,0 +1,39 @@
+"""A case with a simulator of the user's own, as it was read."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+from snapo.case.settings import EvaluationTable, TrainingTable
+from snapo.problem.inputs import Input
+from snapo.problem.objective import Objective
+from snapo.problem.simulator import Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class OwnCase:
+    """What `snapo solve` needs of a case.
+
+    - `place`: module and class of the simulator; `code`: the file of the module, where it is one,
+      and `code_hash`: of its bytes.
+    - `unit`: of the value; `units`: by name of a state, of the action, of an output.
+    - `objective_words`: "mean of cash"; `output`: the output that is made as large as possible.
+    - `step`: the word for one step, "week".
+    """
+
+    file: Path
+    notes: tuple[str, ...]
+    title: str
+    step: str
+    place: tuple[str, str]
+    code: Path | None
+    code_hash: str
+    simulator: Simulator
+    inputs: Mapping[str, Input]
+    objective: Objective
+    objective_words: str
+    output: str
+    unit: str
+    units: Mapping[str, str]
+    training: TrainingTable
+    evaluation: EvaluationTable

@@ -1,0 +1,119 @@
+"""What a run of a user's own simulator does: it is checked, trained, measured and told."""
+
+from typing import Any
+
+import jax
+
+from snapo.case.error import CaseError, nearest
+from snapo.checker.check import check
+from snapo.checker.findings import Findings
+from snapo.engine import choose
+from snapo.problem.policy import MLP
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at, probe
+from snapo.problem.smooth import Exact
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.domain import Options
+from snapo.study.parts.certificate import CERTIFICATE
+from snapo.study.parts.distribution import distribution_part
+from snapo.study.parts.moves import MOVES
+from snapo.study.parts.profile import leaves, profile_part
+from snapo.study.study import Setup, Study
+from snapo.study.training import TRAINING, trained
+
+from .records import OwnCase
+
+
+class SimulatorError(CaseError):
+    """Mistakes in the simulator, each with its file and line."""
+
+    def __init__(self, findings: Findings):
+        self.findings = findings
+        super().__init__(findings.simulator, "", None, str(findings))
+
+    def __str__(self) -> str:
+        return str(self.findings)
+
+
+def checked(case: OwnCase) -> Findings:
+    """The remarks of `snapo.check` on a simulator that can be trained.
+
+    **Raises:** `SimulatorError` where it cannot; `CaseError` where the case names no output of it.
+    """
+    findings = check(case.simulator, case.inputs)
+    if not findings.ok:
+        raise SimulatorError(findings)
+    known = names(Problem(case.simulator, case.inputs, case.objective))
+    if case.output not in known["outputs"]:
+        what = f"the outputs of the simulator are {', '.join(known['outputs'])}"
+        raise CaseError(str(case.file), "objective.output", case.output, what)
+    every = [name for each in known.values() for name in each]
+    for name in case.units:
+        if name not in every:
+            what = f"no state, action or output has this name; {nearest(name, every)}"
+            raise CaseError(str(case.file), f"units.{name}", case.units[name], what)
+    return findings
+
+
+def names(problem: Problem) -> dict[str, tuple[str, ...]]:
+    """The names of states, actions and outputs; shapes alone are computed."""
+    simulator, schedule = problem.simulator, problem.schedule
+
+    def once(schedule, noise, action) -> Any:
+        now = at(schedule.steps, 0)
+        state = probe(simulator, schedule)[0]
+        state = jax.tree.map(lambda leaf: jax.numpy.zeros(leaf.shape, leaf.dtype), state)
+        after, outputs = simulator.step(schedule.constants, now, state, action, noise, Exact())
+        return after, outputs | simulator.terminal(schedule.constants, after, Exact())
+
+    noise, action = jax.numpy.zeros(simulator.noise_size), jax.numpy.zeros(simulator.action.size)
+    state, outputs = jax.eval_shape(once, schedule, noise, action)
+    states = tuple(name or "state" for name in leaves(state))
+    return {"state": states, "action": ("action",), "outputs": tuple(outputs)}
+
+
+def lines(case: OwnCase) -> list[str]:
+    """The case in a few lines."""
+    numbers = sum(given.value.size for given in case.inputs.values())
+    return [
+        f"{case.title}: {case.simulator.horizon} {case.step}s, {':'.join(case.place)}",
+        f"{len(case.inputs)} inputs with {numbers} numbers, each with a sensitivity",
+        f"the {case.objective_words} is made as large as possible",
+    ]
+
+
+def study(case: OwnCase, options: Options) -> Study:
+    """Training, distribution, fans, moves of the inputs, and the certificate."""
+    if options.reference:
+        what = "a simulator of your own has no references to compute"
+        raise CaseError("--reference", "", None, what)
+    findings = checked(case)
+    setup = make_setup(case, options.engine)
+    parts = (TRAINING, distribution_part(case.units), profile_part(case.units), MOVES, CERTIFICATE)
+    notes = [*case.notes, *(f"{each.where}: {each.what}" for each in findings.warnings)]
+    about = {
+        "title": case.title,
+        "step": case.step,
+        "unit": case.unit,
+        "horizon": case.simulator.horizon,
+        "simulator": ":".join(case.place),
+        "objective": case.objective_words,
+        "objective_output": case.output,
+        "notes": notes,
+    }
+    return Study("own", about, parts, trained, lambda: setup)
+
+
+def make_setup(case: OwnCase, engine: str) -> Setup:
+    """The problem with its policy and engines."""
+    training = Training(**case.training.model_dump())
+    evaluation = Evaluation(**case.evaluation.model_dump())
+    sources = evaluation.sources(training.seed)
+    problem = Problem(case.simulator, case.inputs, case.objective, sources)
+    policy = MLP(problem.action, problem.features, key=jax.random.key(training.seed))
+    try:
+        engines = choose(engine, problem, policy)
+    except ValueError as error:
+        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    return Setup(problem, policy, training, evaluation, engines)

@@ -1,0 +1,245 @@
+"""One call's trees, and their way into the kernel's rows and back."""
+
+import math
+from collections import OrderedDict
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.lanes.machine.disk import cache_home, kept
+from snapo.lanes.machine.linked import Linked
+from snapo.lanes.machine.memory import Memory
+from snapo.lanes.machine.processor import host
+from snapo.lanes.unsupported import ACCIDENTS, Unsupported
+from snapo.problem.noise import Counter, Draws
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
+
+from ..base import Engine, Window, checked
+from .available import unavailable
+from .functions import Setup
+from .given import Given, cast
+from .kernel.context import Stages
+from .kernel.kernel import Kernel, emit
+from .rollout import traced
+from .runtime import Inputs, Runner
+
+KEPT = 64  # compiled kernels in memory
+
+_runners: OrderedDict[Any, Runner] = OrderedDict()
+
+
+def linked(kernel: Kernel) -> Linked:
+    """The kernel's machine code, from the disk where it was made before."""
+    return Linked(kept(kernel.text, cache_home() / "snapo" / "kernels"), kernel.entries)
+
+
+class Call:
+    """One call's trees, and their way into the kernel's rows and back."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        actions,
+        window: Window | None,
+        start,
+    ):
+        self.window = checked(simulator, policy, schedule, draws, actions, window)
+        self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
+        self.ends = self.window.first + self.window.length == simulator.horizon
+        self.paths = draws.size
+        self.start = jax.tree.map(lambda x: cast(x, engine.dtype), start)
+        shared = (policy, schedule.constants, smooth, simulator)
+        self.shared = Given(shared, engine.dtype)
+        self.steps = Given(schedule.steps, engine.dtype)
+
+    def runner(
+        self, adjoint: bool, record: tuple[str, ...], clip: float | None, wrt: tuple[str, ...]
+    ) -> Runner:
+        """The compiled kernel, from memory, from disk, or made now."""
+        counter = isinstance(self.draws, Counter)
+        antithetic = isinstance(self.draws, Counter) and self.draws.antithetic
+        setup = Setup(
+            self.engine.precision, adjoint, record,
+            self.actions is not None, self.start is not None,
+            self.ends, clip, wrt, counter, antithetic,
+        )  # fmt: skip
+        like = self._state_like()
+        leaves, tree = jax.tree.flatten(like)
+        starts = tree, tuple((x.shape, x.dtype) for x in leaves)
+        key = setup, self.shared.key(), self.steps.key(1), starts, type(self.simulator)
+        if key not in _runners:
+            kernel = self.kernel(setup, like)
+            _runners[key] = Runner(kernel, linked(kernel))
+            while len(_runners) > KEPT:
+                _runners.popitem(last=False)
+        _runners.move_to_end(key)
+        return _runners[key]
+
+    def kernel(self, setup: Setup, like, stages: Stages | None = None) -> Kernel:
+        """Traces and emits. An error inside the emitter is a reason, not an accident."""
+        missing = unavailable()
+        if missing is not None:
+            raise Unsupported(missing)
+        simulator = self.simulator
+        sizes = (simulator.noise_size, simulator.initial_noise_size)
+        given = self.shared.split(), self.steps.split()
+        pieces = traced(*given, like, setup, sizes, simulator.action.size)
+        try:
+            return emit(pieces, host(), stages)
+        except ACCIDENTS as error:
+            raise Unsupported(
+                f"{type(simulator).__name__}: {type(error).__name__}: {error}"
+            ) from error
+
+    def _state_like(self):
+        if self.start is None:
+            return None
+        return jax.tree.map(lambda x: jax.ShapeDtypeStruct(x.shape[1:], x.dtype), self.start)
+
+    # Into rows.
+
+    def inputs(self, runner: Runner, weights, size, records: bool) -> Inputs:
+        layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
+        traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
+        first, length = self.window
+        filled = self._filled(weights, size)
+        # The last path fills the last block.
+        path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
+        given, lent = self._noise(path)
+        sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
+        sizes |= {name: array.nbytes for name, array in given.items()}
+        for name, (_, axes) in filled.items():
+            sizes[name] = blocks * math.prod(axes) * layouts[name].stride
+        memory = Memory(sizes)
+        for leaf, array in zip(traced.call, self.shared.arrays):
+            layouts["table"].view(memory["table"], leaf)[...] = array
+        steps = memory["steps"].reshape(length, -1)
+        for leaf, array in zip(traced.now, self.steps.arrays):
+            layouts["steps"].view(steps, leaf)[...] = array[first : first + length]
+        for name, array in given.items():
+            memory[name].view(array.dtype)[:] = array
+        for name, array in lent.items():
+            memory.lend(name, array)
+        for name, (arrays, axes) in filled.items():
+            rows = memory[name].reshape(blocks, *axes, -1)
+            for key, array in arrays.items():
+                view = layouts[name].view(rows, key)
+                view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
+                if name == "weights":  # paths that fill the last block count for nothing
+                    view[-1, lanes - (path.size - self.paths) :] = 0
+        return Inputs(self.paths, length, first, memory, records)
+
+    def _filled(self, weights, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
+        """By layout: arrays with numbers of each path, and their axes before that of paths."""
+        filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
+        if self.actions is not None:
+            filled["actions"] = {"action": self.actions}, (self.window.length,)
+        if self.start is not None:
+            leaves = enumerate(jax.tree.leaves(self.start))
+            filled["start"] = {("start", i): x for i, x in leaves}, ()
+        if weights is not None:
+            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
+            filled["bounds"] = {"bound": size}, ()
+        return filled
+
+    def _noise(self, path: np.ndarray) -> tuple[dict, dict]:
+        """The sources of the noise: small arrays, and large ones that stay where they are."""
+        draws = self.draws
+        if isinstance(draws, Counter):
+            paths = np.asarray(draws.paths, np.uint32)
+            return {"keys": np.asarray(draws.keys, np.uint32).ravel(), "paths": paths[path]}, {}
+        first, length = self.window
+        steps = np.asarray(draws.step_noise)[first : first + length]
+        arrays = {"noise": steps, "noise_initial": draws.initial_noise}
+        dtype = self.engine.dtype
+        lent = {name: np.ascontiguousarray(array, dtype) for name, array in arrays.items()}
+        return {"positions": path.astype(np.int64)}, lent
+
+    # Out of rows.
+
+    def lanes_out(
+        self, runner: Runner, name: str, memory: np.ndarray, key, *axes: int
+    ) -> np.ndarray:
+        """[*axes, paths, ...] from rows of lanes."""
+        rows = memory.reshape(runner.blocks(self.paths), *axes, -1)
+        return _paths(runner.kernel.layouts[name].view(rows, key), self.paths, len(axes))
+
+    def finals(self, runner: Runner, memory: np.ndarray) -> Any:
+        traced = runner.kernel.traced
+        totals = {
+            n: self.lanes_out(runner, "final", memory, ("final", n)) for n in traced.final_names
+        }
+        leaves = [
+            self.lanes_out(runner, "final", memory, ("end", i)) for i in range(len(traced.state))
+        ]
+        return totals, jax.tree.unflatten(traced.state_tree, leaves)
+
+    def recorded(self, runner: Runner, memory, record: tuple[str, ...]) -> dict[str, PyTree]:
+        if not record:
+            return {}
+        tree = runner.kernel.traced.record_tree
+        leaves = [
+            self.lanes_out(runner, "records", memory, ("record", i), self.window.length)
+            for i in range(tree.num_leaves)
+        ]
+        return jax.tree.unflatten(tree, leaves)
+
+    def gradients(self, runner: Runner, out):
+        """(policy, schedule, start) as NumPy arrays in the engine's precision."""
+        traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
+        first, length = self.window
+
+        def shared(leaf):
+            return (
+                layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
+                if leaf.active
+                else None
+            )
+
+        policy, constants, _, _ = self.shared.like(shared(leaf) for leaf in traced.call)
+        memory = out.step_sums.reshape(length, -1)
+
+        def stepwise(leaf, array):
+            if not leaf.active:
+                return None
+            full = np.zeros(np.shape(array), dtype)
+            full[first : first + length] = layouts["step_sums"].view(memory, leaf)
+            return full
+
+        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays))
+        start = None
+        if self.start is not None:
+            start = jax.tree.unflatten(traced.state_tree, [
+                self.lanes_out(runner, "start_cotangent", out.start_cotangent, ("start", i))
+                if x.dtype == dtype else None
+                for i, x in enumerate(traced.state)
+            ])  # fmt: skip
+        return policy, Schedule(constants, steps), start
+
+
+def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.ndarray:
+    """[*axes, paths, ...] as [blocks, *axes, ..., lanes]."""
+    if array.shape[axes] != path.size:
+        array = np.take(array, path, axis=axes)
+    split = array.reshape(*array.shape[:axes], path.size // lanes, lanes, *array.shape[axes + 1 :])
+    lead, rest = range(axes), range(axes + 2, split.ndim)
+    return split.transpose(axes, *lead, *rest, axes + 1)
+
+
+def _paths(view: np.ndarray, paths: int, axes: int) -> np.ndarray:
+    """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
+    lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
+    moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
+    lanes = view.shape[0] * view.shape[-1]
+    flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
+    chosen = flat[(slice(None),) * axes + (slice(0, paths),)]
+    # A view would keep all that the kernel wrote alive.
+    return chosen.copy() if np.may_share_memory(chosen, view) else chosen

@@ -1,0 +1,78 @@
+"""The function that takes blocks of paths through all steps and back."""
+
+from snapo.lanes.emit.code import Code
+from snapo.lanes.emit.denormals import flush_denormals
+
+from .context import Build, field
+
+
+def run(build: Build) -> None:
+    """`run(context, first block, last block)`: every block forward, and in an adjoint kernel back.
+
+    A horizon whose tape would be too long is done in segments: the carry at each segment's start
+    is saved on the way forward, and on the way back a segment goes forward again, with a tape.
+    """
+    function = build.function("run", ", i64 %begin, i64 %end")
+    code = function.code
+    restore = flush_denormals(code, build.processor.triple)
+    sweeps = _Sweeps(code, build.layouts["carry"].stride)
+    tape = build.layouts["tape"].stride
+    more = code.index(f"add nsw i64 {field('length')}, {field('segment')}")
+    segments = code.index(f"sdiv i64 {code.index(f'sub nsw i64 {more}, 1')}, {field('segment')}")
+    final = code.index(f"sub nsw i64 {segments}, 1")
+    with code.loop("%end", first="%begin") as blocks:
+        flag = code.raw(f"load volatile i64, ptr {field('stop')}, align 8")
+        with code.branch(code.index(f"icmp eq i64 {flag}, 0")):
+            sweeps.call("initial_forward", blocks.i)
+            with code.loop(segments) as s:
+                sweeps.save(s.i)
+                last = code.index(f"icmp eq i64 {s.i}, {final}")
+                kept = tape if build.adjoint else 0
+                stride = code.index(f"select i1 {last}, i64 {kept}, i64 0")
+                sweeps.call("step_forward", blocks.i, *sweeps.span(s.i), stride)
+            sweeps.call("final_forward", blocks.i)
+            if build.adjoint:
+                sweeps.call("final_reverse", blocks.i)
+                with code.loop(segments, down=True) as s:
+                    with code.branch(code.index(f"icmp ne i64 {s.i}, {final}")):
+                        sweeps.restore(s.i)
+                        sweeps.call("step_forward", blocks.i, *sweeps.span(s.i), str(tape))
+                    sweeps.call("step_reverse", blocks.i, *sweeps.span(s.i), str(tape))
+                sweeps.call("initial_reverse", blocks.i)
+    restore()
+    function.close()
+
+
+class _Sweeps:
+    """Calls of the sweeps' functions, and copies of the carry, of `size` bytes."""
+
+    def __init__(self, code: Code, size: int):
+        self.code, self.size = code, size
+        code.module.declare("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
+
+    def call(self, name: str, block: str, first="0", last="1", stride="0") -> None:
+        self.code.do(
+            f"call void @{name}(ptr %context, i64 {block}, i64 {first}, i64 {last}, i64 {stride})"
+        )
+
+    def span(self, segment: str) -> tuple[str, str]:
+        """The first step of a segment, and the one after its last."""
+        code = self.code
+        first = code.index(f"mul nsw i64 {segment}, {field('segment')}")
+        last = code.index(f"add nsw i64 {first}, {field('segment')}")
+        below = code.index(f"icmp slt i64 {last}, {field('length')}")
+        return first, code.index(f"select i1 {below}, i64 {last}, i64 {field('length')}")
+
+    def save(self, segment: str) -> None:
+        self._copy(self._saved(segment), field("carry"))
+
+    def restore(self, segment: str) -> None:
+        self._copy(field("carry"), self._saved(segment))
+
+    def _saved(self, segment: str) -> str:
+        distance = self.code.index(f"mul nsw i64 {segment}, {self.size}")
+        return self.code.pointer(field("saved"), distance)
+
+    def _copy(self, to: str, source: str) -> None:
+        size = f"i64 {self.size}, i1 false"
+        self.code.do(f"call void @llvm.memcpy.p0.p0.i64(ptr {to}, ptr {source}, {size})")

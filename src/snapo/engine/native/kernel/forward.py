@@ -1,0 +1,74 @@
+"""The forward sweep of a phase: inputs, operations, the tape, outputs."""
+
+from snapo.lanes.body import operations
+from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.values import Values
+from snapo.lanes.program.program import BIG, Op, Program, Value
+
+from ..rollout import Phase
+from . import noise
+from .context import Build, field
+from .layouts import TAPES
+from .sweep import Sweep, replace_all, sweep
+
+
+def forward(
+    build: Build,
+    phase: Phase,
+    program: Program,
+    ops: list[Op],
+    outputs: list[Value],
+    taped: list[Value],
+) -> None:
+    """Writes the function: `ops` of the program, for these outputs and those kept on the tape."""
+    tape = build.layouts[TAPES[phase.name]]
+    for value in taped:
+        tape.add(value, value.shape, value.dtype)
+    with sweep(build, phase, "forward") as s:
+        row = s.tape_row()
+        values = s.values(program, {v: tape.place(v, row) for v in taped})
+        read = {v for op in ops for v in op.inputs} | set(taped) | set(outputs)
+        _inputs(s, values, program, read)
+        operations.write(values, ops, [*outputs, *taped])
+        _deliver(s, values, outputs)
+        build.used(values.workspace)
+
+
+def _inputs(s: Sweep, values: Values, program: Program, read: set[Value]) -> None:
+    """Binds the path's arrays that are `read`: carry, noise, actions, given states."""
+    own = program.inputs[len(s.phase.cut.path.reads) :]
+    for value, (key, _) in zip(own, s.phase.inputs):
+        if value not in read:
+            continue
+        if key == "noise":
+            noise.bind(s, values, value)
+        else:
+            values.bind(value, _given(s, key))
+        if value.size <= BIG:
+            values.small(value)
+
+
+def _given(s: Sweep, key) -> Place:
+    """Where an array of the path lies that is given to this phase."""
+    layouts = s.build.layouts
+    if key == "action":
+        return layouts["actions"].place(key, s.step_row("actions"))
+    if key[0] == "start":
+        return layouts["start"].place(key, s.block_row("start"))
+    return layouts["carry"].place(key, field("carry"))
+
+
+def _deliver(s: Sweep, values: Values, outputs: list[Value]) -> None:
+    """Writes the outputs: the next carry, totals and final states, records."""
+    layouts = s.build.layouts
+    carry: list[tuple[Value, Place]] = []
+    for value, (key, _) in zip(outputs, s.phase.outputs):
+        if key[0] == "scale":
+            continue
+        if key[0] == "record":
+            values.copy(value, layouts["records"].place(key, s.step_row("records")))
+        elif key[0] in ("final", "end"):
+            values.copy(value, layouts["final"].place(key, s.block_row("final")))
+        else:
+            carry.append((value, layouts["carry"].place(key, field("carry"))))
+    replace_all(values, carry)

@@ -1,0 +1,115 @@
+"""The reverse sweep of a phase: cotangents in, gradients added up, cotangents out."""
+
+from dataclasses import dataclass
+
+from snapo.lanes.body import operations
+from snapo.lanes.emit.code import Code
+from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.values import Values
+from snapo.lanes.gradients.accumulate import accumulate
+from snapo.lanes.gradients.plan import Gradients
+from snapo.lanes.gradients.rows import Rows
+from snapo.lanes.program.program import BIG, Program, Value
+from snapo.lanes.program.sweeps import Plan
+
+from ..rollout import Phase
+from .context import Build, field
+from .layouts import TAPES
+from .sweep import Sweep, replace_all, sweep
+
+AHEAD = 2  # rows of tape that are fetched before they are needed
+
+
+@dataclass(eq=False)
+class Transposed:
+    """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
+
+    - `cotangents`: those given, of the outputs `moving`; a last one is the bound of clipping.
+    - `back`: those computed, of the inputs `active`.
+    """
+
+    program: Program
+    gradients: Gradients
+    moving: list[int]
+    cotangents: list[Value]
+    active: list[int]
+    back: list[Value]
+
+    def wanted(self) -> list[Value]:
+        """Everything that the reverse sweep must bring about."""
+        return [*self.back, *self.gradients.wanted()]
+
+
+def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) -> None:
+    """Writes the function of the reverse sweep."""
+    program, tape = transposed.program, build.layouts[TAPES[phase.name]]
+    lanes, stepwise = build.module.lanes, phase.name == "step"
+    rows = Rows(transposed.gradients, tape, division.tape, lanes, stepwise)
+    build.waiting(rows.bytes)
+    with sweep(build, phase, "reverse") as s:
+        code, function = s.code, s.function
+        row = s.tape_row()
+        if stepwise:
+            fetch_ahead(code, row, tape.stride)
+        slot = code.index(f"and i64 {s.relative}, {rows.steps - 1}")
+        chunk_row = rows.row(code, field("chunk"), slot)
+        values = s.values(program, rows.homes(chunk_row))
+        for value in division.tape:
+            values.bind(value, tape.place(value, row))
+        _cotangents(s, values, transposed)
+        operations.write(values, division.reverse, transposed.wanted())
+        step_row = function.row(field("step_sums"), s.t, "step_sums") if stepwise else None
+        sums = function.sums(step_row)
+        accumulate(values, rows, sums, row, chunk_row)
+        _pass_back(s, values, transposed)
+        if rows.fields:
+            with code.branch(code.index(f"icmp eq i64 {slot}, 0")):
+                rows.gather(code, sums, row, chunk_row, _waiting(s, rows))
+        build.used(values.workspace)
+
+
+def _waiting(s: Sweep, rows: Rows) -> str:
+    """How many steps wait to be gathered: all slots, or the steps that are left."""
+    code = s.code
+    left = code.index(f"sub nsw i64 %end, {s.t}") if s.stepwise else "1"
+    below = code.index(f"icmp slt i64 {left}, {rows.steps}")
+    return code.index(f"select i1 {below}, i64 {left}, i64 {rows.steps}")
+
+
+def _cotangents(s: Sweep, values: Values, transposed: Transposed) -> None:
+    """Binds the cotangents of this phase's outputs."""
+    layouts, final = s.build.layouts, s.phase.name == "final"
+    layout = layouts["weights" if final else "cotangent"]
+    base = s.block_row("weights") if final else field("cotangent")
+    for value, i in zip(transposed.cotangents, transposed.moving):
+        values.bind(value, layout.place(s.phase.outputs[i][0], base))
+        if value.size <= BIG:
+            values.small(value)
+    if len(transposed.cotangents) > len(transposed.moving):
+        bound = layouts["bounds"].place("bound", s.block_row("bounds"))
+        values.bind(transposed.cotangents[-1], bound)
+
+
+def _pass_back(s: Sweep, values: Values, transposed: Transposed) -> None:
+    """Writes the cotangents of this phase's inputs."""
+    layouts = s.build.layouts
+    pairs: list[tuple[Value, Place]] = []
+    for value, i in zip(transposed.back, transposed.active):
+        key = s.phase.inputs[i][0]
+        if key[0] == "start":
+            place = layouts["start_cotangent"].place(key, s.block_row("start_cotangent"))
+        else:
+            place = layouts["cotangent"].place(key, field("cotangent"))
+        pairs.append((value, place))
+    replace_all(values, pairs)
+
+
+def fetch_ahead(code: Code, row: str, stride: int) -> None:
+    """Asks for the rows of the tape that come next: they descend, which no processor guesses."""
+    code.module.declare("declare void @llvm.prefetch.p0(ptr, i32, i32, i32)")
+    lines = stride // 64
+    with code.loop(-(-lines // 4)) as loop:
+        at = code.pointer(row, code.index(f"mul nsw i64 {loop.i}, 256"))
+        for line in range(4):
+            ahead = code.pointer(at, 64 * line - AHEAD * stride)
+            code.do(f"call void @llvm.prefetch.p0(ptr {ahead}, i32 0, i32 2, i32 1)")

@@ -1,0 +1,102 @@
+"""The functions for all that the paths share: computed before them, transposed after them."""
+
+import numpy as np
+
+from snapo.lanes.body import operations
+from snapo.lanes.emit.shared import Shared
+from snapo.lanes.emit.storage import Place, Small
+from snapo.lanes.emit.values import Values
+from snapo.lanes.gradients.adding import add
+from snapo.lanes.program.cut import Leaf, Piece
+from snapo.lanes.program.joint import forward, joint
+from snapo.lanes.program.passes import optimize
+from snapo.lanes.program.program import Op, Program, Value
+
+from .context import Build, Function, field
+
+
+def bind(values: Values, program: Program, piece: Piece, tables: Shared, fixed: bool) -> None:
+    """Tells where everything lies that a piece reads; tables do not change where `fixed`."""
+    for value, leaf in zip(program.inputs, piece.reads):
+        values.bind(value, tables.place(leaf, fixed))
+
+
+def prepare(build: Build) -> None:
+    """Writes the function that computes everything that the paths share."""
+    function = build.function("prepare")
+    for phase in build.traced.phases.values():
+        tables = function.tables()
+        _computed(build, function, phase.cut.call, phase.cut.call_leaves, tables, phase.name)
+    step = build.traced.phases["step"].cut
+    if step.step_leaves:
+        with function.code.loop(field("length")) as loop:
+            tables = function.tables(function.row(field("steps"), loop.i, "steps"))
+            _computed(build, function, step.step, step.step_leaves, tables, "step")
+    function.close()
+
+
+def _computed(
+    build: Build, function: Function, piece: Piece, leaves: list[Leaf], tables: Shared, name: str
+) -> None:
+    """A piece's outputs, written to their tables."""
+    if not leaves:
+        return
+    program = optimize(forward(piece, (), False))
+    build.show(f"{name}: computed once per {'step' if tables.step_row else 'call'}", program)
+    homes: dict[Value, Place] = {}
+    for value, leaf in zip(program.outputs, leaves):
+        homes.setdefault(value, tables.place(leaf))
+    values = Values(function.code, build.workspace(), homes)
+    bind(values, program, piece, tables, fixed=False)
+    operations.write(values, program.ops, program.outputs)
+    for value, leaf in zip(program.outputs, leaves):
+        place = tables.place(leaf)
+        if homes[value].offset != place.offset or value.constant is not None:
+            values.copy(value, place)
+    build.used(values.workspace)
+
+
+def finish(build: Build) -> None:
+    """Writes the function of the transposes of `prepare`, on sums over paths."""
+    function = build.function("finish")
+    step = build.traced.phases["step"].cut
+    if any(leaf.active for leaf in step.step_leaves):
+        with function.code.loop(field("length")) as loop:
+            tables = function.tables(function.row(field("steps"), loop.i, "steps"))
+            sums = function.sums(function.row(field("step_sums"), loop.i, "step_sums"))
+            _transposed(build, function, step.step, step.step_leaves, tables, sums)
+    for phase in reversed(build.traced.phases.values()):
+        given = function.tables(), function.sums()
+        _transposed(build, function, phase.cut.call, phase.cut.call_leaves, *given)
+    function.close()
+
+
+def _transposed(
+    build: Build, function: Function, piece: Piece, leaves: list[Leaf], tables: Shared, sums: Shared
+) -> None:
+    """The sums of a piece's outputs taken back to the piece's inputs."""
+    moving = [i for i, leaf in enumerate(leaves) if leaf.active]
+    if not moving:
+        return
+    both = joint(piece, moving, own_path=False)
+    back = both.program.outputs[both.outputs :]
+    program = optimize(Program(both.program.inputs, both.program.ops, back))
+    values = Values(function.code, build.workspace())
+    bind(values, program, piece, tables, fixed=True)
+    for value, i in zip(program.inputs[len(piece.reads) :], moving):
+        values.bind(value, _narrowed(values, sums.place(leaves[i]), value))
+    operations.write(values, program.ops, program.outputs)
+    for value, slot in zip(program.outputs, both.read_slots):
+        add(values, value, sums.place(piece.reads[slot]))
+    build.used(values.workspace)
+
+
+def _narrowed(values: Values, place: Place, value: Value) -> Small | Place:
+    """Sums are kept in float64; the transposes run in the call's precision."""
+    if value.dtype == np.float64:
+        return place
+    wide = Value(value.shape, np.dtype(np.float64))
+    values.bind(wide, place)
+    narrow = Op("convert_element_type", [wide], [value], {"new_dtype": value.dtype})
+    operations.write(values, [narrow], [value])
+    return values.get(value)

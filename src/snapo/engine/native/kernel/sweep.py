@@ -1,0 +1,102 @@
+"""One sweep of a phase while it is written: its function, its arrays, the present step."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+
+from snapo.lanes.emit.code import Code
+from snapo.lanes.emit.storage import Place
+from snapo.lanes.emit.values import Values
+from snapo.lanes.program.program import Program, Value
+
+from ..rollout import Phase
+from .context import Build, Function, field
+from .layouts import TAPES
+from .shared import bind
+
+ARGUMENTS = ", i64 %block, i64 %begin, i64 %end, i64 %stride"
+
+
+@dataclass(eq=False)
+class Sweep:
+    """One sweep of a phase at step `t`; `relative` counts from the segment's first step."""
+
+    build: Build
+    phase: Phase
+    function: Function
+    t: str
+    relative: str
+
+    @property
+    def code(self) -> Code:
+        return self.function.code
+
+    @property
+    def initial(self) -> bool:
+        return self.phase.name == "initial"
+
+    @property
+    def stepwise(self) -> bool:
+        return self.phase.name == "step"
+
+    def tape_row(self) -> str:
+        """The address of this step's row of the tape."""
+        distance = self.code.index(f"mul nsw i64 {self.relative}, %stride")
+        return self.code.pointer(field(TAPES[self.phase.name]), distance)
+
+    def values(self, program: Program, homes: dict[Value, Place]) -> Values:
+        """The arrays of a program; those that all paths share are known."""
+        values = Values(self.code, self.build.workspace(), homes)
+        row = self.function.row(field("steps"), self.t, "steps")
+        bind(values, program, self.phase.cut.path, self.function.tables(row), fixed=True)
+        return values
+
+    def block_row(self, layout: str) -> str:
+        """This block's row of [blocks, ...]."""
+        return self.function.row(field(layout), "%block", layout)
+
+    def step_row(self, layout: str) -> str:
+        """This block's and step's row of [blocks, steps, ...]."""
+        index = self.code.index(f"mul nsw i64 %block, {field('length')}")
+        index = self.code.index(f"add nsw i64 {index}, {self.t}")
+        return self.function.row(field(layout), index, layout)
+
+
+@contextmanager
+def sweep(build: Build, phase: Phase, direction: str) -> Iterator[Sweep]:
+    """The function of one sweep; its body is a loop over time, which other phases have none of."""
+    function = build.function(f"{phase.name}_{direction}", ARGUMENTS)
+    code = function.code
+    if phase.name == "step":
+        with code.loop("%end", first="%begin", down=direction == "reverse") as time:
+            yield _at(build, phase, function, time.i)
+    else:
+        yield _at(build, phase, function, "%begin")
+    function.close()
+
+
+def _at(build: Build, phase: Phase, function: Function, t: str) -> Sweep:
+    relative = function.code.index(f"sub nsw i64 {t}, %begin")
+    return Sweep(build, phase, function, t, relative)
+
+
+def replace_all(values: Values, pairs: list[tuple[Value, Place]]) -> None:
+    """Writes new values over old ones that some of them may still be views of."""
+    for value, place in pairs:
+        known = values.get(value)
+        if (
+            isinstance(known, Place)
+            and known.base in (field("carry"), field("cotangent"))
+            and not _same(known, place)
+        ):
+            aside = values.workspace.allocate(known.shape, known.dtype, known.lanes)
+            values.copy(value, aside)
+            values.bind(value, aside)
+    for value, place in pairs:
+        known = values.get(value)
+        if not (isinstance(known, Place) and _same(known, place)):
+            values.copy(value, place)
+
+
+def _same(a: Place, b: Place) -> bool:
+    return a.base == b.base and a.offset == b.offset and a.strides == b.strides

@@ -1,0 +1,16 @@
+"""A compiler from jaxprs to machine code for vectors of paths. It knows nothing of snapo.
+
+The input is a function of one path, as JAX traces it; the output is code that runs it, and its
+transpose, for a block of paths at once, one path per lane of a vector. The rooms, in the order in
+which a function passes through them (imports go from the later to the earlier):
+
+    program     straight-line programs: tracing, cutting, flattening, rewriting, the two sweeps
+    emit        a writer of LLVM IR: vectors, loops, memory; which array lies where
+    curves      exp, tanh, erf, sin … as polynomials on vectors
+    rules       one rule per kind of primitive: elementwise, rearranging, dot products, gathers
+    body        the order of a program's operations, and the loops that they share
+    gradients   sums over paths and steps, for arrays that all paths share
+    machine     this processor, machine code and its cache on disk, aligned memory, threads
+
+Without llvmlite all rooms but `machine` can be imported and used as far as they need no processor.
+"""

@@ -1,0 +1,1 @@
+"""A program's operations in the order in which they are emitted."""

@@ -1,0 +1,101 @@
+"""exp, expm1, tanh and the logistic function."""
+
+import math
+
+from ..emit.ref import Ref
+from .arithmetic import Arithmetic
+
+# (exp(r) - 1 - r) / r^2 on half an octave around 0.
+EXP = {
+    "float32": (
+        0.5, 0.16666569628115477, 0.04166654542109553, 0.00836438069329107, 0.0013927684616575004,
+    ),
+    "float64": (
+        0.5, 0.16666666666666666, 0.04166666666666668, 0.008333333333333335, 0.0013888888888877397,
+        0.00019841269841262181, 2.480158734081826e-05, 2.7557319250135434e-06,
+        2.755725868862393e-07,
+        2.5052068034668043e-08, 2.0919802534908384e-09, 1.6087737571667883e-10,
+    ),
+}  # fmt: skip
+# tanh(x) / x as a ratio of polynomials in x^2 up to the x from which the nearest number is 1:
+# minimax (2e-8), then the neighbours in float32 that round best.
+TANH32 = 9.02, (
+    1.0, 0.13382688164710999, 0.003497461322695017, 2.0635883629438467e-05, 1.3384359398571632e-08,
+), (
+    1.0, 0.46716001629829407, 0.02588437683880329, 0.0003288522711955011, 7.79027971020696e-07,
+)  # fmt: skip
+# tanh(y) / y in y^2 for |y| < ln 2 / 4: the sixth convergent of its continued fraction.
+TANH64 = (10395.0, 1260.0, 21.0), (10395.0, 4725.0, 210.0, 1.0)
+
+
+def growth(a: Arithmetic, r: Ref) -> Ref:
+    """exp(r) - 1 for small r."""
+    return a.code.fma(a.code.mul(r, r), a.polynomial(r, EXP[a.format.dtype]), r)
+
+
+def exp(a: Arithmetic, x: Ref) -> Ref:
+    """1 + growth, with n added to its exponent; zero in place of denormals."""
+    code, f = a.code, a.format
+    if f.dtype == "float32":
+        shifted, r = a.octaves(x)
+        risen = growth(a, r)
+    else:
+        # Twice p / (q - p), with p / q the hyperbolic tangent of half of the remainder.
+        shifted, y = a.octaves(code.op("fmul", x, a.real(0.5)), 0.5)
+        p, q = tangent(a, y)
+        risen = code.div(code.op("fadd", p, p), code.op("fsub", q, p))
+    near_one = a.bits(code.op("fadd", risen, a.real(1.0)))
+    octaves = code.op("shl", a.bits(shifted), a.whole(f.mantissa))
+    result = a.value(code.add(near_one, octaves))
+    beyond = code.op("fadd", x, a.real(math.inf))  # NaN for NaN
+    result = code.select(code.compare("ugt", x, a.real(f.largest)), beyond, result)
+    return code.select(code.compare("olt", x, a.real(f.smallest)), a.real(0.0), result)
+
+
+def tangent(a: Arithmetic, y: Ref) -> tuple[Ref, Ref]:
+    """p and q with p / q = tanh(y), for |y| < ln 2 / 4 in float64."""
+    square = a.code.op("fmul", y, y)
+    p = a.code.op("fmul", y, a.polynomial(square, TANH64[0]))
+    return p, a.polynomial(square, TANH64[1])
+
+
+def expm1(a: Arithmetic, x: Ref) -> Ref:
+    """2^n (exp(r) - 1) + 2^n - 1, at half size so that 2^n does not overflow."""
+    code, f = a.code, a.format
+    shifted, r = a.octaves(a.clamp(x, -f.mantissa - 10.0, math.ceil(f.largest)))
+    p = growth(a, r)
+    scale = a.power_of_two(shifted, 1)
+    whole = code.fma(scale, p, code.op("fsub", scale, a.real(0.5)))
+    whole = code.op("fadd", whole, whole)
+    result = code.select(code.compare("oeq", shifted, a.real(f.magic)), p, whole)
+    return code.call("llvm.copysign", result, x)
+
+
+def tanh(a: Arithmetic, x: Ref) -> Ref:
+    """A ratio of polynomials: of x in float32, of the remainder after halves of ln 2 in float64.
+
+    With |x| = n ln 2 / 2 + y and tanh(y) = p / q the answer is
+    ((2^n - 1) q + (2^n + 1) p) / ((2^n + 1) q + (2^n - 1) p).
+    """
+    code, f = a.code, a.format
+    if f.dtype == "float32":
+        end, top, bottom = TANH32
+        x = a.clamp(x, -end, end)
+        square = code.op("fmul", x, x)
+        top = code.op("fmul", x, a.polynomial(square, top))
+        return a.clamp(code.div(top, a.polynomial(square, bottom)), -1.0, 1.0)
+    size = a.clamp(code.call("llvm.fabs", x), None, 20.0)  # where the answer is 1
+    shifted, y = a.octaves(size, 0.5)
+    scale, (p, q) = a.power_of_two(shifted), tangent(a, y)
+    less, more = (code.op(o, scale, a.real(1.0)) for o in ("fsub", "fadd"))
+    top = code.fma(less, q, code.op("fmul", more, p))
+    bottom = code.fma(more, q, code.op("fmul", less, p))
+    return code.call("llvm.copysign", code.div(top, bottom), x)
+
+
+def logistic(a: Arithmetic, x: Ref) -> Ref:
+    """1 / (1 + exp(-x)), from exp(-|x|) so that the small tail keeps its digits."""
+    code = a.code
+    e = exp(a, code.op("fneg", code.call("llvm.fabs", x)))
+    top = code.select(code.compare("olt", x, a.real(0.0)), e, a.real(1.0))
+    return code.div(top, code.op("fadd", e, a.real(1.0)))

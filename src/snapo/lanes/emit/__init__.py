@@ -1,0 +1,1 @@
+"""A writer of LLVM IR for vectors of lanes."""

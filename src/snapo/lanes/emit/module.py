@@ -1,0 +1,59 @@
+"""The functions, tables and declarations of one kernel, as the text of a module."""
+
+import platform
+
+import numpy as np
+
+from ..numbers import TYPES, number, stored
+
+
+class Module:
+    """Functions and declarations of one kernel."""
+
+    def __init__(self, lanes: int, register: int):
+        self.lanes = lanes
+        self.register = register  # bytes in one vector register
+        self.functions: list[str] = []
+        self.declared: dict[str, None] = {}
+        self.instances: dict[str, None] = {}
+        self.tables: list[str] = []
+
+    @property
+    def x86(self) -> bool:
+        """Whether the processor understands LLVM's names for instructions of x86."""
+        return platform.machine().lower() in ("x86_64", "amd64")
+
+    @property
+    def few(self) -> bool:
+        """Whether the processor has 16 vector registers only: x86 before AVX-512."""
+        return self.register < 64 and self.x86
+
+    def declare(self, text: str) -> None:
+        self.declared[text] = None
+
+    def first(self, name: str) -> bool:
+        """Whether a function is asked for the first time; its text follows then."""
+        new = name not in self.instances
+        self.instances[name] = None
+        return new
+
+    def write(self, text: str) -> None:
+        """Appends the text of a function."""
+        self.functions.append(text)
+
+    def table(self, array: np.ndarray) -> str:
+        """A constant array of the kernel; gives its address."""
+        name = f"@table{len(self.tables)}"
+        kind = "i8" if array.dtype == np.bool_ else TYPES[array.dtype.name]
+        dtype = stored(array.dtype.name)
+        items = ", ".join(
+            f"{kind} {number(x, dtype)}" for x in np.asarray(array).astype(dtype).flat
+        )
+        self.tables.append(f"{name} = private constant [{array.size} x {kind}] [{items}], align 64")
+        return name
+
+    def text(self) -> str:
+        bits = 8 * self.register
+        width = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
+        tail = [f"attributes #0 = {{ {width} }}", "!0 = !{}", ""]
+        return "\n".join([*self.tables, *self.declared, "", *self.functions, "", *tail])

@@ -1,0 +1,162 @@
+"""Where each array of a program lies while a function is written."""
+
+import math
+from typing import Any
+
+import numpy as np
+
+from ..program.program import BIG, Value
+from .code import Code
+from .nest import fetch, nest
+from .ref import Ref
+from .storage import Place, Small, row_major
+
+
+class Workspace:
+    """Scratch memory of one thread, from the address `base` on: arrays between two regions."""
+
+    def __init__(self, base: str):
+        self.base = base
+        self.size = 0
+
+    def allocate(self, shape, dtype, lanes: int) -> Place:
+        place = Place(
+            self.base, self.size, tuple(shape), row_major(tuple(shape)), np.dtype(dtype), lanes
+        )
+        self.size += -(-math.prod(shape) * place.unit // 64) * 64
+        return place
+
+
+class Values:
+    """The arrays of one program inside one function: in registers, or in memory.
+
+    `homes` are places where given values must lie when the function ends (tape, chunk rows); an
+    operation that writes memory writes there at once.
+    """
+
+    def __init__(self, code: Code, workspace: Workspace, homes: dict[Value, Place] | None = None):
+        self.code = code
+        self.workspace = workspace
+        self.homes = homes or {}
+        self._where: dict[Value, Small | Place] = {}
+
+    def bind(self, value: Value, known: Small | Place) -> None:
+        """From here on the value lies there."""
+        self._where[value] = known
+
+    def held(self, value: Value) -> Small | Place | None:
+        """Where a value lies; None where it does not exist yet."""
+        return self._where.get(value)
+
+    def settle_all(self) -> None:
+        """Copies every value to its home."""
+        for value in list(self._where):
+            self.settle(value)
+
+    def settle(self, value: Value) -> None:
+        """Copies a value to its home where it is not there already."""
+        home = self.homes.get(value)
+        if home is None or value not in self._where or self._where[value] is home:
+            return
+        self.copy(value, home)
+        if isinstance(self._where[value], Place):
+            self._where[value] = home
+
+    def lanes(self, value: Value) -> int:
+        return self.code.lanes if value.path else 1
+
+    # Reading.
+
+    def get(self, value: Value) -> Small | Place:
+        known = self._where.get(value)
+        if known is None:
+            assert value.constant is not None, "a value is read before it exists"
+            known = self._where[value] = self.known(value)
+        return known
+
+    def known(self, value: Value) -> Small | Place:
+        """A constant: registers where it is small or all the same, else a table in the kernel."""
+        array = np.asarray(value.constant)
+        if (array.size and np.all(array == array.flat[0])) or array.size == 1:
+            ref = self.code.constant(array.flat[0], array.dtype)
+            single = np.empty((1,) * array.ndim, object)
+            single[...] = ref
+            return Small(np.broadcast_to(single, array.shape))
+        if array.size <= BIG:
+            return Small(
+                objects([self.code.constant(x, array.dtype) for x in array.flat], array.shape)
+            )
+        base = self.code.module.table(array)
+        return Place(base, 0, array.shape, row_major(array.shape), array.dtype, 1, True)
+
+    def small(self, value: Value) -> Any:
+        """The elements as registers, loaded if they lie in memory."""
+        known = self.get(value)
+        if isinstance(known, Place):
+            refs = [known.read(self.code, list(map(int, p))) for p in np.ndindex(*known.shape)]
+            known = Small(objects(refs, known.shape))
+            if value.size <= 4 * BIG:
+                self._where[value] = known
+        return known.items
+
+    def place(self, value: Value) -> Place:
+        """The array in memory, stored there if it lies in registers."""
+        known = self.get(value)
+        if isinstance(known, Place):
+            return known
+        home = self.homes.get(value)
+        if home is None:
+            home = self.workspace.allocate(known.shape, value.dtype, self.width(known))
+            self.copy(value, home)
+        return home
+
+    def width(self, small: Small) -> int:
+        return (
+            max((r.lanes for r in small.items.flat), default=1)
+            if small.uniform is None
+            else small.uniform.lanes
+        )
+
+    def operand(self, value: Value, shape: tuple[int, ...]) -> Ref | Place:
+        """The source for a loop over `shape`: one register for all elements, or memory."""
+        known = self.get(value)
+        if isinstance(known, Small) and known.uniform is not None:
+            return known.uniform
+        return self.place(value).broadcast(shape)
+
+    # Writing.
+
+    def set(self, value: Value, items: np.ndarray | Ref) -> None:
+        """Registers for a value; NumPy gives a bare element where an array has no axes."""
+        if isinstance(items, Ref):
+            items = objects([items], ())
+        self._where[value] = Small(items)
+
+    def target(self, value: Value) -> Place:
+        """Memory for a new array: its home, or the workspace."""
+        home = self.homes.get(value)
+        return home or self.workspace.allocate(value.shape, value.dtype, self.lanes(value))
+
+    def copy(self, value: Value, target: Place) -> None:
+        """Writes a value to a place; it stays where it was."""
+        known = self.get(value)
+        if (isinstance(known, Small) and known.uniform is None) or math.prod(known.shape) <= BIG:
+            for p in np.ndindex(*target.shape):
+                ref = (
+                    known.items[p]
+                    if isinstance(known, Small)
+                    else known.read(self.code, list(map(int, p)))
+                )
+                target.write(self.code, list(map(int, p)), ref)
+            return
+        source = self.operand(value, value.shape)
+        with nest(self.code, value.shape, [source, target]) as position:
+            target.write(self.code, position, fetch(self.code, source, position))
+
+
+def objects(refs: list[Ref], shape) -> np.ndarray:
+    """Registers as an array: NumPy must not look inside them."""
+    array = np.empty(len(refs), object)
+    for i, ref in enumerate(refs):
+        array[i] = ref
+    return array.reshape(shape)

@@ -1,0 +1,66 @@
+"""The gradients of a step's own numbers, added up as they come."""
+
+import numpy as np
+
+from ..emit.code import Code
+from ..emit.ref import Ref
+from ..emit.shared import Shared
+from ..emit.storage import Place, Small
+from ..emit.values import Values
+from ..program.program import BIG
+from .across import across, add_row
+from .adding import add, add_number
+from .rows import Rows
+
+
+def accumulate(values: Values, rows: Rows, sums: Shared, tape_row: str, chunk_row: str) -> None:
+    """Adds up all that belongs to this step's own numbers."""
+    singles: list[tuple[Place, Ref]] = []
+    for g in rows.gradients.items:
+        if sums.of_call(g.leaf):
+            continue
+        target = sums.place(g.leaf)
+        for t in g.terms:
+            rows.product(values.code, t, target, tape_row, chunk_row, "1")
+        for value in g.rest:
+            known = values.held(value)
+            if value.size <= BIG and isinstance(known, Small):
+                singles += [(target.at(p), known.items[p]) for p in np.ndindex(*value.shape)]
+            else:
+                add(values, value, target)
+    add_together(values.code, [(place, x) for place, x in singles if x.lanes == values.code.lanes])
+    for place, x in singles:
+        if x.lanes != values.code.lanes:
+            add_number(values.code, place, [], x)
+
+
+def add_together(code: Code, singles: list[tuple[Place, Ref]]) -> None:
+    """Adds sums over lanes to float64 memory: a register's lanes of one become lanes of many."""
+    singles = sorted(singles, key=lambda pair: (pair[0].base, pair[0].offset))
+    if not singles:
+        return
+    width = code.module.register // np.dtype(singles[0][1].dtype).itemsize
+    for start in range(0, len(singles), width):
+        group = singles[start : start + width]
+        vectors = []
+        for _, x in group:
+            parts = [code.part(x, k, width) for k in range(x.lanes // width)]
+            while len(parts) > 1:
+                parts = [code.op("fadd", *parts[k : k + 2]) for k in range(0, len(parts), 2)]
+            vectors += parts
+        (sums,) = across(code, vectors, width)
+        for first, count in _neighbours([place for place, _ in group]):
+            place = group[first][0]
+            add_row(code, code.pointer(place.base, place.offset), sums, range(first, first + count))
+
+
+def _neighbours(places: list[Place]) -> list[tuple[int, int]]:
+    """(first, how many) of numbers that lie side by side in memory."""
+    runs = [[0, 1]]
+    for i in range(1, len(places)):
+        before, place = places[i - 1], places[i]
+        if place.base == before.base and place.offset == before.offset + place.unit:
+            runs[-1][1] += 1
+        else:
+            runs.append([i, 1])
+    return [(first, count) for first, count in runs]

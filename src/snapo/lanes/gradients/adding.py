@@ -1,0 +1,70 @@
+"""Sums of gradients in float64 memory: of numbers, of arrays, and of waiting rows."""
+
+import math
+
+import numpy as np
+
+from ..emit.code import Code
+from ..emit.nest import fetch, nest
+from ..emit.ref import Ref
+from ..emit.storage import Place, Small
+from ..emit.values import Values
+from ..program.program import BIG, Value
+from .ranges import ranges
+
+
+def add(values: Values, value: Value, target: Place) -> None:
+    """Adds a value, summed over lanes, to float64 memory of the same shape."""
+    if value.constant is not None and not np.any(value.constant):
+        return
+    code, known = values.code, values.get(value)
+    if isinstance(known, Small) and (value.size <= BIG or known.uniform is None):
+        for p in np.ndindex(*value.shape):
+            add_number(code, target, list(p), known.items[p])
+        return
+    source = values.operand(value, value.shape)
+    with nest(code, value.shape, [source, target]) as position:
+        add_number(code, target, position, fetch(code, source, position))
+
+
+def add_number(code: Code, target: Place, position, x: Ref) -> None:
+    """Adds a number, summed over lanes, to one element of float64 memory."""
+    if x.value is not None and x.value == 0:
+        return
+    target.write(code, position, code.add(target.read(code, position), total(code, x)))
+
+
+def total(code: Code, x: Ref) -> Ref:
+    """The sum over lanes, in float64."""
+    wide = x if x.dtype == "float64" else code.convert("fpext", x, "float64")
+    if wide.lanes == 1:
+        return wide
+    name = f"@llvm.vector.reduce.fadd.v{wide.lanes}f64"
+    code.module.declare(f"declare double {name}(double, {wide.type})")
+    scalar = code.raw(f"call reassoc double {name}(double -0.0, {wide.type} {wide.text})")
+    return Ref(code.raw(f"insertelement <1 x double> poison, double {scalar}, i64 0"), "float64", 1)
+
+
+def add_rows(code: Code, place: Place, stride: str, count: str, target: Place) -> None:
+    """Adds every element's sum over lanes and steps, some elements side by side."""
+    size = math.prod(place.shape)
+    flat = Place(place.base, place.offset, (size,), (1,), place.dtype, place.lanes)
+    into = Place(target.base, target.offset, (size,), (1,), target.dtype, 1)
+
+    def some(first: str, number: int) -> None:
+        start = flat.address(code, [first])
+        zeros = tuple(code.constant(0.0, place.dtype, place.lanes) for _ in range(number))
+        with code.loop(count, zeros) as loop:
+            row = code.pointer(start, code.index(f"mul nsw i64 {loop.i}, {stride}"))
+            loop.results = [
+                code.op(
+                    "fadd",
+                    total,
+                    code.load(code.pointer(row, k * flat.unit), place.dtype, place.lanes),
+                )
+                for k, total in enumerate(loop.carried)
+            ]
+        for k, found in enumerate(loop.results):
+            add_number(code, into, [code.index(f"add nsw i64 {first}, {k}")], found)
+
+    ranges(code, size, 4, some)

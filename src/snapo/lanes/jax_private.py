@@ -1,0 +1,80 @@
+"""All private names of JAX that the compiler uses, and the releases they were tested with.
+
+JAX promises nothing about them: each release may rename or change one. Outside of the tested
+releases, or where a name is missing, `unavailable` gives the reason and nothing is compiled.
+"""
+
+import re
+from importlib import import_module
+from typing import Any
+
+import jax
+
+# The first tested release, and the first that was not tested.
+TESTED = (0, 10), (0, 13)
+
+# Calls are primitives whose names and parameters are JAX's own affair: name -> parameter.
+CALLS = {
+    "jit": "jaxpr",
+    "pjit": "jaxpr",
+    "closed_call": "call_jaxpr",
+    "core_call": "call_jaxpr",
+    "checkpoint": "jaxpr",
+    "remat": "jaxpr",
+    "remat2": "jaxpr",
+    "custom_jvp_call": "call_jaxpr",
+    "custom_vjp_call": "call_jaxpr",
+    "custom_vjp_call_jaxpr": "fun_jaxpr",
+}
+# The function inside `jnp.searchsorted`, which is compiled as one operation.
+SEARCH = "_searchsorted_scan_impl"
+# Modules, and the names that are used of each.
+_NAMES = {
+    "jax.extend.core": ("Literal",),
+    "jax._src.source_info_util": ("summarize", "user_frame", "user_context"),
+}
+
+_found: dict[str, Any] = {}
+_missing: list[str] = []
+for _module, _names in _NAMES.items():
+    for _name in _names:
+        try:
+            _found[_name] = getattr(import_module(_module), _name)
+        except (ImportError, AttributeError):
+            _missing.append(f"{_module}.{_name}")
+
+
+def unavailable(version: str = jax.__version__) -> str | None:
+    """The reason why this release of JAX cannot be compiled from; None where it can."""
+    first, end = TESTED
+    release = tuple(int(part) for part in re.findall(r"\d+", version)[:2])
+    if not first <= release < end:
+        low, high = (".".join(map(str, each)) for each in TESTED)
+        return f"jax {version} is not among the releases it was tested with ({low} to below {high})"
+    if _missing:
+        return f"jax {version} has no {', '.join(_missing)}"
+    return None
+
+
+def is_literal(atom) -> bool:
+    """Whether an input of an equation is a number, not a variable."""
+    return isinstance(atom, _found["Literal"])
+
+
+def line_of(eqn) -> str:
+    """The line of user code that an equation came from, as file:line:column and function."""
+    return _found["summarize"](eqn.source_info)
+
+
+def traceback_of(eqn, caller=None) -> Any:
+    """An equation's traceback, or the caller's where it holds no line of user code."""
+    traceback = eqn.source_info.traceback
+    return caller if _found["user_frame"](traceback) is None else traceback
+
+
+def apply(eqn, inputs: list, traceback) -> list:
+    """Applies an equation, under the line of user code that it came from."""
+    params = eqn.primitive.get_bind_params(eqn.params)
+    with _found["user_context"](traceback), eqn.ctx.manager:
+        outputs = eqn.primitive.bind(*inputs, **params)
+    return outputs if eqn.primitive.multiple_results else [outputs]

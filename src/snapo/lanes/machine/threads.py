@@ -1,0 +1,100 @@
+"""Work handed out to threads that wait for it."""
+
+import os
+import threading
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import TypeVar
+
+import numpy as np
+
+Own = TypeVar("Own")
+
+
+def spread(
+    one: Callable[[int, Own], None],
+    groups: int,
+    threads: int,
+    stop: np.ndarray,
+    own: Callable[[], AbstractContextManager[Own]],
+) -> None:
+    """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
+
+    `own` gives each thread its own scratch memory, and `stop` is a flag that ends the work.
+    """
+    waiting = iter(range(groups))
+    lock = threading.Lock()
+    failures: list[BaseException] = []
+
+    def work() -> None:
+        with own() as mine:
+            while not stop[0]:
+                with lock:
+                    group = next(waiting, None)
+                if group is None:
+                    break
+                one(group, mine)
+
+    def help() -> None:
+        try:
+            work()
+        except BaseException as error:  # pragma: no cover
+            failures.append(error)
+            stop[:] = 1
+
+    others = [_helper().take(help) for _ in range(threads - 1)]
+    try:
+        work()
+        _wait(others)
+    except BaseException:
+        stop[:] = 1
+        _wait(others)
+        raise
+    if failures:
+        raise failures[0]
+
+
+class Helper(threading.Thread):
+    """A thread that waits for work: starting one anew would cost more than a small kernel."""
+
+    def __init__(self):
+        super().__init__(name="lanes", daemon=True)
+        self.begin = threading.Lock()
+        self.begin.acquire()
+        self.start()
+
+    def take(self, work: Callable[[], None]) -> threading.Lock:
+        """Begins the work, and returns the lock that is free once it is done."""
+        done = threading.Lock()
+        done.acquire()
+        self.task = work, done
+        self.begin.release()
+        return done
+
+    def run(self) -> None:
+        while True:
+            self.begin.acquire()
+            work, done = self.task
+            work()
+            del work, self.task  # memory that the work held is free before the caller goes on
+            _idle.append(self)
+            done.release()
+
+
+_idle: list[Helper] = []
+if hasattr(os, "register_at_fork"):  # a forked child has none of its parent's threads
+    os.register_at_fork(after_in_child=_idle.clear)
+
+
+def _helper() -> Helper:
+    try:
+        return _idle.pop()
+    except IndexError:
+        return Helper()
+
+
+def _wait(others: list[threading.Lock]) -> None:
+    """Until each lock is free; it may be done twice."""
+    for done in others:
+        with done:
+            pass

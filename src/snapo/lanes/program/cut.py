@@ -1,0 +1,172 @@
+"""A function of one path as JAX sees it, cut by the inputs that its numbers depend on.
+
+    call   on inputs that the whole call shares        computed once per call
+    step   on those that all paths of a step share     computed once per step, as scalars
+    path   on a path's own inputs                      computed for lanes of paths
+
+Every piece is then differentiated on its own (`joint`).
+"""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..jax_private import CALLS, SEARCH, apply, is_literal, traceback_of
+
+CONSTANT, CALL, STEP, PATH = range(4)
+# Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
+LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
+
+
+@dataclass(eq=False)
+class Leaf:
+    """One array that crosses a boundary between pieces: its type, and whether it has a gradient."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    active: bool
+
+    @property
+    def aval(self):
+        return jax.ShapeDtypeStruct(self.shape, self.dtype)
+
+
+@dataclass(eq=False)
+class Piece:
+    """Equations with their `inputs` and `outputs`, before differentiation.
+
+    `reads` are leaves of earlier pieces, one for each of the first inputs; the remaining inputs
+    belong to the path.
+    """
+
+    reads: list[Leaf]
+    inputs: list[Any]
+    eqns: list[Any]
+    outputs: list[Any]
+    constants: dict[Any, Any] = field(default_factory=dict)
+
+    def __call__(self, *values):
+        env = dict(self.constants)
+        env.update(zip(self.inputs, values))
+
+        def read(atom):
+            return atom.val if is_literal(atom) else env[atom]
+
+        for eqn in self.eqns:
+            inputs = [read(a) for a in eqn.invars]
+            env.update(zip(eqn.outvars, apply(eqn, inputs, eqn.source_info.traceback)))
+        return [read(a) for a in self.outputs]
+
+
+def inlined(function: Callable, avals: Sequence[Any]):
+    """The jaxpr of a function with plain calls inlined; rules of differentiation stay whole."""
+    closed = jax.make_jaxpr(function)(*avals)
+    if not any(map(_plain_call, closed.jaxpr.eqns)):
+        return closed
+    return jax.make_jaxpr(lambda *values: evaluate(closed, values))(*avals)
+
+
+def _plain_call(eqn) -> bool:
+    name = eqn.primitive.name
+    return name in ("jit", "pjit", "closed_call") and eqn.params.get("name") != SEARCH
+
+
+def evaluate(closed, values, caller=None):
+    """Applies a jaxpr's equations, and those of the plain calls in it.
+
+    Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
+    """
+    jaxpr = closed.jaxpr
+    env = dict(zip(jaxpr.constvars, closed.consts))
+    env.update(zip(jaxpr.invars, values))
+
+    def read(atom):
+        return atom.val if is_literal(atom) else env[atom]
+
+    for eqn in jaxpr.eqns:
+        inputs = [read(a) for a in eqn.invars]
+        line = traceback_of(eqn, caller)
+        if _plain_call(eqn):
+            outputs = evaluate(eqn.params[CALLS[eqn.primitive.name]], inputs, line)
+        else:
+            outputs = apply(eqn, inputs, line)
+        env.update(zip(eqn.outvars, outputs))
+    return [read(a) for a in jaxpr.outvars]
+
+
+@dataclass(eq=False)
+class Cut:
+    """A function, cut into a piece per level."""
+
+    call: Piece
+    step: Piece
+    path: Piece
+    call_leaves: list[Leaf]
+    step_leaves: list[Leaf]
+
+
+def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
+    """Cuts a jaxpr. `levels` and `leaves` describe its inputs; paths' inputs have no leaf."""
+    jaxpr = closed.jaxpr
+    level = {v: CONSTANT for v in jaxpr.constvars} | dict(zip(jaxpr.invars, levels))
+    leaf: dict[Any, Leaf] = {v: x for v, x in zip(jaxpr.invars, leaves) if x is not None}
+    active = {v for v, x in zip(jaxpr.invars, leaves) if x is None or x.active}
+    maker = {}
+    for eqn in jaxpr.eqns:
+        atoms = [a for a in eqn.invars if not is_literal(a)]
+        top = max([level[a] for a in atoms], default=CONSTANT)
+        for v in eqn.outvars:
+            level[v], maker[v] = top, eqn
+            if any(a in active for a in atoms) and jnp.issubdtype(v.aval.dtype, jnp.floating):
+                active.add(v)
+    consts = dict(zip(jaxpr.constvars, closed.consts))
+
+    def piece(own: int, outputs) -> Piece:
+        """The equations of one level that these outputs need, and their reads from below."""
+        eqns, boundary = _closure(
+            jaxpr, outputs, own, level, maker, set(jaxpr.invars) | set(consts)
+        )
+        below = [v for v in boundary if v not in consts and (level[v] < PATH or own < PATH)]
+        for v in below:
+            if v not in leaf:
+                leaf[v] = Leaf(v.aval.shape, np.dtype(v.aval.dtype), v in active)
+        rest = [v for v in jaxpr.invars if level[v] == PATH] if own == PATH else []
+        constants = {v: consts[v] for v in boundary if v in consts}
+        return Piece([leaf[v] for v in below], [*below, *rest], eqns, list(outputs), constants)
+
+    path = piece(PATH, jaxpr.outvars)
+    given = set(jaxpr.invars)
+    steps = [v for v in path.inputs if level[v] == STEP and v not in given]
+    step = piece(STEP, steps)
+    calls = [v for v in [*path.inputs, *step.inputs] if level[v] == CALL and v not in given]
+    call = piece(CALL, list(dict.fromkeys(calls)))
+    return Cut(call, step, path, [leaf[v] for v in call.outputs], [leaf[v] for v in step.outputs])
+
+
+def _closure(jaxpr, outputs, own, level, maker, given):
+    """Equations needed for `outputs` at a level, with cheap rearrangements of lower levels."""
+    wanted, boundary = set(), {}
+    stack = [v for v in outputs if not is_literal(v)]
+    seen = set()
+    while stack:
+        v = stack.pop()
+        if v in seen:
+            continue
+        seen.add(v)
+        eqn = maker.get(v)
+        stays = eqn is not None and (
+            level[v] in (own, CONSTANT) or (eqn.primitive.name in LAYOUT and v.aval.size >= 1)
+        )
+        if v in given or not stays:
+            boundary[v] = None
+            continue
+        wanted.add(id(eqn))
+        stack.extend(a for a in eqn.invars if not is_literal(a))  # pyright: ignore
+    eqns = [e for e in jaxpr.eqns if id(e) in wanted]
+    order = {v: i for i, v in enumerate([*jaxpr.constvars, *jaxpr.invars])}
+    order |= {v: len(order) + i for i, e in enumerate(jaxpr.eqns) for v in e.outvars}
+    return eqns, sorted(boundary, key=lambda v: order[v])

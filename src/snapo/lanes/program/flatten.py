@@ -1,0 +1,156 @@
+"""From a jaxpr, which nests, to a `Program`, which does not.
+
+Calls are inlined, short loops unrolled, branches evaluated on both sides and selected, and
+arithmetic on constants done at once.
+"""
+
+from typing import Any
+
+import numpy as np
+
+from .. import numbers
+from ..jax_private import CALLS, SEARCH, is_literal, line_of
+from ..unsupported import Unsupported
+from . import folding
+from .program import Op, Program, Value, constant
+
+UNROLL = 64  # longest inner loop that is written out
+LARGEST = 20_000  # most operations in one program
+
+
+def flatten(closed, path: list[bool]) -> Program:
+    """A closed jaxpr as a program; `path` says which inputs differ between paths."""
+    jaxpr = closed.jaxpr
+    inputs = [Value(v.aval.shape, np.dtype(v.aval.dtype), p) for v, p in zip(jaxpr.invars, path)]
+    builder = Flattener()
+    outputs = builder.run(jaxpr, [constant(c) for c in closed.consts], inputs)
+    return Program(inputs, builder.ops, outputs)
+
+
+IDENTITIES = {"copy", "copy_p", "optimization_barrier", "stop_gradient"}
+
+
+class Flattener:
+    """The operations so far, and the line of user code that comes next."""
+
+    def __init__(self):
+        self.ops: list[Op] = []
+        self.line = ""  # of the call whose equations these are, as those may know none
+
+    def run(self, jaxpr, consts: list[Value], inputs: list[Value]) -> list[Value]:
+        env: dict[Any, Value] = dict(zip(jaxpr.constvars, consts))
+        env.update(zip(jaxpr.invars, inputs))
+
+        def read(atom) -> Value:
+            if is_literal(atom):
+                return constant(np.asarray(atom.val, atom.aval.dtype))  # pyright: ignore
+            return env[atom]
+
+        for eqn in jaxpr.eqns:
+            outputs = self.equation(eqn, [read(a) for a in eqn.invars])
+            env.update(zip(eqn.outvars, outputs))
+        return [read(a) for a in jaxpr.outvars]
+
+    def equation(self, eqn, inputs: list[Value]) -> list[Value]:
+        caller, self.line = self.line, line_of(eqn) or self.line
+        outputs = self.operation(eqn, inputs, self.line)
+        self.line = caller
+        return outputs
+
+    def operation(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+        name = eqn.primitive.name
+        if name in CALLS and eqn.params.get("name") != SEARCH:
+            return self.inline(eqn.params[CALLS[name]], inputs)
+        if name in IDENTITIES:
+            return inputs
+        if name == "scan":
+            return self.scan(eqn, inputs, line)
+        if name == "cond":
+            return self.branches(eqn, inputs, line)
+        if name == "while":
+            raise Unsupported(f"while: loops of unknown length, at {line}")
+        if len(self.ops) > LARGEST:
+            raise Unsupported(f"{name}: more than {LARGEST} operations in one step, at {line}")
+        name = "searchsorted" if eqn.params.get("name") == SEARCH else name
+        return self.add(name, inputs, [v.aval for v in eqn.outvars], eqn.params, line)
+
+    def add(self, name, inputs, avals, params, line="") -> list[Value]:
+        """Appends an operation, or folds it when everything it reads is known."""
+        if any(not numbers.known(a.dtype) for a in avals):
+            raise Unsupported(f"{name}: numbers of type {avals[0].dtype}, at {line}")
+        inputs = [v if v.size else constant(np.zeros(v.shape, v.dtype)) for v in inputs]
+        if name == "concatenate":
+            inputs = [v for v in inputs if v.size] or inputs
+        folded = folding.fold(name, params, [v.constant for v in inputs], avals)
+        if folded is not None:
+            return [constant(a) for a in folded]
+        if any(v.size == 0 for v in inputs):
+            written = inputs[-1] if name.startswith("scatter") else inputs[min(1, len(inputs) - 1)]
+            if name.startswith(("scatter", "dynamic_update")) and not written.size:
+                return inputs[:1]
+            # Indices without elements choose the whole array.
+            if not name.startswith(("scatter", "gather")) or not inputs[0].size:
+                raise Unsupported(f"{name}: of an array without elements, at {line}")
+        path = any(v.path for v in inputs)
+        outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
+        self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
+        return outputs
+
+    def inline(self, inner, inputs: list[Value]) -> list[Value]:
+        jaxpr, consts = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])
+        return self.run(jaxpr, [constant(c) for c in consts], inputs)
+
+    def branches(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+        """`cond` and `switch`: every branch, then a selection."""
+        index, *rest = inputs
+        branches = eqn.params["branches"]
+        if index.constant is not None:
+            chosen = int(np.clip(int(index.constant), 0, len(branches) - 1))
+            return self.inline(branches[chosen], rest)
+        outcomes = [self.inline(b, rest) for b in branches]
+        if index.dtype != np.bool_:
+            low, high = constant(index.dtype.type(0)), constant(index.dtype.type(len(branches) - 1))
+            (index,) = self.add("clamp", [low, index, high], [index], {}, line)
+        avals = [v.aval for v in eqn.outvars]
+        return [
+            self.add("select_n", [index, *options], [aval], {}, line)[0]
+            for aval, *options in zip(avals, *outcomes)
+        ]
+
+    def scan(self, eqn, inputs: list[Value], line: str) -> list[Value]:
+        """An inner `scan` or `fori_loop`, written out."""
+        p = eqn.params
+        length, consts, carries = p["length"], p["num_consts"], p["num_carry"]
+        if length > UNROLL:
+            raise Unsupported(f"scan: {length} inner steps (at most {UNROLL}), at {line}")
+        fixed, carry, xs = (
+            inputs[:consts],
+            inputs[consts : consts + carries],
+            inputs[consts + carries :],
+        )
+        body = p["jaxpr"]
+        order = range(length - 1, -1, -1) if p["reverse"] else range(length)
+        rows: dict[int, list[Value]] = {}
+        for i in order:
+            now = [self.row(x, i, line) for x in xs]
+            outputs = self.inline(body, [*fixed, *carry, *now])
+            carry, rows[i] = outputs[:carries], outputs[carries:]
+        stacked = [
+            self.stack([rows[i][j] for i in range(length)], v.aval, line)
+            for j, v in enumerate(eqn.outvars[carries:])
+        ]
+        return [*carry, *stacked]
+
+    def row(self, x: Value, i: int, line: str) -> Value:
+        shape = (1, *x.shape[1:])
+        starts = (i, *(0,) * (len(x.shape) - 1))
+        limits = (i + 1, *x.shape[1:])
+        params = {"start_indices": starts, "limit_indices": limits, "strides": None}
+        (part,) = self.add("slice", [x], [Value(shape, x.dtype)], params, line)
+        out = Value(x.shape[1:], x.dtype)
+        return self.add("squeeze", [part], [out], {"dimensions": (0,)}, line)[0]
+
+    def stack(self, rows: list[Value], aval, line: str) -> Value:
+        if not rows:
+            return constant(np.zeros(aval.shape, aval.dtype))
+        return self.add("stack", rows, [aval], {"axis": 0}, line)[0]

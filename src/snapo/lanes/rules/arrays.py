@@ -1,0 +1,232 @@
+"""Primitives that rearrange arrays: views where that is possible, else copies."""
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from ..emit.storage import Place, Small, row_major
+from ..emit.values import Values
+from ..program import folding
+from ..program.program import BIG, Op, Value
+from ..unsupported import Unsupported
+
+Rule = Callable[[Values, Op], None]
+
+
+def rearranged(
+    small: Callable[[Op, np.ndarray], np.ndarray], strided: Callable[[Op, Place], Place | None]
+) -> Rule:
+    """A rule from a function of NumPy arrays and one of places, which gives None for no view."""
+
+    def rule(values: Values, op: Op) -> None:
+        known = values.get(op.inputs[0])
+        if isinstance(known, Place):
+            view = strided(op, known)
+            if view is not None:
+                values.bind(op.outputs[0], view)
+                return
+            moved = values.workspace.allocate(known.shape, known.dtype, known.lanes)
+            values.copy(op.inputs[0], moved)
+            view = strided(op, moved)
+            assert view is not None
+            values.bind(op.outputs[0], view)
+            return
+        assert isinstance(known, Small)
+        values.set(op.outputs[0], small(op, known.items))
+
+    return rule
+
+
+def _broadcast(op: Op, items: np.ndarray) -> np.ndarray:
+    return folding.broadcast(items, op.params["shape"], op.params["broadcast_dimensions"])
+
+
+def _broadcast_place(op: Op, place: Place) -> Place:
+    shape, dims = op.params["shape"], op.params["broadcast_dimensions"]
+    strides = [0] * len(shape)
+    for axis, size, stride in zip(dims, place.shape, place.strides):
+        strides[axis] = stride if size == shape[axis] else 0
+    return replace(place, shape=tuple(shape), strides=tuple(strides))
+
+
+def _reshape(op: Op, items: np.ndarray) -> np.ndarray:
+    return items.reshape(op.outputs[0].shape)
+
+
+def _reshape_place(op: Op, place: Place) -> Place | None:
+    """A view, unless the elements do not lie in order."""
+    shape = op.outputs[0].shape
+    if place.contiguous:
+        return replace(place, shape=shape, strides=row_major(shape))
+    kept = [(n, s) for n, s in zip(place.shape, place.strides) if n != 1]
+    if [n for n, _ in kept] == [n for n in shape if n != 1]:
+        rest = iter(kept)
+        return replace(
+            place, shape=shape, strides=tuple(0 if n == 1 else next(rest)[1] for n in shape)
+        )
+    return None
+
+
+def _transpose_place(op: Op, place: Place) -> Place:
+    order = op.params["permutation"]
+    return replace(
+        place,
+        shape=tuple(place.shape[i] for i in order),
+        strides=tuple(place.strides[i] for i in order),
+    )
+
+
+def _slice_place(op: Op, place: Place) -> Place:
+    return sliced(
+        place, [(s.start, s.step) for s in folding.slices(op.params)], op.outputs[0].shape
+    )
+
+
+def sliced(place: Place, starts, shape) -> Place:
+    """The view from `starts` = (start, step) along every axis."""
+    offset = sum(int(start) * stride for (start, _), stride in zip(starts, place.strides))
+    strides = tuple(stride * step for (_, step), stride in zip(starts, place.strides))
+    return replace(
+        place, offset=place.offset + offset * place.unit, shape=tuple(shape), strides=strides
+    )
+
+
+def _reverse_place(op: Op, place: Place) -> Place:
+    axes = op.params["dimensions"]
+    starts = [(n - 1, -1) if i in axes else (0, 1) for i, n in enumerate(place.shape)]
+    return sliced(place, starts, place.shape)
+
+
+def _concatenate(values: Values, op: Op) -> None:
+    axis = op.params["dimension"]
+    pieces = [(v, v.shape[axis]) for v in op.inputs]
+    _join(values, op, axis, pieces)
+
+
+def _stack(values: Values, op: Op) -> None:
+    """`stack` along a new axis."""
+    axis, out = op.params["axis"], op.outputs[0]
+    if out.size <= BIG or (all(v.size == 1 for v in op.inputs) and out.size <= 4 * BIG):
+        values.set(out, np.stack([values.small(v) for v in op.inputs], axis))
+        return
+    target = values.target(out)
+    for i, v in enumerate(op.inputs):
+        starts = [(i if a == axis else 0, 1) for a in range(len(out.shape))]
+        shape = [n for a, n in enumerate(out.shape) if a != axis]
+        part = sliced(target, starts, out.shape)
+        strides = tuple(s for a, s in enumerate(part.strides) if a != axis)
+        values.copy(v, replace(part, shape=tuple(shape), strides=strides))
+    values.bind(out, target)
+
+
+def _join(values: Values, op: Op, axis: int, pieces) -> None:
+    out = op.outputs[0]
+    if out.size <= BIG:
+        values.set(out, np.concatenate([values.small(v) for v, _ in pieces], axis))
+        return
+    target, start = values.target(out), 0
+    for v, size in pieces:
+        starts = [(start if a == axis else 0, 1) for a in range(len(out.shape))]
+        values.copy(v, sliced(target, starts, v.shape))
+        start += size
+    values.bind(out, target)
+
+
+def _pad(values: Values, op: Op) -> None:
+    x, filler = op.inputs
+    config, out = op.params["padding_config"], op.outputs[0]
+    if any(low < 0 or high < 0 for low, high, _ in config):
+        x, config = _cropped(values, op, x, config)
+    fill = values.small(filler)[()]
+    inner = tuple(
+        slice(low, low + (n - 1) * (gap + 1) + 1 if n else low, gap + 1)
+        for (low, _, gap), n in zip(config, x.shape)
+    )
+    if out.size <= BIG:
+        items = np.empty(out.shape, object)
+        items[...] = fill
+        items[inner] = values.small(x)
+        values.set(out, items)
+        return
+    target = values.target(out)
+    whole = Value(out.shape, out.dtype, out.path)
+    single = np.empty((1,) * len(out.shape), object)
+    single[...] = fill
+    values.set(whole, np.broadcast_to(single, out.shape))
+    values.copy(whole, target)
+    values.copy(x, sliced(target, [(s.start, s.step) for s in inner], x.shape))
+    values.bind(out, target)
+
+
+def _cropped(values: Values, op: Op, x: Value, config):
+    """Negative padding takes elements away: from the input, where no gaps are put between them."""
+    if any(gap and (low < 0 or high < 0) for low, high, gap in config):
+        raise Unsupported(f"pad: negative padding with gaps, at {op.where}")
+    limits = [
+        (max(0, -int(low)), n - max(0, -int(high))) for (low, high, _), n in zip(config, x.shape)
+    ]
+    shape = tuple(stop - start for start, stop in limits)
+    part = Value(shape, x.dtype, x.path)
+    known = values.get(x)
+    if isinstance(known, Place):
+        values.bind(part, sliced(known, [(start, 1) for start, _ in limits], shape))
+    else:
+        values.set(part, known.items[tuple(slice(*limit) for limit in limits)])
+    return part, [(max(0, int(low)), max(0, int(high)), gap) for low, high, gap in config]
+
+
+def _tile(values: Values, op: Op) -> None:
+    """An array side by side with itself."""
+    (x,), out, reps = op.inputs, op.outputs[0], op.params["reps"]
+    if out.size <= BIG:
+        values.set(out, np.tile(values.small(x), reps))
+        return
+    target = values.target(out)
+    for corner in np.ndindex(*reps):
+        starts = [(i * n, 1) for i, n in zip(corner, x.shape)]
+        values.copy(x, sliced(target, starts, x.shape))
+    values.bind(out, target)
+
+
+def _split(values: Values, op: Op) -> None:
+    axis, start = op.params["axis"], 0
+    known = values.get(op.inputs[0])
+    for out in op.outputs:
+        size = out.shape[axis]
+        if isinstance(known, Place):
+            starts = [(start if a == axis else 0, 1) for a in range(len(out.shape))]
+            values.bind(out, sliced(known, starts, out.shape))
+        else:
+            values.set(out, known.items.take(range(start, start + size), axis))
+        start += size
+
+
+def _unstack(values: Values, op: Op) -> None:
+    axis = op.params["axis"]
+    known = values.get(op.inputs[0])
+    for i, out in enumerate(op.outputs):
+        if isinstance(known, Place):
+            starts = [(i if a == axis else 0, 1) for a in range(len(known.shape))]
+            part = sliced(known, starts, known.shape)
+            strides = tuple(s for a, s in enumerate(part.strides) if a != axis)
+            values.bind(out, replace(part, shape=out.shape, strides=strides))
+        else:
+            values.set(out, known.items.take(i, axis))
+
+
+RULES: dict[str, Rule] = {
+    "broadcast_in_dim": rearranged(_broadcast, _broadcast_place),
+    "reshape": rearranged(_reshape, _reshape_place),
+    "squeeze": rearranged(_reshape, _reshape_place),
+    "expand_dims": rearranged(_reshape, _reshape_place),
+    "transpose": rearranged(lambda op, x: x.transpose(op.params["permutation"]), _transpose_place),
+    "slice": rearranged(lambda op, x: x[folding.slices(op.params)], _slice_place),
+    "rev": rearranged(lambda op, x: np.flip(x, op.params["dimensions"]), _reverse_place),
+    "concatenate": _concatenate,
+    "stack": _stack,
+    "pad": _pad,
+    "tile": _tile,
+    "split": _split,
+    "unstack": _unstack,
+}

@@ -1,0 +1,215 @@
+"""Dot products in register tiles; `gradients` has the product over steps."""
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from ..emit.code import Code
+from ..emit.ref import Ref
+from ..emit.storage import Place
+from ..emit.values import Values
+from ..program.program import Op, Value
+
+WRITTEN_OUT = 64  # multiply-adds of a dot product that is not made a loop
+ACCUMULATORS, FEW = 16, 12  # vector registers that hold a tile's sums; where there are 16 only
+
+
+# Takes each sum: its position in the flattened result, and its register.
+Finish = Callable[[int | str, Ref], None]
+
+
+def tiles(op: Op) -> bool:
+    """Whether a dot product is done in tiles; small ones are written out."""
+    return _work(op) > WRITTEN_OUT
+
+
+def _work(op: Op) -> int:
+    (contract, _), _ = op.params["dimension_numbers"]
+    return op.outputs[0].size * _count(op.inputs[0], contract)
+
+
+def dot(values: Values, op: Op, finish: Finish | None = None) -> None:
+    """`dot_general` with any batch, free and contracted axes.
+
+    In tiles, `finish` takes each sum as it leaves its registers; without it they are stored.
+    """
+    (contract_a, contract_b), (batch_a, batch_b) = op.params["dimension_numbers"]
+    a, b = op.inputs
+    free_a = [i for i in range(len(a.shape)) if i not in (*contract_a, *batch_a)]
+    free_b = [i for i in range(len(b.shape)) if i not in (*contract_b, *batch_b)]
+    sizes = [
+        _count(a, batch_a),
+        _count(a, free_a),
+        _count(b, free_b),
+        _count(a, contract_a),
+    ]
+    if not tiles(op):
+        _written_out(
+            values, op, (batch_a, free_a, contract_a), (batch_b, free_b, contract_b), sizes
+        )
+        return
+    left = _axes(values.place(a), batch_a, free_a, contract_a)
+    right = _axes(values.place(b), batch_b, free_b, contract_b)
+    finish = finish or _stored(values, op.outputs[0])
+    tiled(values.code, left, right, op.outputs[0], sizes, finish)
+
+
+def _stored(values: Values, out: Value) -> Finish:
+    """Writes the sums to memory, as they come."""
+    target = values.target(out)
+    values.bind(out, target)
+    flat = replace(target, shape=(out.size,), strides=(1,))
+    return lambda position, total: flat.write(values.code, [position], total)
+
+
+def _count(v: Value, axes) -> int:
+    return math.prod([v.shape[i] for i in axes])
+
+
+def _axes(place: Place, *groups) -> list[Any]:
+    """For every group of axes, (size, stride) pairs of this place."""
+    return [place, *[[(place.shape[i], place.strides[i]) for i in group] for group in groups]]
+
+
+def _written_out(values: Values, op: Op, left, right, sizes) -> None:
+    code = values.code
+    a = values.small(op.inputs[0]).transpose([i for g in left for i in g])
+    b = values.small(op.inputs[1]).transpose([i for g in right for i in g])
+    batch, rows, columns, depth = sizes
+    a, b = a.reshape(batch, rows, depth), b.reshape(batch, columns, depth)
+    refs = np.empty((batch, rows, columns), object)
+    for n, i, j in np.ndindex(batch, rows, columns):
+        terms = list(zip(a[n, i], b[n, j]))
+        total = code.mul(*terms[0]) if terms else code.constant(0, op.outputs[0].dtype)
+        for x, y in terms[1:]:
+            total = code.add(total, code.mul(x, y))
+        refs[n, i, j] = total
+    values.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
+
+
+def tiled(code: Code, left, right, out: Value, sizes, finish: Finish) -> None:
+    """Sums over k of left[n, i, k] * right[n, j, k], in tiles of rows."""
+    batch, rows, columns, depth = sizes
+    wide_left, wide_right = left[0].lanes > 1, right[0].lanes > 1
+    order = (rows * columns, columns, 1)
+    if (wide_left and not wide_right) or (rows == 1 and columns > 1):
+        left, right, rows, columns = right, left, columns, rows
+        order = (columns * rows, 1, rows)
+    lanes = max(left[0].lanes, right[0].lanes)
+    zero = code.constant(0, out.dtype, lanes)
+    registers = max(1, code.lanes * out.dtype.itemsize // code.module.register)
+    sums = FEW if code.module.few else ACCUMULATORS
+    for first, count, height in even_tiles(rows, max(2, sums // registers)):
+        with counted(code, batch) as n, counted(code, count) as tile, counted(code, columns) as j:
+            row = _plus(code, _times(code, tile, height), first)
+            totals = _tile(code, left, right, (n, row, j), depth, [zero] * height)
+            for r, total in enumerate(totals):
+                finish(_flat(code, (n, _plus(code, row, r), j), order), total)
+
+
+def even_tiles(rows: int, largest: int) -> list[tuple[int, int, int]]:
+    """(first row, how many, height) of tiles of two heights: a low rest would idle the processor.
+
+    A multiply-add takes four cycles, and two begin in each.
+    """
+    tiles = -(-rows // largest)
+    height, taller = divmod(rows, tiles)
+    low = (taller * (height + 1), tiles - taller, height)
+    return [(0, taller, height + 1), low] if taller else [low]
+
+
+def _tile(code: Code, left, right, position, depth: int, totals: list[Ref]) -> list[Ref]:
+    """The sums of neighbouring rows, in one column."""
+    place_a, batch_a, free_a, depth_a = left
+    place_b, batch_b, free_b, depth_b = right
+    n, first, j = position
+    base_a = _at(code, place_a, [(n, batch_a)])
+    rows = [_at(code, base_a, [((first, r), free_a)]) for r in range(len(totals))]
+    base_b = _at(code, place_b, [(n, batch_b), (j, free_b)])
+    unrolled = next(u for u in (depth if depth < 8 else 4, 4, 3, 2, 1) if depth % u == 0)
+    with code.loop(depth // unrolled, tuple(totals)) as loop:
+        totals = list(loop.carried)
+        start = _times(code, loop.i, unrolled)
+        for u in range(unrolled):
+            b = _at(code, base_b, [((start, u), depth_b)]).read(code, [])
+            for r, row in enumerate(rows):
+                a = _at(code, row, [((start, u), depth_a)]).read(code, [])
+                totals[r] = code.fma(*code.same(a, b, totals[r]))
+        loop.results = totals
+    return totals
+
+
+def _times(code: Code, i, factor: int):
+    if isinstance(i, int):
+        return i * factor
+    return code.index(f"mul nsw i64 {i}, {factor}") if factor != 1 else i
+
+
+def _flat(code: Code, position, order) -> int | str:
+    """The place in the flattened result."""
+    parts = [_times(code, p, o) for p, o in zip(position, order)]
+    flat = sum(p for p in parts if isinstance(p, int))
+    for part in (p for p in parts if isinstance(p, str)):
+        flat = _plus(code, part, flat)
+    return flat
+
+
+class counted:
+    """A loop, or nothing where there is one round."""
+
+    def __init__(self, code: Code, count: int):
+        self.loop = code.loop(count) if count != 1 else None
+
+    def __enter__(self):
+        return 0 if self.loop is None else self.loop.__enter__().i
+
+    def __exit__(self, *error) -> None:
+        if self.loop is not None and error[0] is None:
+            self.loop.__exit__(None, None, None)
+
+
+def _plus(code: Code, first, r):
+    if isinstance(first, int) and isinstance(r, int):
+        return first + r
+    return code.index(f"add nsw i64 {first}, {r}") if r else first
+
+
+def _at(code: Code, place: Place, moves) -> Place:
+    """The place seen from given positions along groups of axes; the result has no axes."""
+    pointer, fixed = place.base, place.offset
+    dynamic = []
+    for position, axes in moves:
+        pair = position if isinstance(position, tuple) else (position, 0)
+        if len(axes) == 1 or all(a[1] == _merged(axes)[i] for i, a in enumerate(axes)):
+            stride = axes[-1][1] if axes else 0
+            for part in pair:
+                if isinstance(part, int):
+                    fixed = fixed + part * stride * place.unit
+                else:
+                    dynamic.append((part, stride * place.unit))
+            continue
+        flat = _plus(code, pair[0], pair[1])
+        for size, stride in reversed(axes):
+            if isinstance(flat, int):
+                fixed += flat % size * stride * place.unit
+                flat //= size
+            else:
+                digit = code.index(f"urem i64 {flat}, {size}")
+                dynamic.append((digit, stride * place.unit))
+                flat = code.index(f"udiv i64 {flat}, {size}")
+    for part, scale in dynamic:
+        if scale:
+            pointer = code.pointer(pointer, code.index(f"mul nsw i64 {part}, {scale}"))
+    return Place(pointer, fixed, (), (), place.dtype, place.lanes, place.invariant)
+
+
+def _merged(axes) -> list[int]:
+    """The strides that would make these axes one."""
+    strides, step = [], axes[-1][1]
+    for size, _ in reversed(axes):
+        strides.append(step)
+        step *= size
+    return strides[::-1]

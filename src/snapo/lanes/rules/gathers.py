@@ -1,0 +1,76 @@
+"""Reading at positions known only while running: gather and dynamic slices."""
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from ..emit.code import Code
+from ..emit.ref import Ref
+from ..emit.values import Values
+from ..program.program import Op, Value
+from .positions import clamped, limit, plus, read, window_start
+
+
+def _dynamic_slice(values: Values, op: Op) -> None:
+    x, *starts = op.inputs
+    out = op.outputs[0]
+    limit(op, out)
+    window = op.params["slice_sizes"]
+    first = [clamped(values, s, n - w) for s, n, w in zip(starts, x.shape, window)]
+    _read_all(values, op, x, ((p, first, p, None) for p in np.ndindex(*out.shape)))
+
+
+def _gather(values: Values, op: Op) -> None:
+    x, indices = op.inputs
+    out = op.outputs[0]
+    limit(op, out)
+    p = op.params
+    numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
+    mode = str(p["mode"])
+    fill = p.get("fill_value")
+    window_dims = [
+        d for d in range(len(x.shape))
+        if d not in numbers.collapsed_slice_dims and d not in numbers.operand_batching_dims
+    ]  # fmt: skip
+    batch_dims = [d for d in range(len(out.shape)) if d not in numbers.offset_dims]
+
+    def moves() -> Iterator:
+        for position in np.ndindex(*out.shape):
+            batch = tuple(position[d] for d in batch_dims)
+            window = [0] * len(x.shape)
+            for d, o in zip(window_dims, numbers.offset_dims):
+                window[d] = position[o]
+            first, valid = window_start(
+                values, x, indices, batch, numbers.start_index_map, sizes, "FILL" in mode
+            )
+            for d, b in zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims):
+                first[d] = batch[b]
+            yield position, first, window, valid
+
+    _read_all(values, op, x, moves(), fill)
+
+
+def _read_all(values: Values, op: Op, x: Value, moves, fill=None) -> None:
+    out, code = op.outputs[0], values.code
+    refs = np.empty(out.shape, object)
+    for position, first, window, valid in moves:
+        if valid is False:
+            refs[position] = _filler(code, out, fill)
+            continue
+        ref = read(values, x, [plus(code, s, w) for s, w in zip(first, window)])
+        refs[position] = ref if valid is None else code.select(valid, ref, _filler(code, out, fill))
+    values.set(out, refs)
+
+
+def _filler(code: Code, out: Value, fill) -> Ref:
+    """XLA's number for an index out of range: NaN, or the extreme of an integer type."""
+    if fill is None:
+        kind = out.dtype.kind
+        fill = np.nan if kind == "f" else True if kind == "b" else None
+        if fill is None:
+            info = np.iinfo(out.dtype)
+            fill = info.max if kind == "u" else info.min
+    return code.constant(fill, out.dtype)
+
+
+RULES = {"dynamic_slice": _dynamic_slice, "gather": _gather}

@@ -1,0 +1,157 @@
+"""Positions known only while running: their bounds, and the elements that lie there.
+
+A position known while compiling costs nothing. One that differs between paths becomes selections
+or rearrangements (`lookups`) of up to 16 candidates, else one masked gather over the lanes.
+"""
+
+import numpy as np
+
+from ..emit.code import Code
+from ..emit.ref import Ref
+from ..emit.storage import Place, Small
+from ..emit.values import Values
+from ..program.program import BIG, Op, Value
+from ..unsupported import Unsupported
+from . import elementwise
+from .conversions import compare, convert
+from .lookups import lookup
+
+SELECTED = 16  # most candidates for which selections beat a gather
+LARGEST = 1024  # most elements read or written one by one
+
+Start = Ref | int
+
+
+def clamped(values: Values, start: Value, last: int) -> Start:
+    """A start index within [0, last]: a number where it is known."""
+    if start.constant is not None:
+        return int(np.clip(int(start.constant), 0, last))
+    return _clamp(values.code, values.small(start)[()], last)
+
+
+def _clamp(code: Code, x: Ref, last: int) -> Start:
+    if last == 0:
+        return 0
+    low, high = code.constant(0, x.dtype), code.constant(last, x.dtype)
+    return elementwise.RULES["clamp"](code, low, x, high)
+
+
+def limit(op: Op, moved: Value) -> None:
+    """Refuses to move more elements than can be written out."""
+    if moved.size > LARGEST:
+        raise Unsupported(f"{op.name}: of {moved.size} elements (at most {LARGEST}), at {op.where}")
+
+
+def window_start(values: Values, x: Value, indices: Value, batch, index_map, sizes, check: bool):
+    """The start of one window, clamped, and whether it was inside (None where it always is)."""
+    code = values.code
+    first: list[Start] = [0] * len(x.shape)
+    valid: Ref | bool | None = None
+    for k, d in enumerate(index_map):
+        last = x.shape[d] - sizes[d]
+        if indices.constant is not None:
+            value = int(indices.constant[(*batch, k)])
+            first[d] = int(np.clip(value, 0, last))
+            inside: Ref | bool = 0 <= value <= last
+        else:
+            ref = values.small(indices)[(*batch, k)]
+            first[d] = _clamp(code, ref, last)
+            inside = True
+            if check:
+                low = compare(code, "ge", ref, code.constant(0, ref.dtype))
+                high = compare(code, "le", ref, code.constant(last, ref.dtype))
+                inside = code.op("and", low, high)
+        if check and inside is not True:
+            valid = _both(code, valid, inside)
+    return first, valid
+
+
+def _both(code: Code, a, b):
+    if isinstance(a, Ref) and isinstance(b, Ref):
+        return code.op("and", a, b)
+    if a is None:
+        return b
+    if a is False or b is False:
+        return False
+    return a if isinstance(a, Ref) else b
+
+
+def plus(code: Code, start: Start, by: int) -> Start:
+    """A position `by` elements further on."""
+    if isinstance(start, int):
+        return start + by
+    return code.add(start, code.constant(by, start.dtype)) if by else start
+
+
+def read(values: Values, x: Value, position: list[Start]) -> Ref:
+    """One element of an array, at numbers or at registers."""
+    code, known = values.code, values.get(x)
+    moving = [d for d, p in enumerate(position) if isinstance(p, Ref)]
+    if not moving:
+        at = [p for p in position if isinstance(p, int)]
+        return known.items[tuple(at)] if isinstance(known, Small) else known.read(code, list(at))
+    flat, count = flat_index(code, x.shape, position, moving)
+    if (
+        count <= SELECTED
+        or x.dtype == np.bool_
+        or (isinstance(known, Small) and count <= 2 * SELECTED)
+    ):
+        candidates = [_element(values, x, position, moving, i) for i in range(count)]
+        return lookup(code, flat, candidates) if count > 1 else candidates[0]
+    return load(code, values.place(x), position)
+
+
+def flat_index(code: Code, shape, position, moving) -> tuple[Ref, int]:
+    """The moving part of a position as one number, and how many values it can take."""
+    flat, count = None, 1
+    for d in reversed(moving):
+        part = (
+            position[d]
+            if count == 1
+            else code.mul(position[d], code.constant(count, position[d].dtype))
+        )
+        flat = part if flat is None else code.add(*_same_type(code, flat, part))
+        count *= shape[d]
+    assert flat is not None
+    return flat, count
+
+
+def _same_type(code: Code, a: Ref, b: Ref):
+    wide = max(a.dtype, b.dtype, key=lambda t: np.dtype(t).itemsize)
+    return convert(code, a, wide), convert(code, b, wide)
+
+
+def _element(values: Values, x: Value, position, moving, number: int) -> Ref:
+    at = list(position)
+    for d in reversed(moving):
+        at[d] = number % x.shape[d]
+        number //= x.shape[d]
+    return values.small(x)[tuple(at)] if x.size <= 4 * BIG else read(values, x, at)
+
+
+def load(code: Code, place: Place, position) -> Ref:
+    """One element from memory, at a position of which some part is in registers."""
+    pointers, lanes, uniform = addresses(code, place, position)
+    if uniform:
+        return code.load(pointers, place.dtype, place.lanes, place.invariant)
+    return code.gather_at(pointers, lanes, place.dtype)
+
+
+def addresses(code: Code, place: Place, position):
+    """Addresses of one element in every lane; one address where all lanes agree."""
+    fixed = [p if isinstance(p, int) else 0 for p in position]
+    base = place.address(code, fixed)
+    refs = [(p, s) for p, s in zip(position, place.strides) if isinstance(p, Ref) and s]
+    total = None
+    for p, stride in refs:
+        wide = convert(code, p, "int64")
+        part = code.mul(wide, code.constant(stride * place.unit, "int64"))
+        total = part if total is None else code.add(total, part)
+    assert total is not None
+    if total.lanes == 1:
+        scalar = code.raw(f"extractelement {total.type} {total.text}, i64 0", "i")
+        return code.pointer(base, scalar), 1, True
+    if place.lanes > 1:
+        steps = ", ".join(f"i64 {i * place.dtype.itemsize}" for i in range(place.lanes))
+        total = code.add(total, Ref(f"<{steps}>", "int64", place.lanes))
+    return code.raw(f"getelementptr i8, ptr {base}, {total.type} {total.text}"), total.lanes, False

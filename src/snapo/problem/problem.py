@@ -1,0 +1,81 @@
+"""A problem: what is solved, in one object that everything above takes."""
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from . import inputs as inputs_
+from .actions import Box, Simplex
+from .objective import Objective
+from .prepare import prepare
+from .scenarios import Sources
+from .simulator import Interface, Schedule, Simulator
+
+
+@dataclass(frozen=True, eq=False)
+class Problem:
+    """A simulator with its inputs, what is made as large as possible, and on which scenarios.
+
+    The schedule is prepared once, when it is first asked for, in float64 NumPy.
+
+    - `simulator`, `inputs`: one path, and a tree of `Input`s.
+    - `objective`: of the path totals; made as large as possible.
+    - `sources`: the scenarios of training, validation and evaluation.
+    """
+
+    simulator: Simulator
+    inputs: PyTree
+    objective: Objective
+    sources: Sources = field(default_factory=lambda: Sources.of(None))
+
+    @cached_property
+    def schedule(self) -> Schedule:
+        """The numbers that all paths share."""
+        return prepare(self.simulator, self.inputs)
+
+    @cached_property
+    def interface(self) -> Interface:
+        """All that a policy has to fit."""
+        return self.simulator.interface(self.schedule)
+
+    @property
+    def features(self) -> int:
+        """The number of features that a policy sees."""
+        return self.interface.features
+
+    @property
+    def action(self) -> Box | Simplex:
+        """The set in which every decision lies."""
+        return self.simulator.action
+
+    @property
+    def named(self) -> dict[str, inputs_.Input]:
+        """The inputs by name, in the order of sensitivity tables."""
+        return {entry.name: entry.input for entry in inputs_.named(self.inputs)}
+
+    def at(self, values: dict[str, Any]) -> "Problem":
+        """The same problem where the inputs named have other values.
+
+        **Raises:** `KeyError` for a name that is no input's.
+        """
+        if unknown := set(values) - set(self.named):
+            raise KeyError(f"no input {sorted(unknown)}; the inputs are {list(self.named)}.")
+        return self.with_inputs(
+            [values.get(name, given.value) for name, given in self.named.items()]
+        )
+
+    def with_inputs(self, values: list[Any]) -> "Problem":
+        """The same problem with other values of all inputs, in the order of `named`."""
+        remaining = iter(values)
+
+        def put(leaf):
+            if not inputs_.is_input(leaf):
+                return leaf
+            return replace(leaf, value=np.asarray(next(remaining), np.float64))
+
+        moved = jax.tree.map(put, self.inputs, is_leaf=inputs_.is_input)
+        return replace(self, inputs=moved)

@@ -1,0 +1,104 @@
+"""What every input is worth: a tornado of usual moves, and every derivative with its error."""
+
+from typing import Any
+
+from snapo.report.bands import Swing, tornado
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder, Sensitivity
+from snapo.report.page import Block, Chart, Missing, Section, Table, Text
+from snapo.report.quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity
+
+from .distribution import words
+from .lacking import lacking
+
+LONGEST = 15  # bars of the tornado
+INTERVAL = 1.96  # standard errors to either side: 95 %
+ROWS = 400  # derivatives in the table; all stand in sensitivities.csv
+CAVEAT = (
+    "To first order. Held: the exact simulator with the decisions held, the derivative of the "
+    "optimal value where the policy is optimal. Smooth: through the policy's reaction; where the "
+    "two differ by more than their errors, the policy can still gain or a limit is smoothed. "
+    "Moved: by how much the held one moved in the second half of training."
+)
+
+
+def sensitivities(run: Folder) -> Section:
+    """The tornado with its table, and the derivative by every number of every input."""
+    title, short = "Sensitivities", "Sensitivities"
+    if not run.sensitivities:
+        return Section("sensitivities", title, short, [lacking(run, "training")])
+    moves = [each for each in run.get("moves", []) if finite(each.get("effect")) is not None]
+    blocks: list[Block] = [_tornado(run, moves), _moves(run, moves)] if moves else []
+    blocks = blocks or [lacking(run, "moves")]
+    return Section("sensitivities", title, short, [*blocks, _table(run), Text(CAVEAT, caveat=True)])
+
+
+def amount(each: dict[str, Any]) -> str:
+    """By how much an input moves, in words."""
+    known = finite(each.get("amount"))
+    if known is not None:
+        return f"+{quantity(known, each.get('unit', ''))}"
+    return f"+{percent(each.get('share', 0.01), 0)}"
+
+
+def _tornado(run: Folder, moves: list[dict[str, Any]]) -> Chart | Missing:
+    shown = moves[:LONGEST]
+    places = decimals([each["effect"] for each in shown], 4)
+    swings = [
+        Swing(
+            f"{words(each['input'])} {amount(each)}",
+            float(each["effect"]),
+            f"{number(each['effect'], places, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
+            INTERVAL * (finite(each.get("standard_error")) or 0.0),
+        )
+        for each in shown
+    ]
+    alt = "Bars. " + "; ".join(f"{each.name}: {each.text}" for each in swings) + "."
+    height = 32 + 26 * len(swings)
+    svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
+    caption = (
+        "Change of the value when all numbers of an input move up by the amount beside it, "
+        "decisions held; whiskers are 95 % intervals."
+    )
+    return Chart(svg, caption)
+
+
+def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
+    places = decimals([each["effect"] for each in moves], 4)
+    rows = [
+        (
+            words(each["input"]),
+            each.get("words") or "",
+            amount(each),
+            number(each["effect"], places),
+            plus_minus(each.get("standard_error"), places),
+            number(each.get("smooth"), places),
+            plus_minus(each.get("smooth_error"), places),
+        )
+        for each in moves
+    ]
+    head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Held", run.unit), ("", ""),
+            ("Smooth", run.unit), ("", "")]  # fmt: skip
+    return Table(head, rows, "Change of the value for a move of an input", 3)
+
+
+def _table(run: Folder) -> Table:
+    rows = [_line(run, each) for each in run.sensitivities[:ROWS]]
+    head = [("Input", ""), ("", ""), ("Per", ""), ("Held", run.unit), ("", ""),
+            ("Smooth", run.unit), ("", ""), ("Moved", run.unit)]  # fmt: skip
+    count = len(run.sensitivities)
+    caption = "Derivative of the value by every number, per one unit of it"
+    if count > ROWS:
+        caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
+    return Table(head, rows, caption, 3, folded=f"All {count} derivatives")
+
+
+def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
+    numbers = [each.value, each.smooth]
+    places = min(9, decimals(numbers, 4))
+    return (
+        words(each.input), each.label, f"1{SPACE}{each.unit}" if each.unit else "1",
+        number(each.value, places), plus_minus(each.standard_error, places),
+        number(each.smooth, places), plus_minus(each.smooth_error, places),
+        number(each.moved, places),
+    )  # fmt: skip

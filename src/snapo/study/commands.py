@@ -1,0 +1,183 @@
+"""The work of every command, the same for all domains; the command line only prints it."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from snapo.case.error import CaseError, Unquoted
+
+from .domain import Domain, Options, RunsCode, find, installed
+
+if TYPE_CHECKING:
+    from .study import Tell
+
+
+class Asked(NamedTuple):
+    """What a command asks of a case.
+
+    - `path`: a TOML file, or a folder with case.toml.
+    - `assignments`: keys that have another value for this run, "contract.inventory=2000".
+    - `simulator`: (module, class) of the user's own, named on the command line only.
+    """
+
+    path: Path
+    assignments: tuple[str, ...] = ()
+    simulator: tuple[str, str] | None = None
+
+
+class Loaded(NamedTuple):
+    """A case that was read: its domain, its file, its tables as they count, and its records."""
+
+    domain: Domain
+    file: Path
+    data: Mapping[str, Any]
+    case: Any
+
+
+def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
+    """(kind, its words, its sizes) of every domain that is installed and can be loaded."""
+    found = []
+    for kind in installed():
+        try:
+            domain = find(kind, "KIND", "")
+        except CaseError as error:
+            found.append((kind, error.allowed, ()))
+        else:
+            found.append((kind, domain.words, tuple(domain.templates)))
+    return found
+
+
+def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
+    """Writes the commented example of a kind into `folder`; returns the files written.
+
+    **Raises:** `CaseError` where there is no such kind or size, the folder cannot be used, or a
+    file of the same name is there already; then nothing is written.
+    """
+    templates = find(kind, "KIND", "").templates
+    sizes = list(templates)
+    if size is not None and size not in templates:
+        one = "this kind has one example only"
+        what = one if len(sizes) == 1 else f"allowed is one of {', '.join(sizes)}"
+        raise CaseError("--size", "", size, what)
+    source = templates[size or sizes[0]]
+    contents = {each.name: each.read_bytes() for each in source.iterdir() if each.is_file()}
+    for name in contents:
+        if (folder / name).exists():
+            raise CaseError(str(folder / name), "", None, "this file exists; nothing was written")
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for name, content in contents.items():
+            (folder / name).write_bytes(content)
+    except OSError as error:
+        what = f"the folder cannot be written ({error.strerror})"
+        raise CaseError(str(folder), "", None, what) from None
+    return sorted(folder / name for name in contents)
+
+
+def load(asked: Asked) -> Loaded:
+    """Reads a case with the domain that its `kind` names."""
+    from snapo.case.table import load as load_tables
+
+    from .assign import OPTION, assigned
+
+    file, tables = load_tables(asked.path)
+    data, paths = assigned(tables, asked.assignments)
+    domain = find(data.get("kind"), str(file))
+    if asked.simulator is not None:
+        if not isinstance(domain, RunsCode):
+            got = Unquoted(":".join(asked.simulator))
+            what = f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
+            raise CaseError("--simulator", "", got, what + '"own"')
+        domain = domain.with_simulator(*asked.simulator)
+    try:
+        return Loaded(domain, file, data, domain.read(file, data))
+    except CaseError as error:
+        for each in (error, *error.others):
+            if each.where in paths:
+                each.file = f"{each.file} with {OPTION}"
+        raise
+
+
+def check(asked: Asked, tell: "Tell") -> list[str]:
+    """The case in a few lines; nothing is trained."""
+    loaded = load(asked)
+    _remarks(loaded, tell)
+    return loaded.domain.check(loaded.case)
+
+
+def solve(
+    asked: Asked,
+    tell: "Tell",
+    *,
+    out: Path | None = None,
+    engine: str = "auto",
+    reference: bool = False,
+    resume: bool = False,
+) -> dict[str, Any]:
+    """Carries out the study of a case into the folder `out`, by default `run` beside the case.
+
+    Returns what result.json says. On Ctrl-C the parts that are done are reported, and
+    `KeyboardInterrupt` goes on to the caller.
+    """
+    from . import run_folder
+    from .cores import use_every_core
+
+    loaded = load(asked)
+    _remarks(loaded, tell)
+    out = out or loaded.file.parent / "run"
+    if out.resolve() == loaded.file.parent.resolve():
+        what = "this is the folder of the case; a run has a folder of its own"
+        raise CaseError("--out", "", Unquoted(str(out)), what)
+    run_folder.check_writable(out)
+    use_every_core()
+    from .carry_out import carry_out
+
+    options = {"engine": engine}
+    if isinstance(loaded.domain, RunsCode):
+        options |= loaded.domain.decides(loaded.case)
+    study = loaded.domain.study(loaded.case, Options(engine, reference))
+    decides = run_folder.decisive(loaded.file, loaded.data, options)
+    if resume:
+        run_folder.check_same(out, decides)
+    run_folder.copy_case(loaded.file, out)
+    return carry_out(loaded.domain, study, out, decides, resume, tell)
+
+
+def report(run: Path) -> Path:
+    """Writes the report of a run again, from the files of its folder; returns its path."""
+    from . import run_folder
+    from .report import write_report
+
+    record = run_folder.read(run)
+    domain = find(record.get("kind"), str(run / run_folder.RUN))
+    try:
+        return write_report(domain, run)
+    except OSError as error:
+        what = f"the report cannot be written ({error.strerror})"
+        raise CaseError(str(run), "", None, what) from None
+
+
+def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
+    """{kind: table of times} of one kind, or of all that can be timed.
+
+    **Raises:** `CaseError` where the kind that was asked for has nothing to time.
+    """
+    from .cores import use_every_core
+
+    wanted: Sequence[str] = list(installed()) if kind is None else [kind]
+    found = {}
+    for each in wanted:
+        domain = find(each, "KIND", "")
+        use_every_core()
+        try:
+            found[each] = domain.bench(engine, tell)
+        except CaseError as error:
+            if kind is not None:
+                raise
+            tell(f"{each}: {error.allowed}")
+    return found
+
+
+def _remarks(loaded: Loaded, tell: "Tell") -> None:
+    for note in loaded.case.notes:
+        tell(f"note: {note}")

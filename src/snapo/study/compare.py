@@ -1,0 +1,208 @@
+"""Two runs of one kind side by side: values, settings, and sensitivities that differ."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.solver import checkpoint
+from snapo.solver.sensitivity import Estimate
+from snapo.solver.solution import Solution
+
+from . import run_folder
+from .run_folder import GROUPS, Difference, differences, in_words
+
+MOST = 12  # sensitivities that a person sees; all of them are in the table
+SHARE = 0.01  # of an input: by so much it is moved where it does not say its `move`
+
+
+class Moved(NamedTuple):
+    """A sensitivity in both runs, per one `unit` of the input.
+
+    `effect`: by how much more the value of the second moves with the input's own move.
+    """
+
+    input: str
+    label: str
+    unit: str
+    first: float
+    second: float
+    difference: float
+    standard_error: float
+    effect: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """How the second run differs from the first.
+
+    - `values`, `errors`: of the two; None where a run has no value.
+    - `difference`, `standard_error`: second less first; `paired`: on the same scenarios.
+    - `why`: one clause on why the runs are paired or not.
+    - `settings`: all that decides the numbers and differs.
+    - `sensitivities`: those of inputs that both have, the largest differences first.
+    """
+
+    kind: str
+    runs: tuple[Path, Path]
+    values: tuple[float | None, float | None]
+    errors: tuple[float | None, float | None]
+    difference: float | None
+    standard_error: float | None
+    paired: bool
+    why: str
+    settings: tuple[Difference, ...]
+    sensitivities: tuple[Moved, ...]
+
+    def table(self) -> dict[str, Any]:
+        """The comparison as plain data."""
+        return {
+            "kind": self.kind,
+            "runs": [str(run) for run in self.runs],
+            "values": list(self.values),
+            "standard_errors": list(self.errors),
+            "difference": self.difference,
+            "standard_error": self.standard_error,
+            "paired": self.paired,
+            "why": self.why,
+            "settings": [each._asdict() for each in self.settings],
+            "sensitivities": [each._asdict() for each in self.sensitivities],
+        }
+
+    def __str__(self) -> str:
+        return "\n".join([*self._values(), "", *self._settings(), "", *self._sensitivities()])
+
+    def _values(self) -> Iterator[str]:
+        yield f"{self.kind}: {self.runs[0]} and {self.runs[1]}"
+        for name, value, error in zip(("first", "second"), self.values, self.errors):
+            yield f"{name:<12}{_figure(value):>16} {_error(error)}".rstrip()
+        if self.difference is not None:
+            yield f"{'difference':<12}{_figure(self.difference):>16} {_error(self.standard_error)}"
+        yield self.why
+
+    def _settings(self) -> Iterator[str]:
+        yield "settings that differ:" if self.settings else "the settings are the same"
+        for name, first, second in self.settings:
+            same = name.startswith("files.")
+            yield f"  {name}" if same else f"  {name}: {in_words(first)}, {in_words(second)}"
+
+    def _sensitivities(self) -> Iterator[str]:
+        if not self.sensitivities:
+            yield "no sensitivity of an input that both have differs"
+            return
+        yield "sensitivities that differ most (decisions held; first, second, difference):"
+        for each in self.sensitivities[:MOST]:
+            name = f"{each.input} {each.label}".strip()
+            numbers = f"{_figure(each.first):>14}{_figure(each.second):>14}"
+            last = f"{_figure(each.difference):>14} {_error(each.standard_error)}"
+            yield f"  {name:<32}{numbers}{last} per {each.unit or '1'}"
+        if len(self.sensitivities) > MOST:
+            yield f"  and {len(self.sensitivities) - MOST} smaller differences"
+
+
+def compare(first: Path, second: Path) -> Comparison:
+    """The second run against the first.
+
+    **Raises:** `CaseError` where one is no run of this version, or they are of different kinds.
+    """
+    records = [run_folder.read(run) for run in (first, second)]
+    kinds = [record["kind"] for record in records]
+    if kinds[0] != kinds[1]:
+        what = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
+        raise CaseError(str(second), "kind", kinds[1], what)
+    results = [_result(run) for run in (first, second)]
+    values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
+    groups, why = _groups(first, second)
+    error = _difference_error(groups, errors)
+    difference = _less(values[1], values[0])
+    return Comparison(
+        kinds[0],
+        (first, second),
+        (values[0], values[1]),
+        (errors[0], errors[1]),
+        difference,
+        None if difference is None else error,
+        groups is not None,
+        why,
+        tuple(differences(records[0]["decides"], records[1]["decides"])),
+        tuple(_sensitivities(first, second, groups is not None)),
+    )
+
+
+STANDARD_ERROR = "standard_error"
+
+
+def _less(value: float | None, other: float | None) -> float | None:
+    return None if value is None or other is None else value - other
+
+
+def _result(run: Path) -> dict[str, Any]:
+    file = run / run_folder.RESULT
+    found = run_folder.read_table(file)
+    if found is None:
+        what = "the run has no result yet; `snapo solve --resume` goes on with it"
+        raise CaseError(str(file), "", None, what)
+    return found
+
+
+def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
+    """Differences of what each group of paths is worth, where the scenarios are the same."""
+    try:
+        found = [checkpoint.load_named(run / GROUPS) for run in (first, second)]
+    except checkpoint.CheckpointError:
+        return None, "independent: no values by group of paths are kept in one of the runs"
+    (one, ours), (other, theirs) = found
+    for key, words in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
+        if ours[key] != theirs[key]:
+            return None, f"independent: the runs have different {words}"
+    return other["groups",] - one["groups",], "paired: both runs have the same scenarios"
+
+
+def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> float | None:
+    """The standard error of the difference of the values."""
+    if groups is not None and groups.size > 1:
+        return float(groups.std(ddof=1) / np.sqrt(groups.size))
+    if errors[0] is None or errors[1] is None:
+        return None
+    return float(np.hypot(errors[0], errors[1]))
+
+
+def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
+    """Held derivatives that differ, by the difference that they make for the input's own move."""
+    try:
+        one, other = (Solution.load(run).sensitivities for run in (first, second))
+    except checkpoint.CheckpointError:
+        return []
+    if one is None or other is None:
+        return []
+    found: list[Moved] = []
+    for name in one.held:
+        if name in other.held:
+            found += _of_input(one.inputs[name], name, one.held[name], other.held[name], paired)
+    return sorted(found, key=lambda each: -abs(each.effect))
+
+
+def _of_input(given, name: str, first: Estimate, second: Estimate, paired: bool) -> list[Moved]:
+    """One input, entry by entry; nothing where it has another shape in the other run."""
+    if first.value.shape != second.value.shape:
+        return []
+    difference = second.value - first.value
+    if paired and first.blocks.shape == second.blocks.shape:
+        errors = Estimate(second.blocks - first.blocks).standard_error
+    else:
+        errors = np.hypot(first.standard_error, second.standard_error)
+    moves = np.abs(given.value) * SHARE if given.move is None else np.full_like(errors, given.move)
+    columns = (first.value, second.value, difference, errors, difference * moves)
+    rows = zip(given.names(), *(np.ravel(each).tolist() for each in columns))
+    return [Moved(name, label, given.unit, *rest) for label, *rest in rows if rest[2] != 0]
+
+
+def _figure(number: float | None) -> str:
+    return "" if number is None else f"{number:,.6g}"
+
+
+def _error(number: float | None) -> str:
+    return "" if number is None or not np.isfinite(number) else f"± {number:,.2g}"

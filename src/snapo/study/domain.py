@@ -1,0 +1,152 @@
+"""A domain: how a file becomes a study in its owner's terms, and how the result is told.
+
+Domains are found by the entry-point group `snapo.domains`, those of this package and anyone's
+alike. An entry point names an object with the attributes of `Domain`; its module imports nothing
+heavy, so that `snapo new` answers at once.
+"""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache
+from importlib.metadata import EntryPoint, entry_points
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
+
+from snapo.case.error import CaseError, nearest
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+    from snapo.report.folder import Folder
+    from snapo.report.page import Section
+
+    from .study import Study, Tell
+
+GROUP = "snapo.domains"
+
+
+class Options(NamedTuple):
+    """What a command asks for beside the case.
+
+    - `engine`: "auto", "xla" or "native".
+    - `reference`: compute the exact references as well, however long they take.
+    """
+
+    engine: str = "auto"
+    reference: bool = False
+
+
+class Case(Protocol):
+    """A case that was read: its file, and remarks that its owner sees."""
+
+    @property
+    def file(self) -> Path: ...
+
+    @property
+    def notes(self) -> Sequence[str]: ...
+
+
+@dataclass(frozen=True)
+class Report:
+    """How a run is told, from the files of its folder alone.
+
+    - `title`: where the run has none.
+    - `folder`: reads the run; a domain's own class adds its units.
+    - `about`: (name, value) pairs under the title.
+    - `sections`: each makes a section of the page.
+    """
+
+    title: str
+    folder: "type[Folder]"
+    about: "Callable[[Any], Sequence[tuple[str, str]]]"
+    sections: "Sequence[Callable[[Any], Section]]"
+
+
+@runtime_checkable
+class Domain(Protocol):
+    """A kind of case.
+
+    - `kind`: the word in a case's `kind`; `words`: a phrase for the list of `snapo new`.
+    - `templates`: {size: folder that `snapo new` copies}; the first size is the default.
+    """
+
+    kind: str
+    words: str
+
+    @property
+    def templates(self) -> "Mapping[str, Traversable]": ...
+
+    def read(self, file: Path, data: Mapping[str, Any]) -> Case:
+        """From the tables of a case to its records; **raises** `CaseError` for every mistake."""
+        ...
+
+    def check(self, case: Any) -> list[str]:
+        """The case in a few lines, for a human to compare; nothing is trained."""
+        ...
+
+    def study(self, case: Any, options: Options) -> "Study":
+        """What a run of the case does."""
+        ...
+
+    def report(self) -> Report:
+        """How a run is told."""
+        ...
+
+    def bench(self, engine: str, tell: "Tell") -> str:
+        """Times of values and gradients on this machine, as a table in text."""
+        ...
+
+
+@runtime_checkable
+class RunsCode(Protocol):
+    """A domain whose cases run code that the command line names, and nothing else names."""
+
+    def with_simulator(self, module: str, name: str) -> Domain:
+        """The same domain with the simulator `name` of `module`."""
+        ...
+
+    def decides(self, case: Any) -> Mapping[str, Any]:
+        """The code as far as it decides the numbers of a run: its name and the hash of its file."""
+        ...
+
+
+@cache
+def installed() -> dict[str, EntryPoint]:
+    """{kind: entry point} of all domains; none is imported.
+
+    **Raises:** `CaseError` where two packages bring the same kind.
+    """
+    found: dict[str, EntryPoint] = {}
+    for each in entry_points(group=GROUP):
+        if each.name in found and each.value != found[each.name].value:
+            what = f"two packages bring this kind: {found[each.name].value} and {each.value}"
+            raise CaseError("kind", "", each.name, what)
+        found[each.name] = each
+    return dict(sorted(found.items()))
+
+
+def find(kind: Any, file: str, where: str = "kind") -> Domain:
+    """The domain of a kind, which stands in `file` under the key `where`."""
+    known = installed()
+    if not known:
+        what = "no kind of case is installed: install snapo with pip"
+        raise CaseError(file, where, kind, what)
+    if not isinstance(kind, str) or kind not in known:
+        kinds = ", ".join(f'"{each}"' for each in known)
+        if kind is None:
+            raise CaseError(file, where, None, f"this key is missing; it is one of {kinds}")
+        close = f"; {nearest(kind, known)}" if isinstance(kind, str) else ""
+        raise CaseError(file, where, kind, f"allowed is one of {kinds}{close}")
+    try:
+        domain = known[kind].load()
+    except (ImportError, AttributeError) as error:
+        what = f"{known[kind].value} cannot be loaded ({error})"
+        raise CaseError(file, where, kind, what) from error
+    if not isinstance(domain, Domain):
+        missing = [name for name in _MEMBERS if not hasattr(domain, name)]
+        what = f"{known[kind].value} is not a domain: it has no {', '.join(missing)}"
+        raise CaseError(file, where, kind, what)
+    return domain
+
+
+_MEMBERS = ("kind", "words", "templates", "read", "check", "study", "report", "bench")

@@ -1,0 +1,1 @@
+"""Parts that every study with a trained policy can have; `snapo.report.sections` tell them."""

@@ -1,0 +1,44 @@
+"""Why believe the number: the adjoint against bumps, and every declared limit of the simulator."""
+
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.solver.certificate import bump_check, feasibility, nudged
+from snapo.study.study import Part, StudyRun
+
+PATHS = 256
+ROUND_OFF = 1e-9  # of the largest number among the inputs, at least of one
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "certificate": {"bump_check", "feasibility", "smoothing_gap", "policy_gradient_norm"}.
+
+    Bumps are made near the inputs, not at them, since round numbers lie on kinks. Limits are those
+    of the simulator's `slack`.
+    """
+    setup, solution = run.setup, run.solution
+    problem, policy, engine = setup.problem, solution.policy, setup.engines.evaluate
+    if policy is None:
+        raise ValueError("the run has no policy")
+    bumps = bump_check(nudged(problem), policy, PATHS, engine=engine)
+    limits = feasibility(problem, policy, engine=engine)
+    round_off = ROUND_OFF * largest(problem)
+    return {
+        "certificate": {
+            "bump_check": [bump.row() for bump in bumps],
+            "feasibility": [limit.row(round_off) for limit in limits],
+            "smoothing_gap": solution.smoothing_gap,
+            "policy_gradient_norm": solution.policy_gradient_norm,
+        }
+    }
+
+
+CERTIFICATE = Part("certificate", work, needs=("training",))
+
+
+def largest(problem: Problem) -> float:
+    """The size of the largest number among the inputs, at least one."""
+    sizes = [np.max(np.abs(given.value), initial=1.0) for given in problem.named.values()]
+    return float(max(sizes, default=1.0))

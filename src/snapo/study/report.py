@@ -1,0 +1,33 @@
+"""The report of a run: one HTML file made of nothing but the files of its folder."""
+
+from pathlib import Path
+
+from snapo.report.page import Page, render
+from snapo.solver.files import write_text
+
+from .domain import Domain
+from .run_folder import REPORT
+
+
+def write_report(domain: Domain, folder: Path) -> Path:
+    """Writes `report.html` into a run folder and returns its path.
+
+    Where a file or a key is missing, the section says so in a sentence. The same files give the
+    same page, byte for byte.
+    """
+    told = domain.report()
+    run = told.folder.read(folder)
+    page = Page(
+        title=str(run.get("title") or told.title),
+        about=[(name, value) for name, value in told.about(run) if value],
+        sections=[section(run) for section in told.sections],
+        footer=_footer(run.get("versions.snapo")),
+    )
+    write_text(folder / REPORT, render(page))
+    return folder / REPORT
+
+
+def _footer(version: str | None) -> str:
+    known = version and version[:1].isdigit()  # else it says that it is not installed
+    made = f"Made by snapo {version}" if known else "Made by snapo"
+    return f"{made} from the files of one run folder; the page needs and sends nothing."

@@ -1,0 +1,119 @@
+"""A study: a problem, and the parts of a run that answer what is asked of it.
+
+A part leaves its tables in the run folder, reports its progress, can fail without losing the
+others, and is not done again when a run is resumed.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from snapo.engine import Engines
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.solver.files import write_csv
+from snapo.solver.solution import Solution
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+
+Tell = Callable[[str], None]
+
+
+class Setup(NamedTuple):
+    """All that training takes, settled: the arguments of `snapo.solve`."""
+
+    problem: Problem
+    policy: Policy
+    training: Training
+    evaluation: Evaluation
+    engines: Engines
+
+
+class Part(NamedTuple):
+    """One piece of a run.
+
+    - `name`: in words, "sensitivity matrix"; its tables are kept as parts/sensitivity-matrix.json.
+    - `work`: takes the `StudyRun` and returns {key: table} in plain data or NumPy: the keys under
+      which reports find them (`run.get("key")`). No two parts give the same key.
+    - `needs`: the parts without which it cannot be done; where one failed, it is skipped.
+    """
+
+    name: str
+    work: "Callable[[StudyRun], Mapping[str, Any]]"
+    needs: tuple[str, ...] = ()
+
+    @property
+    def file(self) -> str:
+        """The name of its file."""
+        return self.name.replace(" ", "-") + ".json"
+
+
+@dataclass(frozen=True, eq=False)
+class Study:
+    """What a run does.
+
+    - `kind`: of the domain.
+    - `about`: known before any work: title, currency, dates, notes …, for the report.
+    - `parts`: in the order in which they are done.
+    - `result`: what result.json says, from the run so far: "value", "standard_error", "status" …
+    - `setup`: gives what training takes, the same object every time; None where nothing trains.
+    """
+
+    kind: str
+    about: Mapping[str, Any]
+    parts: Sequence[Part]
+    result: "Callable[[StudyRun], Mapping[str, Any]]"
+    setup: Callable[[], Setup] | None = None
+
+    def __post_init__(self):
+        names = [part.name for part in self.parts]
+        for position, part in enumerate(self.parts):
+            if part.name in names[:position]:
+                raise ValueError(f"Study: two parts are called {part.name!r}.")
+            if unknown := set(part.needs) - set(names[:position]):
+                raise ValueError(f"Study: {part.name!r} needs {sorted(unknown)} before it.")
+
+
+@dataclass(eq=False)
+class StudyRun:
+    """A study while it runs: what its parts read, and where they write.
+
+    - `folder`: of the run; `resume`: whether to go on from its checkpoint.
+    - `tell`: takes one line of progress.
+    - `found`: the tables of all finished parts by key, as they come back from JSON.
+    - `troubles`: what could not be written.
+    """
+
+    study: Study
+    folder: Path
+    tell: Tell
+    resume: bool = False
+    found: dict[str, Any] = field(default_factory=dict)
+    troubles: list[str] = field(default_factory=list)
+    trained: Solution | None = None
+
+    def get(self, path: str, default: Any = None) -> Any:
+        """The entry "today.spot" of what was found, or `default` where it is missing or null."""
+        table: Any = self.found
+        for key in path.split("."):
+            table = table.get(key) if isinstance(table, dict) else None
+        return default if table is None else table
+
+    @property
+    def setup(self) -> Setup:
+        """All that training takes."""
+        if self.study.setup is None:
+            raise ValueError(f"{self.study.kind}: this study trains nothing.")
+        return self.study.setup()
+
+    @property
+    def solution(self) -> Solution:
+        """The trained policy with its value: of this run, or loaded from its folder."""
+        if self.trained is None:
+            self.trained = Solution.load(self.folder, like=self.setup.policy)
+        return self.trained
+
+    def write_csv(self, name: str, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
+        """A table of its own beside the report; numbers keep all their digits."""
+        write_csv(self.folder / name, header, rows)

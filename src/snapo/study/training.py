@@ -1,0 +1,117 @@
+"""The part of a study that trains: with a checkpoint, so that a killed run goes on."""
+
+import hashlib
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import Scenarios, Supplied
+from snapo.solver import checkpoint
+from snapo.solver.evaluate import worth_of_groups
+from snapo.solver.files import write_csv
+from snapo.solver.solution import HISTORY, Solution
+from snapo.solver.solve import solve
+from snapo.solver.train import Progress, Record, Training, begin
+
+from .run_folder import CHECKPOINT, GROUPS
+from .study import Part, StudyRun
+
+
+def train(run: StudyRun) -> dict[str, Any]:
+    """Solves the study's problem into the run folder."""
+    problem, policy, training, evaluation, engines = run.setup
+    solution = solve(
+        problem,
+        policy=policy,
+        training=training,
+        evaluation=evaluation,
+        engine=engines,
+        callbacks=[lambda state: _keep(run, state, training)],
+        progress=_state(run, policy, training),
+    )
+    run.trained = solution
+    solution.save(run.folder)
+    _keep_groups(run, solution)
+    run.tell("\n".join(solution.lines()))
+    return {
+        "solution": solution.summary(),
+        "engine": {"name": solution.engine, "reason": solution.reason},
+        "paths": dict(solution.paths),
+        "seed": solution.seed,
+        "versions": dict(solution.versions),
+    }
+
+
+TRAINING = Part("training", train)
+
+
+def trained(run: StudyRun, references: Mapping[str, float | None] | None = None) -> dict[str, Any]:
+    """What result.json says of a study that trains; empty while it has not yet."""
+    found = dict(run.get("solution", {}))
+    if not found:
+        return {}
+    head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
+    first = {key: found.pop(key) for key in head}
+    return first | {"references": dict(references or {})} | found
+
+
+def _keep_groups(run: StudyRun, solution: Solution) -> None:
+    """What independent groups of paths are worth, and of which scenarios: for comparisons."""
+    problem = run.setup.problem
+    source, simulator = problem.sources.evaluation, problem.simulator
+    controls = simulator.control_variates()
+    worth = worth_of_groups(problem.objective, solution.totals, source, controls)
+    noise = (simulator.horizon, simulator.initial_noise_size, simulator.noise_size)
+    scenarios = {"source": fingerprint(source), "noise": noise, "paths": solution.paths["evaluate"]}
+    checkpoint.save_named(run.folder / GROUPS, {("groups",): worth}, scenarios)
+
+
+def fingerprint(source: Scenarios) -> str:
+    """A text that is the same for the same scenarios: two runs on them can be paired."""
+    if not isinstance(source, Supplied):
+        return repr(source)
+    digest = hashlib.sha256(source.step_noise.tobytes())
+    if source.initial_noise is not None:
+        digest.update(source.initial_noise.tobytes())
+    return f"supplied {source.step_noise.shape} {digest.hexdigest()}"
+
+
+def _state(run: StudyRun, policy: Policy, training: Training) -> Progress:
+    """Where training starts: at the checkpoint when asked and there is one, else at the start."""
+    fresh, file = begin(policy, training), run.folder / CHECKPOINT
+    if not (run.resume and file.exists()):
+        return fresh
+    state = load_checkpoint(file, fresh)
+    run.tell(f"resuming after step {state.step}")
+    return state
+
+
+def load_checkpoint(file: Path, fresh: Progress) -> Progress:
+    """The state of training in `file`, shaped like `fresh`.
+
+    **Raises:** `CaseError` where it is damaged or of another policy.
+    """
+    try:
+        return checkpoint.load(file, fresh)
+    except checkpoint.CheckpointError as error:
+        what = str(error).removeprefix(f"{file}: ").rstrip(".")
+        what = f"{what}; solve without --resume, or remove this file"
+        raise CaseError(str(file), "", None, what) from None
+
+
+def _keep(run: StudyRun, state: Progress, training: Training) -> None:
+    """Best policy and history so far, on disk; a write that fails does not lose the run."""
+    if state.history:
+        last = state.history[-1]
+        run.tell(
+            f"step {last.step:>5} of {training.steps}: exact value {last.exact:>14,.7g}, "
+            f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
+        )
+    try:
+        checkpoint.save(state, run.folder / CHECKPOINT)
+        write_csv(run.folder / HISTORY, Record._fields, state.history)
+    except OSError as error:
+        run.troubles.append(f"{error.filename or run.folder}: {error.strerror}")
+        run.tell(f"could not write: {run.troubles[-1]}")

@@ -1,0 +1,58 @@
+"""The rooms of the compiler: each imports earlier ones only, and nothing of snapo is needed."""
+
+import ast
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from snapo import lanes
+
+HOME = Path(lanes.__file__).parent
+FILES = sorted(HOME.rglob("*.py"))
+# `program` is above `emit`: a writer of code knows the values of a program, not the reverse.
+ORDER = ["program", "emit", "curves", "rules", "body", "gradients", "machine"]
+ALONE = {"machine"}  # needs no other room
+
+
+def room(file: Path) -> str:
+    parts = file.relative_to(HOME).parts
+    return parts[0] if len(parts) > 1 else ""
+
+
+def rooms_imported(file: Path) -> set[str]:
+    """The rooms that a file imports from, by relative imports of two dots."""
+    nodes = [n for n in ast.walk(ast.parse(file.read_text())) if isinstance(n, ast.ImportFrom)]
+    return {(n.module or "").split(".")[0] for n in nodes if n.level == 2} & set(ORDER)
+
+
+@pytest.mark.parametrize("file", FILES, ids=lambda file: str(file.relative_to(HOME)))
+def test_a_room_imports_earlier_ones_only(file):
+    mine = room(file)
+    if mine:
+        allowed = set() if mine in ALONE else set(ORDER[: ORDER.index(mine)])
+        assert rooms_imported(file) <= allowed
+
+
+def test_rooms_are_those_in_the_docstring():
+    folders = {file.name for file in HOME.iterdir() if (file / "__init__.py").exists()}
+    assert folders == set(ORDER)
+    for name in ORDER:
+        assert f"\n    {name} " in (lanes.__doc__ or "")
+
+
+IMPORTED = """
+import importlib, sys
+for name in {names}:
+    importlib.import_module(name)
+parts = {{name.split(".")[1] for name in sys.modules if name.startswith("snapo.")}}
+assert parts == {{"lanes"}}, parts
+assert not [name for name in sys.modules if name.startswith("llvmlite")]
+"""
+
+
+def test_all_of_it_is_imported_without_snapo_and_without_llvmlite():
+    names = [".".join(("snapo", *f.relative_to(HOME.parent).with_suffix("").parts)) for f in FILES]
+    code = IMPORTED.format(names=[name.removesuffix(".__init__") for name in names])
+    subprocess.run([sys.executable, "-c", code], check=True)

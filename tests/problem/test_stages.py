@@ -1,0 +1,136 @@
+"""A policy for each stage of a chain: its own observation, its own bounds, both engines."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.problem.test_chain import HEAT, INPUTS, Grow, Heat, move
+
+from snapo.engine import Xla
+from snapo.engine.native import Native, unsupported
+from snapo.problem.actions import Box
+from snapo.problem.chain import Chain
+from snapo.problem.policy import MLP, Constant, Linear, parameters, trainable
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.stages import Stages
+
+PATHS = 16
+WEIGHTS = {name: np.full(PATHS, 1 / PATHS) for name in ("cost", "peak", "width", "end")}
+
+
+class Narrow(Heat):
+    action: Box = Box(1, 0.2, 0.9)
+
+
+class Own(Grow):
+    action: Box = Box(2, [-1.0, 0.0], [1.0, np.inf])
+
+
+def made(chain, *policies):
+    schedule = prepare(chain, INPUTS)
+    return schedule, Stages(policies).for_problem(chain.interface(schedule), jax.random.key(3))
+
+
+def rolled(chain, policy, schedule, engine=None, record=()):
+    draws = Pseudo(3).draws(np.arange(PATHS), chain)
+    engine = engine or Xla(precision="float64")
+    return engine.values(chain, policy, schedule, draws, Exact(), record=record)
+
+
+def test_stages_with_the_rows_of_one_policy_are_that_policy():
+    """Linear feedback on [features…, stage]: each stage reads its own columns and rows of it.
+
+    Same arithmetic in another order: 1e-12."""
+    chain = Chain([Heat(), Grow()], [move])
+    gain = np.random.default_rng(0).normal(size=(2, 5)) * 0.3
+    schedule = prepare(chain, INPUTS)
+    parts = (
+        Linear(gain[:1, :1], gain[:1, 3]),
+        Linear(gain[:, :3], gain[:, 4]),
+    )
+    apart = Stages(parts, chain.interface(schedule))
+    one = rolled(chain, Linear(gain), schedule).totals
+    each = rolled(chain, apart, schedule).totals
+    for name in one:
+        np.testing.assert_allclose(each[name], one[name], rtol=1e-12)
+
+
+def test_every_stage_has_its_own_features_and_bounds():
+    chain = Chain([Narrow(), Own()], [move])
+    assert chain.action == Box(2, [-1.0, 0.0], [1.0, np.inf])
+    schedule, policy = made(chain, MLP(hidden=(4,)), MLP(hidden=(5,)))
+    widths = [each.network.weights[0].shape for each in policy.policies]
+    assert widths == [(4, 1), (5, 3)]
+    # Networks that ask for all they can get reach their own stage's bounds, and no further.
+    wild = jax.tree.map(lambda x: x * 30 if eqx.is_inexact_array(x) else x, policy)
+    action = np.asarray(rolled(chain, wild, schedule, record=("action",)).record["action"])
+    heat, grow = action[:HEAT, :, 0], action[HEAT:]
+    assert np.all((heat >= 0.2) & (heat <= 0.9)) and np.any(heat != heat[0, 0])
+    assert np.all((grow >= [-1.0, 0.0]) & (grow[..., :1] <= 1.0))
+
+
+def test_a_shared_policy_is_clipped_to_each_stages_bounds():
+    chain = Chain([Narrow(), Grow()], [move])
+    schedule = prepare(chain, INPUTS)
+    own = rolled(chain, Constant([0.2, 0.3]), schedule, record=("state",))
+    heated = rolled(chain, Constant([-1.0, 0.3]), schedule, record=("state",))
+    for a, b in zip(
+        own.record["state"]["stages"][0].values(), heated.record["state"]["stages"][0].values()
+    ):
+        # A policy's numbers are float32: 0.2 is off by 3e-9.
+        np.testing.assert_allclose(a, b, rtol=1e-7)
+
+
+@pytest.mark.parametrize("smooth", [Exact(), Smooth(np.float64(0.1))], ids=["exact", "smooth"])
+def test_both_engines_agree_on_stages(smooth):
+    """1e-12 of the totals and 1e-10 of the gradients in float64, as for any problem."""
+    chain = Chain([Narrow(), Own()], [move])
+    schedule, policy = made(chain, MLP(hidden=(4,)), MLP(hidden=(5,)))
+    assert unsupported(chain, schedule, policy, smooth) is None
+    draws = Pseudo(3).draws(np.arange(PATHS), chain)
+    given = (chain, policy, schedule, draws, smooth)
+    xla, native = (engine("float64").adjoint(*given, WEIGHTS) for engine in (Xla, Native))
+    for name in xla.totals:
+        np.testing.assert_allclose(native.totals[name], xla.totals[name], rtol=1e-12)
+    for a, b in zip(*(jax.tree.leaves((f.policy, f.schedule)) for f in (xla, native))):
+        np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-13)
+
+
+def test_gradients_of_both_policies_against_central_differences():
+    """Step 1e-5 in float64: truncation about 1e-10, round-off 1e-11; 1e-6 of the largest."""
+    chain = Chain([Narrow(), Own()], [move])
+    schedule, policy = made(chain, MLP(hidden=(3,)), Linear())
+    policy = jax.tree.map(
+        lambda x: np.asarray(x, np.float64) if eqx.is_inexact_array(x) else x, policy
+    )
+    draws, engine = Pseudo(3).draws(np.arange(PATHS), chain), Xla(precision="float64")
+    found = engine.adjoint(chain, policy, schedule, draws, Exact(), WEIGHTS)
+    gradient = parameters(found.policy)
+
+    def value(policy):
+        totals = engine.values(chain, policy, schedule, draws, Exact()).totals
+        return sum(np.sum(totals[name] * w) for name, w in WEIGHTS.items())
+
+    moving, fixed = trainable(policy)
+    leaves, tree = jax.tree.flatten(moving)
+    sizes = np.cumsum([0, *(leaf.size for leaf in leaves)])
+    for i in range(0, sizes[-1], 2):
+        k = int(np.searchsorted(sizes, i, side="right")) - 1
+        shifted = []
+        for sign in (1, -1):
+            new = [np.array(leaf) for leaf in leaves]
+            new[k].reshape(-1)[i - sizes[k]] += sign * 1e-5
+            shifted.append(value(eqx.combine(jax.tree.unflatten(tree, new), fixed)))
+        difference = (shifted[0] - shifted[1]) / 2e-5
+        assert abs(difference - gradient[i]) < 1e-6 * np.abs(gradient).max(), (i, k)
+
+
+def test_recipes_and_wrong_numbers_of_policies_are_refused():
+    chain = Chain([Heat(), Grow()], [move])
+    with pytest.raises(ValueError, match="1 policies and 2 stages"):
+        made(chain, MLP())
+    with pytest.raises(ValueError, match="this is a recipe"):
+        Stages([MLP(), MLP()])(jnp.zeros(5), Exact())

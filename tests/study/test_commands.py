@@ -1,0 +1,154 @@
+"""The commands on a fake domain: what they read, write, print and refuse."""
+
+import json
+from pathlib import Path
+
+import pytest
+from tests.study.fake import Fake
+
+from snapo.cli.main import main
+
+
+def answer(capsys) -> dict:
+    """The one JSON object on stdout."""
+    return json.loads(capsys.readouterr().out)
+
+
+def test_solve_check_and_report(fake, case, capsys):
+    assert main(["check", str(case)]) == 0
+    printed = capsys.readouterr()
+    assert (printed.out, printed.err) == ("3 numbers\n", "note: a remark\n")
+    assert main(["solve", str(case)]) == 0
+    printed = capsys.readouterr()
+    assert "fake: ok" in printed.out and f"report: {case / 'run' / 'report.html'}" in printed.out
+    assert "doubled" in printed.err
+    assert (case / "run" / "case" / "case.toml").read_text() == (case / "case.toml").read_text()
+    report = case / "run" / "report.html"
+    before = report.read_bytes()
+    report.unlink()
+    assert main(["report", str(case / "run")]) == 0
+    assert report.read_bytes() == before
+    assert capsys.readouterr().out == f"{report}\n"
+
+
+def test_json_is_one_object_for_every_command(fake, case, capsys):
+    assert main(["check", str(case), "--json"]) == 0
+    assert answer(capsys) == {"status": "ok", "lines": ["3 numbers"]}
+    assert main(["solve", str(case), "--json"]) == 0
+    assert answer(capsys)["value"] == 7
+    assert main(["report", str(case / "run"), "--json"]) == 0
+    assert answer(capsys)["report"] == str(case / "run" / "report.html")
+    assert main(["bench", "fake", "--json"]) == 0
+    assert answer(capsys) == {"status": "ok", "times": {"fake": "auto: at once"}}
+    assert main(["new", "--json"]) == 0
+    assert answer(capsys)["kinds"] == {"fake": {"words": "sums of numbers", "sizes": []}}
+    assert main(["compare", str(case / "run"), str(case / "run"), "--json"]) == 0
+    assert answer(capsys)["difference"] == 0
+    assert main(["solve", str(case / "none"), "--json"]) == 2
+    assert answer(capsys)["status"] == "bad-input"
+
+
+def test_set_changes_keys_and_the_domain_judges_them(fake, case, capsys):
+    assert main(["solve", str(case), "--json", "--set", "numbers=[5, 6]"]) == 0
+    assert answer(capsys)["value"] == 11
+    assert main(["check", str(case), "--set", "number=3"]) == 2
+    message = capsys.readouterr().err
+    assert f"{case / 'case.toml'} with --set, number: got 3; there is no such key" in message
+    assert main(["check", str(case), "--set", "numbers=3"]) == 2
+    assert "with --set, numbers: got 3; allowed is a list of numbers" in capsys.readouterr().err
+
+
+def test_seed_is_a_key(fake, case):
+    assert main(["solve", str(case), "--seed", "7"]) == 0
+    decides = json.loads((case / "run" / "run.json").read_text())["decides"]
+    assert decides["case"]["training"] == {"seed": 7}
+    assert main(["solve", str(case), "--set", "training.seed=7", "--resume"]) == 0
+
+
+def test_resume_refuses_another_case_and_keeps_the_copy(fake, case, capsys):
+    assert main(["solve", str(case)]) == 0
+    copy = (case / "run" / "case" / "case.toml").read_bytes()
+    (case / "case.toml").write_text('kind = "fake"\nnumbers = [1, 2, 5]\n')
+    assert main(["solve", str(case), "--resume"]) == 2
+    assert "numbers = [1, 2, 4], and now it is [1, 2, 5]" in capsys.readouterr().err
+    assert (case / "run" / "case" / "case.toml").read_bytes() == copy
+    assert main(["solve", str(case), "--resume", "--engine", "xla"]) == 2
+
+
+def test_a_failed_part_is_a_failed_command(fake, case, capsys):
+    assert main(["solve", str(case), "--set", 'fails="alone"']) == 1
+    printed = capsys.readouterr().out
+    assert "alone failed" in printed and "was told to fail" in printed
+
+
+def test_what_is_refused(fake, case, capsys):
+    assert main(["solve", str(case), "--reference"]) == 2
+    assert "sums have no references" in capsys.readouterr().err
+    assert main(["solve", str(case), "--out", str(case)]) == 2
+    assert "this is the folder of the case" in capsys.readouterr().err
+    assert main(["solve", str(case), "--simulator", "simulator:Mine"]) == 2
+    message = capsys.readouterr().err
+    assert 'a case of kind "fake" has its own simulator; one of yours is of kind "own"' in message
+    assert main(["report", str(case)]) == 2
+    assert "this is not the folder of a run" in capsys.readouterr().err
+    assert main(["bench", "fakes"]) == 2
+    assert "KIND: got 'fakes'" in capsys.readouterr().err
+
+
+def test_an_interrupt_has_its_code(fake, case, capsys, monkeypatch):
+    def study(self, case, options):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(Fake, "study", study)
+    assert main(["solve", str(case)]) == 130
+    assert "interrupted" in capsys.readouterr().err
+
+
+@pytest.fixture
+def templates(monkeypatch, tmp_path):
+    """Two sizes of an example."""
+    sizes = {}
+    for size in ("small", "large"):
+        folder = tmp_path / f"template_{size}"
+        folder.mkdir()
+        (folder / "case.toml").write_text(f'kind = "fake"  # {size}')
+        sizes[size] = folder
+    # Frozen, but a test's own.
+    monkeypatch.setitem(
+        vars(__import__("tests.study.fake", fromlist=["x"]).DOMAIN), "templates", sizes
+    )
+
+
+def test_new_writes_the_size_that_was_asked_for(fake, templates, tmp_path, capsys):
+    assert main(["new", "fake", str(tmp_path / "a")]) == 0
+    assert "small" in (tmp_path / "a" / "case.toml").read_text()
+    assert main(["new", "fake", str(tmp_path / "b"), "--size", "large"]) == 0
+    assert "large" in (tmp_path / "b" / "case.toml").read_text()
+    assert main(["new", "fake", str(tmp_path / "c"), "--size", "huge"]) == 2
+    assert "got 'huge'; allowed is one of small, large" in capsys.readouterr().err
+    assert main(["new", "fake", str(tmp_path / "a")]) == 2
+    assert "this file exists; nothing was written" in capsys.readouterr().err
+    assert main(["new", "fake"]) == 2
+    assert "snapo new fake DIR" in capsys.readouterr().err
+    assert main(["new"]) == 0
+    assert "sums of numbers (--size small, large)" in capsys.readouterr().out
+
+
+def test_compare_says_what_differs(fake, case, tmp_path, capsys):
+    first, second = str(tmp_path / "one"), str(tmp_path / "two")
+    main(["solve", str(case), "--out", first])
+    main(["solve", str(case), "--out", second, "--set", "numbers=[1, 2, 6]", "--engine", "xla"])
+    capsys.readouterr()
+    assert main(["compare", first, second]) == 0
+    printed = capsys.readouterr().out
+    assert "numbers: [1, 2, 4], [1, 2, 6]" in printed
+    assert 'engine: "auto", "xla"' in printed
+    assert main(["compare", first, second, "--json"]) == 0
+    found = answer(capsys)
+    assert (found["values"], found["difference"], found["paired"]) == ([7, 9], 2, False)
+    record = Path(second) / "run.json"
+    record.write_text(record.read_text().replace('"fake"', '"other"', 1))
+    assert main(["compare", first, second]) == 2
+    assert (
+        'is a run of kind "fake"; only runs of one kind can be compared' in capsys.readouterr().err
+    )
