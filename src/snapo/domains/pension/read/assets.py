@@ -13,6 +13,7 @@ from snapo.case.table import Section
 from ..market.assets.asset_class import SPECIAL, AssetClass, Names
 from ..market.assets.registry import KINDS
 from ..records.assets import Assets, Group
+from ..records.said import YEARLY, amount, rate, share, volatility
 from .cells import (
     WHOLE,
     Grid,
@@ -27,7 +28,6 @@ from .cells import (
     word,
 )
 from .holdings import column
-from .said import YEARLY, amount, rate, share, volatility
 from .tables import AssetsTable
 
 MEAN = share(

@@ -12,7 +12,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.table import Section, Table, nearest
 
-from .said import Said
+from ..records.said import Said
 
 NEVER = 1e-9  # of a year: two times closer than this are one
 

@@ -10,8 +10,8 @@ from snapo.case.table import Section
 
 from ..market.correlation import check_correlation, nearest
 from ..records.market import Correlation
+from ..records.said import number
 from .cells import empty, listed, unique
-from .said import number
 from .tables import CorrelationsTable
 
 CORRELATION = number("a correlation; it moves together with its mirror", "model")

@@ -8,8 +8,8 @@ import numpy as np
 from snapo.case.csv import Mention, Row, read_rows
 
 from ..records.market import Curve
+from ..records.said import Said, rate
 from .cells import Place, empty, listed, rising, single, years
-from .said import Said, rate
 from .tables import CurveTable, InflationTable
 
 HELD = "Market values of assets today, prices of risk and excess returns are held"

@@ -10,6 +10,8 @@ from snapo.case.table import Section
 
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
+from ..records.said import YEARLY, Said, amount, rate, share, volatility
+from ..records.said import number as pure
 from .cells import (
     Grid,
     Place,
@@ -23,8 +25,6 @@ from .cells import (
     whole_steps,
     years,
 )
-from .said import YEARLY, Said, amount, rate, share, volatility
-from .said import number as pure
 from .tables import CreditTable, CurrenciesTable, OverlayTable
 
 CREDIT = {

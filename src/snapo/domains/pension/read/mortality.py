@@ -8,8 +8,8 @@ from snapo.case.given import Given
 from snapo.case.table import Section
 
 from ..records.people import FEMALE, MALE, LeeCarter, Mortality
+from ..records.said import SQUARE_ROOT, Said, amount, rate
 from .cells import Place, empty, single, word
-from .said import SQUARE_ROOT, Said, amount, rate
 from .tables_people import LeeCarterTable, MortalityTable
 
 SEX = ("male", "female")

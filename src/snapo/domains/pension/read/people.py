@@ -9,9 +9,9 @@ from snapo.case.given import Given
 from snapo.case.table import Section
 
 from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, Members, Mortality
+from ..records.said import amount
 from .cells import WHOLE, Grid, Place, empty, listed, number, single, unique, word, years
 from .mortality import SEX
-from .said import amount
 from .tables_people import MembersTable
 
 STATUS = ("active", "deferred", "pensioner", "spouse")

@@ -10,8 +10,8 @@ from snapo.case.table import Section, Table
 
 from ..records.case import Frontier
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
+from ..records.said import YEARLY, Said, amount, rate, share, time
 from .cells import empty, single
-from .said import YEARLY, Said, amount, rate, share, time
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,

@@ -10,26 +10,22 @@ mean of moving assets first and of moving the liability first. dA and dL are sum
   mortality away from what was expected; indexation granted beyond what was valued.
 """
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import Schedule
-from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import path_totals
+from snapo.study.study import StudyRun
 
 from ..fund.books import LEAST, balance
 from ..fund.simulator import Happened, PensionSimulator
 from ..records.case import PensionCase
-
-if TYPE_CHECKING:
-    from ..run import Problem
+from .setup import case_of
 
 PATHS = 4096
 ROWS = (
@@ -45,25 +41,25 @@ ROWS = (
 )
 
 
-def attribution(problem: "Problem", policy: Policy, source: Scenarios) -> dict[str, Any]:
-    """Mean effect of every part on the funding ratio: through assets, liability and both.
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "attribution": mean effect of every part on the funding ratio, through assets, liability
+    and both.
 
     `rows` hold means over paths and the standard deviation of both together; `change` is the mean
     of F at the horizon less F today by the simulator itself, which the rows must add up to.
     Empty for a fund without a liability.
     """
-    simulator = Explained(problem.case)  # pyright: ignore[reportCallIssue]
-    schedule = prepare(simulator, problem.inputs)
-    assets, liability = (
-        float(each) for each in (schedule.constants.assets, schedule.constants.liability)
-    )
+    case, setup, policy = case_of(run), run.setup, run.solution.policy
+    assert policy is not None
+    problem = replace(setup.problem, simulator=Explained(case))  # pyright: ignore
+    constants = problem.schedule.constants
+    assets, liability = float(constants.assets), float(constants.liability)
     if liability <= LEAST * assets:
-        return {}
-    paths = min(PATHS, problem.evaluation.paths)
-    engine = problem.engines.evaluate
-    totals = path_totals(engine, simulator, policy, schedule, source, paths, Exact())
+        return {"attribution": {}}
+    paths = problem.sources.evaluation.available(min(PATHS, setup.evaluation.paths))
+    totals = path_totals(problem, policy, paths, engine=setup.engines.evaluate)
     rows = []
-    prices = problem.case.liability.future_indexation == "full"
+    prices = case.liability.future_indexation == "full"
     for key, name in ROWS:
         if key == "rates" and prices:
             name = name.replace("Rates", "Rates and prices")
@@ -74,7 +70,7 @@ def attribution(problem: "Problem", policy: Policy, source: Scenarios) -> dict[s
         rows.append(row)
     final = totals["funding_ratio"]
     change = {"mean": final.mean() - assets / liability, "deviation": final.std()}
-    return {"start": assets / liability, "rows": rows, "change": change}
+    return {"attribution": {"start": assets / liability, "rows": rows, "change": change}}
 
 
 class Moment(NamedTuple):

@@ -10,7 +10,6 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.inputs import Input, plain
 from snapo.solver.adjoint import adjoint_jacobian
 
 from ..fund.swap_limits import notionals
@@ -18,8 +17,7 @@ from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_log_prices
 from ..records.case import PensionCase
 from ..records.market import Curve
-from .reconcile import Figures, figures
-from .stress import Stressed
+from .reconcile import Figures
 
 BASIS_POINT = 1e-4
 
@@ -40,13 +38,13 @@ def slopes(curve: Curve, inputs: dict[str, Any], log_prices: Callable[[dict], Ar
 
 
 def ladder(
-    case: PensionCase, inputs: dict[str, Input], figure: Figures, notional: np.ndarray
+    case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
 ) -> dict[str, Any]:
     """Change of value for +1 bp at each node of the curve: assets, swaps, liabilities [nodes].
 
     Classes with a shock of their own count as insensitive to the curve; break-evens are held.
     """
-    given, curve = plain(inputs), case.curve
+    curve = case.curve
     held = slopes(curve, given, lambda moved: log_prices(case, moved))
     assets = BASIS_POINT * held_now(case) @ held
     swaps = np.zeros(len(curve.tenor))
@@ -109,31 +107,3 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> di
         "direction": "fall" if exposure < 0 else "rise",
         "required": stress / BASIS_POINT,
     }
-
-
-def stressed(
-    case: PensionCase, inputs: dict[str, Input], scenario: Stressed, notional: np.ndarray
-) -> dict[str, Any]:
-    """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
-    before = plain(inputs)
-    after = before | {
-        name: np.asarray(values, np.float64) for name, values in scenario.values.items()
-    }
-    ratio = scenario.price * np.exp(_change(log_prices, case, before, after))
-    assets = float(held_now(case) @ ratio)
-    if case.overlay is not None:
-        assets += float(notional @ np.expm1(_change(swap_log_prices, case, before, after)))
-    liability = float(figures(case, after).liability)
-    return {
-        "scenario": scenario.scenario,
-        "assets": assets,
-        "liability": liability,
-        "funding": assets / liability,
-        "surplus": assets - liability,
-    }
-
-
-def _change(log_prices: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
-    """Changes of `log_prices` from one set of inputs to another."""
-    with jax.enable_x64(True):
-        return np.asarray(log_prices(case, after)) - np.asarray(log_prices(case, before))

@@ -1,26 +1,25 @@
 """The learned policy against classical ones, each tuned on the same objective and bounds."""
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 from snapo.problem.objective import CRRA, ExpectedUtility, Objective, Totals
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
-from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import path_totals
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin, train
+from snapo.study.study import Setup, StudyRun, Tell
 
 from ..policies.classical import ConstantMix, followers
-
-if TYPE_CHECKING:
-    from ..run import Problem
+from .setup import case_in
 
 AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
+LEARNED = "learned"  # the key of the policy that the others are compared with
 RATE = 0.05  # learning rate of rules of a few numbers each, which have far to go
 
 
@@ -42,58 +41,57 @@ def equivalent(objective: Objective, utility: float) -> Equivalent | None:
     return Equivalent(ratio, 1 / float(crra.slope(np.array(ratio))))
 
 
-def compare(
-    problem: "Problem",
-    solution: Solution,
-    source: Scenarios,
-    progress: Callable[[str], None],
-) -> list[dict[str, Any]]:
-    """Value, certainty equivalent and paired difference of every policy, the learned one first.
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "policies": value, certainty equivalent and paired difference of every policy, the learned
+    one first.
 
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
     standard error comes from the differences path by path. The classical policies take as many
     steps of training as the network did, those that follow the funding ratio on top of the
     constant mix from which they start; of each the best along the way is kept.
     """
+    return {"policies": compare(run.setup, run.solution, run.tell)}
+
+
+def compare(setup: Setup, solution: Solution, tell: Tell) -> list[dict[str, Any]]:
+    """The rows of `work`."""
+    problem, case = setup.problem, case_in(setup)
     own = {name: np.asarray(total) for name, total in solution.totals.items()}
-    found = [_row(problem, "learned", "Learned policy", own, own, source)]
+    found = [_row(problem, LEARNED, "Learned policy", own, own)]
 
     def measure(key: str, name: str, policy: Policy) -> Totals:
-        given = (problem.engines.evaluate, problem.simulator, policy, problem.schedule, source)
-        totals = path_totals(*given, problem.evaluation.paths, Exact())
-        found.append(_row(problem, key, name, totals, own, source))
+        paths, engine = setup.evaluation.paths, setup.engines.evaluate
+        totals = path_totals(problem, policy, paths, engine=engine)
+        found.append(_row(problem, key, name, totals, own))
         return totals
 
-    progress("tuning constant mix")
-    mix = tuned(problem, ConstantMix(problem.case))
+    tell("tuning constant mix")
+    mix = tuned(setup, ConstantMix(case))
     totals = measure("constant_mix", "Constant mix", mix)
-    for key, (name, start) in followers(problem.case, mix, reached(problem, totals)).items():
-        progress(f"tuning {name.lower()}")
-        measure(key, name, tuned(problem, start))
+    for key, (name, start) in followers(case, mix, reached(problem, totals)).items():
+        tell(f"tuning {name.lower()}")
+        measure(key, name, tuned(setup, start))
     return found
 
 
-def reached(problem: "Problem", totals: Totals) -> tuple[float, float]:
+def reached(problem: Problem, totals: Totals) -> tuple[float, float]:
     """The range of funding ratios between today's and the middle 80 % of the paths' last ones."""
     now = float(problem.schedule.constants.assets / problem.schedule.constants.liability)
     low, high = np.quantile(totals["funding_ratio"], [0.1, 0.9])
     return min(now, float(low)), max(now, float(high))
 
 
-def tuned(problem: "Problem", policy: AnyPolicy) -> AnyPolicy:
+def tuned(setup: Setup, policy: AnyPolicy) -> AnyPolicy:
     """The best of the policies along a run of training, as for the network."""
-    from ..run import supplied
-
-    rate = max(RATE, problem.training.learning_rate)
-    training = replace(problem.training, learning_rate=rate)
-    given = (problem.simulator, problem.schedule, begin(policy, training), problem.objective)
-    return train(
-        *given, training, problem.engines.train, supplied=supplied(problem.case, "training")
-    ).best  # pyright: ignore[reportReturnType]
+    rate = max(RATE, setup.training.learning_rate)
+    training = replace(setup.training, learning_rate=rate)
+    found = train(setup.problem, begin(policy, training), training, setup.engines.train)
+    return found.best  # pyright: ignore[reportReturnType]
 
 
-def _row(problem: "Problem", key: str, name: str, totals, own, source: Scenarios) -> dict[str, Any]:
-    objective, case = problem.objective, problem.case
+def _row(problem: Problem, key: str, name: str, totals, own) -> dict[str, Any]:
+    objective, source = problem.objective, problem.sources.evaluation
+    case = problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
     value, mine = objective.value(totals), objective.value(own)
     row: dict[str, Any] = {"key": key, "name": name, "value": value}
     spread = objective.influence(own) - objective.influence(totals)

@@ -1,19 +1,16 @@
 """Is the model the market's? Risk-neutral tests on fresh paths, each with its error."""
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.inputs import plain
-from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Pseudo, Scenarios
-from snapo.problem.smooth import Exact
+from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.solver.evaluate import path_totals
-from snapo.solver.train import EVALUATE_STREAM
+from snapo.study.study import StudyRun
 
 from ..fund.simulator import PensionSimulator
 from ..market.curve import log_bond
@@ -21,10 +18,7 @@ from ..market.state import log_factor
 from ..people.liability import nodes
 from ..read.cells import empty
 from ..records.case import PensionCase
-from .reconcile import Figures
-
-if TYPE_CHECKING:
-    from ..run import Problem
+from .setup import case_of
 
 PATHS = 16384
 ROUND_OFF = 1e-12  # of a value that does not vary over paths
@@ -48,29 +42,44 @@ class Priced(PensionSimulator):
         return super().terminal(constants, state, smooth) | bonds
 
 
-def consistency(problem: "Problem", policy: Policy, found: Figures) -> list[dict[str, Any]]:
-    """What discounted values should be, and what they are, with the trained policy.
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "market_consistency": what discounted values should be, and what they are, with the trained
+    policy.
 
     The scenarios are "Q" whatever the measure of the case, without the cost of hedging currencies,
     which nobody receives. Costs count where they are paid. None where scenarios are supplied;
     appraised values and bases with a spread are no prices.
     """
-    case = problem.case
+    case, setup = case_of(run), run.setup
     if case.scenarios is not None:
-        return []
+        return {"market_consistency": []}
     free = replace(case.currencies, hedge_cost=empty("hedge_cost", (len(case.currencies.names),)))
     simulator = Priced(replace(case, measure="Q", currencies=free))  # pyright: ignore
-    schedule = prepare(simulator, problem.inputs)
-    source = Pseudo(problem.training.seed, stream=(EVALUATE_STREAM << 32) + 3)
-    given = (problem.engines.evaluate, simulator, policy, schedule, source)
-    totals = path_totals(*given, PATHS, Exact())
+    source = Pseudo(setup.training.seed, stream=stream(EVALUATE, 3))
+    problem, policy = replace(setup.problem, simulator=simulator), run.solution.policy
+    assert policy is not None
+    engine = setup.engines.evaluate
+    totals = path_totals(problem, policy, PATHS, engine=engine, source=source)
+    inputs, liability = plain(problem.inputs), run.get("liability")
+    tests = _tests(case, inputs, totals, liability)
+    return {
+        "market_consistency": [
+            _tested(name, values, expected, source) for name, values, expected in tests
+        ]
+    }
+
+
+def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) -> list[tuple]:
+    """(name, values [paths], their expectation) of each test."""
     years = case.steps * case.step
-    tests = [("Discount factor at the horizon", totals["discount"], _price(problem, years, False))]
+    tests = [
+        ("Discount factor at the horizon", totals["discount"], _price(case, inputs, years, False))
+    ]
     if case.liability.basis != "fixed":
         kind = "Index-linked bond" if _real(case) else "Bond"
-        now = _price(problem, years, _real(case))
+        now = _price(case, inputs, years, _real(case))
         for u in TENORS:
-            then = _price(problem, years + u, _real(case))
+            then = _price(case, inputs, years + u, _real(case))
             values = totals[f"bond {u}"] * then / now
             name = f"Refit of the curve: {kind.lower()} of {u}y bought after {years:g}y"
             tests.append((name, values, then))
@@ -82,17 +91,16 @@ def consistency(problem: "Problem", policy: Policy, found: Figures) -> list[dict
     if plain_basis and case.lee_carter is None:
         added = totals["pv_indexation"] + totals["pv_accrual"]
         left = totals["pv_liability"] + totals["pv_benefit"] - added
-        tests.append(("Liability: what it leaves and pays", left, found.liability))
-    return [_tested(name, values, expected, source) for name, values, expected in tests]
+        tests.append(("Liability: what it leaves and pays", left, liability))
+    return tests
 
 
 def _real(case: PensionCase) -> bool:
     return case.liability.future_indexation == "full"
 
 
-def _price(problem: "Problem", years: float, real: bool) -> float:
+def _price(case: PensionCase, given: dict[str, Any], years: float, real: bool) -> float:
     """P(0, years) on today's curve, nominal or index-linked."""
-    case, given = problem.case, plain(problem.inputs)
     with jax.enable_x64(True):
         when = np.array([years])
         found = float(log_bond(case.curve, given, when)[0])

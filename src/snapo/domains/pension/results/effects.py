@@ -1,18 +1,17 @@
 """Derivatives as effects of the moves that an actuary makes: rows of the report's tables."""
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.problem.inputs import Input, plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
+from snapo.study.study import Setup, StudyRun
 
 from ..people.longer_life import longer_life
 from .compare import equivalent
-
-if TYPE_CHECKING:
-    from ..run import Problem
+from .setup import case_in
 
 OF_ITSELF = 0.01  # the move of a quantity, as a share of itself
 LIFE = (
@@ -40,13 +39,19 @@ def move(entry: Input) -> Move:
     return Move(OF_ITSELF * values, f"{OF_ITSELF * 100:g} % of itself")
 
 
-def effects(problem: "Problem", solution: Solution) -> dict[str, Any]:
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "sensitivities": effects of the usual moves on the objective (see `effects`)."""
+    return {"sensitivities": effects(run.setup, run.solution)}
+
+
+def effects(setup: Setup, solution: Solution) -> dict[str, Any]:
     """Effects of the usual moves on the objective: each number alone, and all of an input's.
 
     With a utility of the funding ratio the effects are on the certainty equivalent (`unit` is
     "ratio"). `effect` holds the decisions, `reacting` lets the trained policy react. `combined`
     are moves across the numbers of an input: a year of life.
     """
+    problem = setup.problem
     table = solution.sensitivities
     if table is None:
         return {}
@@ -65,7 +70,7 @@ def effects(problem: "Problem", solution: Solution) -> dict[str, Any]:
             row["group"] = given.group
             rows.append(row | _along(table, name, alone, slope))
     combined = []
-    if (life := longer_life(problem.case, plain(problem.inputs))) is not None:
+    if (life := longer_life(case_in(setup), plain(problem.inputs))) is not None:
         row = {"input": "year_of_life", "count": len(life.change), "move": "1 year"}
         row |= {"group": "people", "words": LIFE}
         combined.append(row | _along(table, life.input, life.change, slope))

@@ -1,49 +1,68 @@
-"""What happens along the paths under a policy: distributions by year, weights, limits by month."""
+"""Paths under the policy: distributions by year, weights, limits by month."""
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from snapo.engine import Engine
-from snapo.problem.policy import Policy
-from snapo.problem.scenarios import Scenarios
-from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
+from snapo.study.study import StudyRun
 
-from ..fund.simulator import PensionSimulator
 from ..records.case import PensionCase
+from .setup import case_of
 
+PATHS = 4096
+SLACK = 1e-9  # below a limit, of the assets: round-off
 QUANTILES = (1, 5, 25, 50, 75, 95, 99)
 TAIL = 0.95  # level of the mean of the worst paths
 RATIOS = np.array([0.0, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, np.inf])  # columns of the policy map
 FEW = 20  # paths in a cell of the map below which nothing is said
 
 
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "by_year", "policy_map", "mix", "limits" and "first_decision"; writes profile.csv."""
+    record = Record.of(run)
+    found = {
+        "by_year": by_year(record),
+        "policy_map": policy_map(record),
+        "mix": mix(record),
+        "limits": limits_by_step(record, SLACK),
+        "first_decision": first_decision(record),
+        "recorded_paths": record.action.shape[1],
+    }
+    years = found["by_year"]
+    columns = {"year": years["years"], "underfunded": years["underfunded"]}
+    columns |= {f"funding_{name}": values for name, values in years["funding"].items()}
+    run.write_csv("profile.csv", tuple(columns), zip(*columns.values()))
+    return found
+
+
+@dataclass(frozen=True, eq=False)
 class Record:
     """Recorded paths: `action` [T, N, A], `funding` [T + 1, N], outputs {name: [T, N]}."""
 
-    def __init__(
-        self,
-        case: PensionCase,
-        simulator: PensionSimulator,
-        policy: Policy,
-        schedule: Schedule,
-        source: Scenarios,
-        paths: int,
-        engine: Engine,
-    ):
-        self.case, actions, outputs, last = case, [], [], []
+    case: PensionCase
+    action: np.ndarray
+    outputs: dict[str, np.ndarray]
+    funding: np.ndarray
+
+    @classmethod
+    def of(cls, run: StudyRun) -> "Record":
+        """The trained policy on the first paths of the evaluation."""
+        setup, policy = run.setup, run.solution.policy
+        problem, bound = setup.problem, setup.engines.evaluate.bind(setup.problem)
+        source, actions, outputs, last = problem.sources.evaluation, [], [], []
+        paths = source.available(min(PATHS, setup.evaluation.paths))
         for block in source.blocks(paths, max(8, paths // 1024)):
-            draws = source.draws(block, simulator)
-            given = (simulator, policy, schedule, draws, Exact())
-            rolled = engine.values(*given, record=("action", "outputs"))
+            draws = source.draws(block, problem.simulator)
+            rolled = bound.values(policy, draws, Exact(), record=("action", "outputs"))
             actions.append(np.asarray(rolled.record["action"]))
             outputs.append({k: np.asarray(v) for k, v in rolled.record["outputs"].items()})
             last.append(np.asarray(rolled.totals["funding_ratio"]))
-        self.action = np.concatenate(actions, 1)
-        self.outputs = {k: np.concatenate([each[k] for each in outputs], 1) for k in outputs[0]}
-        self.funding = np.concatenate([self.outputs["funding"], np.concatenate(last)[None]])
+        found = {k: np.concatenate([each[k] for each in outputs], 1) for k in outputs[0]}
+        funding = np.concatenate([found["funding"], np.concatenate(last)[None]])
+        return cls(case_of(run), np.concatenate(actions, 1), found, funding)
 
     @property
     def weights(self) -> np.ndarray:

@@ -1,15 +1,33 @@
 """The fund after each scenario of its file of shocks: which inputs and prices move, and how."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
+import jax
 import numpy as np
 
+from snapo.problem.inputs import plain
+from snapo.study.study import StudyRun
+
+from ..market.assets.asset_class import log_prices
+from ..market.assets.swaps import swap_log_prices
 from ..market.zero_rates import from_zero_rates, zero_rates
-from ..read.stress import CURVES, PRICE, Shock
+from ..read.stress import CURVES, PRICE, Shock, read_shocks
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.market import Curve
+from .balance import held_now
+from .reconcile import figures
+from .setup import case_of
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "stresses": the balance sheet at once after each scenario of the file; none without it."""
+    case, inputs = case_of(run), plain(run.setup.problem.inputs)
+    now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
+    every = scenarios(case, read_shocks(case))
+    return {"stresses": [stressed(case, inputs, each, now) for each in every]}
 
 
 @dataclass(frozen=True)
@@ -65,3 +83,30 @@ def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
             tenors, sizes = np.array(known).T
             zero = own[0].of(zero, np.interp(curve.tenor, tenors, sizes))
     return from_zero_rates(curve, zero)
+
+
+def stressed(
+    case: PensionCase, before: dict[str, Any], scenario: Stressed, notional: np.ndarray
+) -> dict[str, Any]:
+    """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
+    after = before | {
+        name: np.asarray(values, np.float64) for name, values in scenario.values.items()
+    }
+    ratio = scenario.price * np.exp(_change(log_prices, case, before, after))
+    assets = float(held_now(case) @ ratio)
+    if case.overlay is not None:
+        assets += float(notional @ np.expm1(_change(swap_log_prices, case, before, after)))
+    liability = float(figures(case, after).liability)
+    return {
+        "scenario": scenario.scenario,
+        "assets": assets,
+        "liability": liability,
+        "funding": assets / liability,
+        "surplus": assets - liability,
+    }
+
+
+def _change(log_prices: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
+    """Changes of `log_prices` from one set of inputs to another."""
+    with jax.enable_x64(True):
+        return np.asarray(log_prices(case, after)) - np.asarray(log_prices(case, before))

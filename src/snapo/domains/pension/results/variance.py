@@ -5,22 +5,17 @@ zero. Shares need not add up to one: sources offset each other, and the policy r
 """
 
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from snapo.case.given import Given
-from snapo.problem.policy import Policy
-from snapo.problem.prepare import prepare
-from snapo.problem.scenarios import Scenarios
-from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import path_totals
+from snapo.study.study import StudyRun
 
 from ..records.case import PensionCase
 from ..records.inputs import every_given
-
-if TYPE_CHECKING:
-    from ..run import Problem
+from .setup import case_of
 
 PATHS = 4096
 
@@ -42,29 +37,28 @@ def sources(case: PensionCase) -> dict[str, list[Given]]:
     }
 
 
-def variance_by_source(
-    problem: "Problem", policy: Policy, source: Scenarios
-) -> list[dict[str, Any]]:
-    """Mean and standard deviation of the final ratio, all in, and without each source."""
-    if problem.case.scenarios is not None:
-        return []
-    paths = min(PATHS, problem.evaluation.paths)
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "variance": mean and standard deviation of the final ratio, all in, and without each
+    source."""
+    case, setup, policy = case_of(run), run.setup, run.solution.policy
+    assert policy is not None
+    if case.scenarios is not None:
+        return {"variance": []}
+    problem, paths = setup.problem, min(PATHS, setup.evaluation.paths)
 
     def final(zeros: list[Given]) -> np.ndarray:
         none = {each.name: replace(each, values=0 * each.values).input() for each in zeros}
-        schedule = prepare(problem.simulator, problem.inputs | none)
-        totals = path_totals(
-            problem.engines.evaluate, problem.simulator, policy, schedule, source, paths, Exact()
-        )
+        moved = replace(problem, inputs=problem.inputs | none)
+        totals = path_totals(moved, policy, paths, engine=setup.engines.evaluate)
         return totals["funding_ratio"]
 
     base = final([])
     rows = [{"source": "All sources", "mean": base.mean(), "deviation": base.std()}]
-    for name, volatilities in sources(problem.case).items():
+    for name, volatilities in sources(case).items():
         present = [each for each in volatilities if each.values.any()]
         if present:
             left = final(present)
             row = {"source": f"Without {name}", "mean": left.mean()}
             row |= {"deviation": left.std(), "explained": 1 - left.var() / base.var()}
             rows.append(row)
-    return rows
+    return {"variance": rows}

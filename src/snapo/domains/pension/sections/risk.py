@@ -7,7 +7,7 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import decimals, finite, number, plus_minus
 
-from .run import Run
+from .run import PensionRun
 from .words import name_of
 
 CURVE = "curve"  # the group of inputs that are nodes of a curve
@@ -23,14 +23,14 @@ HELD = (
 TOP = 14
 
 
-def _scale(run: Run) -> tuple[float, str]:
+def _scale(run: PensionRun) -> tuple[float, str]:
     """What effects are multiplied by, and their unit."""
     if run.get("sensitivities.unit") == "ratio":
         return 1e4, "bp of the certainty equivalent"
     return 1.0, "objective"
 
 
-def sensitivities(run: Run) -> Section:
+def sensitivities(run: PensionRun) -> Section:
     """Every input moved by its usual step."""
     title, short = f"Sensitivities of the objective ({run.measure})", "Sensitivities"
     families = run.get("sensitivities.families", [])
@@ -121,7 +121,7 @@ def _definitions(families: list[dict]) -> Table:
     return Table([("Input", ""), ("The move", "")], rows, "Definitions", 2)
 
 
-def ladder(run: Run) -> Section:
+def ladder(run: PensionRun) -> Section:
     """Key-rate ladder of assets, swaps and liabilities today, with hedge ratios by bucket."""
     title, short = "Key-rate ladder and hedge ratios today", "Hedge ratios"
     now = run.get("ladder")

@@ -1,13 +1,18 @@
-"""Government bonds: zero-coupon bonds of constant maturity on the nominal curve."""
+"""Bonds by their maturity, and government bonds: on the nominal curve, without default."""
 
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
-from jaxtyping import Array
+import numpy as np
+from jaxtyping import Array, Float
 
+from snapo.case.csv import Row
+
+from ...read.cells import whole_steps
+from ...records.case import PensionCase
+from ..curve import log_bond
 from . import constant_maturity
-from .asset_class import AttributionPart, register
-from .maturity import Maturing
+from .asset_class import AssetClass, AttributionPart, Names, register
 
 
 class BondTerms(NamedTuple):
@@ -20,6 +25,28 @@ class BondSteps(NamedTuple):
     """`drift` [T, k] of log returns over cash."""
 
     drift: Array
+
+
+@dataclass(frozen=True)
+class Maturing(AssetClass):
+    """Zero-coupon bonds of `maturity` whole steps, kept constant."""
+
+    maturity: int = 0
+
+    @classmethod
+    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+        row.cells.setdefault("maturity", "")
+        return {"maturity": whole_steps(row, "maturity", names.step)}
+
+    @classmethod
+    def maturities(cls, case: PensionCase, places) -> np.ndarray:
+        """[k] in steps."""
+        return np.array([each.maturity for each in cls.of(case, places)], int)
+
+    @classmethod
+    def log_price(cls, case: PensionCase, inputs: dict[str, Any], places) -> Float[Array, " k"]:
+        """By the nominal curve alone."""
+        return log_bond(case.curve, inputs, cls.maturities(case, places) * case.step)
 
 
 @register

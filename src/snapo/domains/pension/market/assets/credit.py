@@ -17,7 +17,7 @@ from ..shocks import slots
 from ..spreads import spread_terms
 from . import constant_maturity
 from .asset_class import AttributionPart, register
-from .maturity import Maturing
+from .bond import Maturing
 
 
 class CreditTerms(NamedTuple):

@@ -15,7 +15,7 @@ from snapo.case.given import Given
 from snapo.case.table import Table
 
 from ...read.cells import Grid, Place, listed, per_factor, side_by_side, stepwise
-from ...read.said import number, quiet_volatility
+from ...records.said import number, quiet_volatility
 
 MEAN_REVERSION = number(
     "mean reversion of a factor of the short rate; the curve is fitted again", "model", "1/year"

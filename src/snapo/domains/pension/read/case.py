@@ -10,25 +10,24 @@ from snapo.case.given import Given
 from snapo.case.settings import read_evaluation, read_training
 from snapo.case.table import Table, load, parse
 
-from .fund.observation import FEATURES
-from .market.assets.asset_class import Names
-from .market.correlation import all_names
-from .read import people, plan, tables, tables_people
-from .read.assets import read_assets
-from .read.cells import Grid, Place, known_words
-from .read.correlation import read_correlations
-from .read.curve import read_curve
-from .read.holdings import read_credit, read_currencies, read_overlay
-from .read.inflation import read_inflation
-from .read.mortality import read_lee_carter, read_mortality
-from .read.objective import read_objectives
-from .read.rates import read_rates
-from .read.scenarios import read_scenarios
-from .read.stress import parse_shocks
-from .read.tables import PensionTable
-from .records.case import PensionCase
-from .records.inputs import every_given
-from .records.plan import Plan
+from ..fund.observation import FEATURES
+from ..market.assets.asset_class import Names
+from ..market.correlation import all_names
+from ..records.case import PensionCase
+from ..records.inputs import every_given
+from ..records.plan import Plan
+from . import people, plan, tables, tables_people
+from .assets import read_assets
+from .cells import Grid, Place, known_words
+from .correlation import read_correlations
+from .curve import read_curve
+from .holdings import read_credit, read_currencies, read_overlay
+from .models import read_inflation, read_rates
+from .mortality import read_lee_carter, read_mortality
+from .objective import read_objectives
+from .scenarios import read_scenarios
+from .stress import parse_shocks
+from .tables import PensionTable
 
 AnyTable = TypeVar("AnyTable", bound=Table)
 STEPS = {"month": 1 / 12, "year": 1.0}

@@ -1,13 +1,18 @@
-"""Reads `[inflation]`: break-evens, and the numbers of expected and realised inflation."""
+"""Reads `[rates]` and `[inflation]`: the models of the short rate, prices and wages."""
 
 from snapo.case.given import Given
+from snapo.case.table import nearest
 
+from ..market.rates.registry import MODELS
+from ..market.rates.short_rate import ShortRate
 from ..records.market import Inflation
+from ..records.said import SQUARE_ROOT, YEARLY, Said, number, quiet_volatility, rate
 from .cells import Grid, Place, alone, single, stepwise
 from .curve import Quotes, quotes
-from .said import SQUARE_ROOT, YEARLY, Said, number, quiet_volatility, rate
-from .tables import InflationTable
+from .tables import InflationTable, RatesTable
 
+# Ready-made scenarios need no model: this one stands still.
+IDLE = "hull-white"
 BREAK_EVEN = rate("IE01: the break-even at one node, while nominal rates are held", "curve")
 EXPECTED = "of expected inflation; break-evens are fitted again"
 SAID = {
@@ -19,6 +24,17 @@ SAID = {
     "real_wage_growth": rate("growth of wages over prices", "model"),
     "wage_volatility": quiet_volatility("volatility of wages over prices"),
 }
+
+
+def read_rates(section: Place, table: RatesTable | None, grid: Grid) -> ShortRate:
+    """The model with its numbers; without the table, one at rest."""
+    if table is None:
+        return MODELS[IDLE].at_rest(grid.steps)
+    if table.kind not in MODELS:
+        known = ", ".join(f'"{each}"' for each in sorted(MODELS))
+        what = f"allowed is one of {known}; {nearest(table.kind, sorted(MODELS))}"
+        raise section.error("kind", table.kind, what)
+    return MODELS[table.kind].read(section, table, grid)
 
 
 def read_inflation(section: Place, table: InflationTable, grid: Grid) -> Inflation:
