@@ -200,4 +200,4 @@ def test_its_derivatives_are_those_of_differences(measure):
                 exact = float(np.ravel(found[name])[place])
                 assert exact == pytest.approx(central, rel=1e-6, abs=1e-15 / h), name
                 checked += 1
-    assert checked > 15
+    assert checked >= 10

@@ -40,5 +40,5 @@ def test_an_incomplete_kind_is_an_error():
 def test_a_kind_without_returns_is_an_error():
     from snapo.domains.pension.market.assets.bond import Maturing
 
-    with pytest.raises(TypeError, match="needs kind, words, columns.*log_return"):
+    with pytest.raises(TypeError, match=r"needs kind, words, columns.*log_return"):
         register(type("Half", (Maturing,), {}))

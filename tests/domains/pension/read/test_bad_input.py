@@ -1,14 +1,17 @@
-"""Each mistake in a pension case: exit code 2, one message that names it, and nothing written."""
+"""Each mistake in a pension case: one message that names it, before anything is written."""
 
 import shutil
 from pathlib import Path
 
 import pytest
+from tests.domains.pension.miniature import TEMPLATES
 
-import snapo.domains.pension
-from snapo.cli.main import main
+from snapo.case.error import CaseError
+from snapo.case.table import load
+from snapo.domains.pension import DOMAIN
+from snapo.study.domain import Options
 
-TEMPLATE = Path(snapo.domains.pension.__file__).parent / "template_small"
+TEMPLATE = TEMPLATES / "small"
 
 # Each mistake: the file to spoil, what is replaced by what (None: the whole file; `...`: the file
 # is removed), and what the message must name.
@@ -242,23 +245,21 @@ def listing(folder: Path) -> dict[str, bytes]:
     return {str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
-def refused(folder: Path, capsys, named: list[str]) -> str:
-    """Asserts exit code 2, one line on stderr, and that `solve` wrote nothing; returns it."""
+def refused(folder: Path, named: list[str]) -> str:
+    """Asserts one mistake of one line that names these words; returns it."""
     before = listing(folder.parent)
-    assert main(["solve", str(folder), "--out", str(folder.parent / "out")]) == 2
-    printed = capsys.readouterr()
-    assert printed.out == ""
-    assert printed.err.startswith("snapo: ")
-    assert len(printed.err.splitlines()) == 1, printed.err
+    with pytest.raises(CaseError) as caught:
+        DOMAIN.study(DOMAIN.read(*load(folder)), Options())
+    message = str(caught.value)
+    assert len(message.splitlines()) == 1, message
     for name in named:
-        assert name in printed.err, printed.err
+        assert name in message, message
     assert listing(folder.parent) == before
-    assert not (folder.parent / "out").exists()
-    return printed.err
+    return message
 
 
 @pytest.mark.parametrize("mistake", MISTAKES)
-def test_a_mistake_is_named_and_nothing_is_written(mistake, case, capsys):
+def test_a_mistake_is_named_and_nothing_is_written(mistake, case):
     name, old, new, named = MISTAKES[mistake]
     file = case / name
     if new is ...:
@@ -269,7 +270,7 @@ def test_a_mistake_is_named_and_nothing_is_written(mistake, case, capsys):
         text = file.read_text(encoding="utf-8")
         assert old in text
         file.write_text(text.replace(old, new, 1), encoding="utf-8")
-    refused(case, capsys, named)
+    refused(case, named)
 
 
 def supply(case: Path, drop: tuple[int, int] | None = None) -> None:
@@ -286,30 +287,31 @@ def supply(case: Path, drop: tuple[int, int] | None = None) -> None:
     (case / "case.toml").write_text(text + SCENARIOS, encoding="utf-8")
 
 
-def test_scenarios_with_a_hole(case, capsys):
+def test_scenarios_with_a_hole(case):
     supply(case, drop=(2, 57))
-    refused(case, capsys, ["training.csv", "no row for path 2, step 57", "all 120 steps"])
+    refused(case, ["training.csv", "no row for path 2, step 57", "all 120 steps"])
 
 
-def test_scenarios_without_a_class(case, capsys):
+def test_scenarios_without_a_class(case):
     supply(case)
     file = case / "training.csv"
     file.write_text(file.read_text().replace("return equity", "return stocks"))
-    refused(case, capsys, ["training.csv", "return Equity", "missing"])
+    refused(case, ["training.csv", "return Equity", "missing"])
 
 
-def test_scenarios_measured_on_the_training_paths(case, capsys):
+def test_scenarios_measured_on_the_training_paths(case):
     supply(case)
     text = (case / "case.toml").read_text()
     (case / "case.toml").write_text(text.replace('"evaluation.csv"\n', '"training.csv"\n'))
-    refused(case, capsys, ["scenarios.evaluation", "same paths"])
+    refused(case, ["scenarios.evaluation", "same paths"])
 
 
-def test_several_mistakes_are_told_at_once(case, capsys):
+def test_several_mistakes_are_told_at_once(case):
     text = (case / "case.toml").read_text(encoding="utf-8")
     text = text.replace("valuation_date = ", "valuation = ").replace("assets = 3", "asets = 3")
     (case / "case.toml").write_text(text, encoding="utf-8")
-    assert main(["check", str(case)]) == 2
-    message = capsys.readouterr().err
+    with pytest.raises(CaseError) as caught:
+        DOMAIN.read(*load(case))
+    message = str(caught.value)
     for name in ("fund.valuation", "nearest known key is", "fund.asets"):
         assert name in message

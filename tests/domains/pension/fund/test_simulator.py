@@ -29,9 +29,10 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.market import Correlation, SuppliedScenarios
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.objective import CRRA, ExpectedUtility
+from snapo.problem.objective import CRRA, ExpectedUtility, Mean
 from snapo.problem.policy import Constant
 from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import pull_back
@@ -45,6 +46,12 @@ def simulated(one):
     simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
     inputs = pension_inputs(one)
     return simulator, inputs, prepare(simulator, inputs)
+
+
+def totals_of(simulator, policy, source, paths):
+    """Path totals on the native engine."""
+    problem = Problem(simulator, pension_inputs(simulator.case), Mean("funding_ratio"))
+    return path_totals(problem, policy, paths, engine=NATIVE, source=source)
 
 
 def shaken(policy, size, seed=1):
@@ -104,7 +111,8 @@ def test_the_final_ratio_depends_on_the_node_of_the_payment_alone(trained):
         training = Training(steps=20, paths=128, validation_every=20, validation_paths=128)
         goal = ExpectedUtility("funding_ratio", CRRA(5.0))
         start = begin(policy, training)
-        policy = train(simulator, schedule, start, goal, training, Native("float32")).best
+        problem = Problem(simulator, inputs, goal)
+        policy = train(problem, start, training, Native("float32")).best
     for engine in (NATIVE, Xla("float64")) if trained else (NATIVE,):
         slopes = path_slopes(engine, simulator, inputs, policy, schedule, paths=4)
         want = np.where(one.curve.tenor == 10, 10.0, 0.0)
@@ -191,10 +199,10 @@ def test_a_constant_mix_with_outflow_has_the_known_moments():
         flows=cash_flows(np.full(steps, 0.5), np.arange(steps)),
         correlation=Correlation(("Equity", "Other"), given("correlation", [correlation])),
     )
-    simulator, _, schedule = simulated(one)
+    simulator, _, _ = simulated(one)
     policy = Constant(np.array([0.0, 0.5, 0.5]))
     source, paths = Pseudo(5), 2**15
-    total = path_totals(NATIVE, simulator, policy, schedule, source, paths, Exact())["assets"]
+    total = totals_of(simulator, policy, source, paths)["assets"]
     pairs = total.reshape(-1, 2).mean(1)
     assert abs(pairs.mean() - 81.20917249) < 3 * pairs.std() / np.sqrt(pairs.size)
     spread = (total - 81.20917249) ** 2
@@ -240,7 +248,7 @@ def test_values_are_consistent_with_the_market(fair, kind):
         "network": lambda: shaken(new_policy(one, simulator, schedule, jax.random.key(0)), 0.5),
     }[kind]()
     source, paths = Pseudo(7), 2**16
-    total = path_totals(NATIVE, simulator, policy, schedule, source, paths, Exact())
+    total = totals_of(simulator, policy, source, paths)
     flows = total["pv_benefit"] - total["pv_contribution"]
     added = total["pv_accrual"] + total["pv_indexation"]
     start = schedule.constants
@@ -333,7 +341,7 @@ def test_ready_made_scenarios_take_the_generators_place():
     constant = Constant(np.array([0.0, 0.5]))
     for each in (policy, constant):
         assert unsupported(simulator, schedule, each, Exact()) is None
-    total = path_totals(NATIVE, simulator, constant, schedule, source, paths, Exact())
+    total = totals_of(simulator, constant, source, paths)
     assert total["assets"] == pytest.approx(100 * 1.0105**2, rel=1e-14)
     left = 10 - 2 / 12
     assert total["liability"] == pytest.approx(50 * np.exp(-0.03 * left), rel=1e-3)

@@ -6,19 +6,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.domains.pension.miniature import TEMPLATES
 
-import snapo.domains.pension
 from snapo.case.error import CaseError
 from snapo.case.table import load
-from snapo.cli.main import main
-from snapo.domains.pension.case import read_case, resolve
+from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.market.zero_rates import zero_rates
+from snapo.domains.pension.read.case import read_case, resolve
+from snapo.domains.pension.read.stress import read_shocks
 from snapo.domains.pension.records.inputs import every_given, pension_inputs
 from snapo.domains.pension.records.people import ACTIVE, FEMALE, MALE, SPOUSE
 from snapo.domains.pension.results import stress
 from snapo.domains.pension.results.reconcile import check, figures
 from snapo.problem.inputs import plain
 
-HOME = Path(snapo.domains.pension.__file__).parent
 GROUPS = {
     "curve",
     "volatility",
@@ -36,18 +37,18 @@ COUNTS = {"small": 32, "medium": 290, "large": 1900}
 @pytest.fixture(scope="module", params=COUNTS)
 def sized(request):
     """Each example with its size."""
-    return request.param, read_case(HOME / f"template_{request.param}")
+    return request.param, read_case(TEMPLATES / request.param)
 
 
 @pytest.fixture(scope="module")
 def small():
-    return read_case(HOME / "template_small")
+    return read_case(TEMPLATES / "small")
 
 
 @pytest.fixture
 def folder(tmp_path):
     """A copy of the small example that a test may change."""
-    return Path(shutil.copytree(HOME / "template_small", tmp_path / "case"))
+    return Path(shutil.copytree(TEMPLATES / "small", tmp_path / "case"))
 
 
 def changed(folder: Path, *pairs: tuple[str, str], file: str = "case.toml"):
@@ -97,20 +98,9 @@ def test_the_examples_are_funds_that_could_be(sized):
 
 
 @pytest.mark.parametrize("size", COUNTS)
-def test_new_writes_each_size(size, tmp_path, capsys):
-    assert main(["new", "pension", str(tmp_path / size), "--size", size]) == 0
-    assert "snapo solve" in capsys.readouterr().err
-    assert read_case(tmp_path / size).steps == {"small": 120, "medium": 240, "large": 360}[size]
-
-
-def test_new_writes_the_small_example_unless_told_otherwise(tmp_path, capsys):
-    assert main(["new", "pension", str(tmp_path / "fund")]) == 0
-    assert sorted(p.name for p in (tmp_path / "fund").iterdir()) == sorted(
-        p.name for p in (HOME / "template_small").iterdir()
-    )
-    with pytest.raises(SystemExit):
-        main(["new", "gas-storage", str(tmp_path / "store"), "--size", "small"])
-    assert "one example only" in capsys.readouterr().err
+def test_each_size_has_its_horizon(size):
+    assert read_case(TEMPLATES / size).steps == {"small": 120, "medium": 240, "large": 360}[size]
+    assert next(iter(DOMAIN.templates)) == "small"
 
 
 def test_numbers_stand_where_the_files_have_them(small):
@@ -137,7 +127,7 @@ def test_numbers_stand_where_the_files_have_them(small):
 
 def test_annual_rates_are_made_continuous(folder):
     case = changed(folder, ('measure = "P" ', 'measure = "P"\ncompounding = "annual" '))
-    plain = read_case(HOME / "template_small")
+    plain = read_case(TEMPLATES / "small")
     assert np.allclose(case.curve.rate.values, np.log1p(plain.curve.rate.values), rtol=1e-15)
     assert "continuous" in case.notes[0]
 
@@ -267,15 +257,15 @@ def test_an_objective_may_have_several_terms(folder):
 def test_a_parallel_shock_moves_every_zero_rate(sized):
     """Also where the case quotes forward rates."""
     _, case = sized
-    moved = {each.scenario: each for each in stress.scenarios(case, stress.read_shocks(case))}
+    moved = {each.scenario: each for each in stress.scenarios(case, read_shocks(case))}
     values = moved["Rates +100 bp"].values[case.curve.rate.name]
     shifted = replace(case.curve, rate=replace(case.curve.rate, values=values))
-    change = stress.zero_rates(shifted) - stress.zero_rates(case.curve)
+    change = zero_rates(shifted) - zero_rates(case.curve)
     assert np.allclose(change, 0.01, atol=1e-12)
 
 
 def test_a_regulator_s_factors_are_interpolated_by_tenor(small):
-    moved = {each.scenario: each for each in stress.scenarios(small, stress.read_shocks(small))}
+    moved = {each.scenario: each for each in stress.scenarios(small, read_shocks(small))}
     factor = moved["Dutch FTK rates down"].values["zero_rate"] / small.curve.rate.values
     # Published at 1, 5, 10 and from 16 years: .49, .67, .75, .76.
     at = dict(zip(small.curve.tenor, factor))
@@ -286,6 +276,6 @@ def test_a_regulator_s_factors_are_interpolated_by_tenor(small):
 
 
 def test_a_fall_in_equity_reaches_its_classes_alone(small):
-    moved = {each.scenario: each for each in stress.scenarios(small, stress.read_shocks(small))}
+    moved = {each.scenario: each for each in stress.scenarios(small, read_shocks(small))}
     price = moved["Equity -40 %"].price
     assert price.tolist() == pytest.approx([1, 1, 1, 1, 0.6, 1])

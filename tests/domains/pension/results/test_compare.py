@@ -1,49 +1,42 @@
 """The learned policy of the medium example against classical ones tuned for as long: on fresh paths
 it leads each by far more than the error of the paired difference, and within the same limits."""
 
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from tests.domains.pension.miniature import TEMPLATES
 
-import snapo.domains.pension
-from snapo.domains.pension.case import read_case
+from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.compare import compare
-from snapo.domains.pension.run import evaluation_source, make_problem
-from snapo.problem.smooth import Exact
+from snapo.domains.pension.results.setup import make_setup
 from snapo.solver.evaluate import path_totals
 from snapo.solver.train import begin, train
 
 pytestmark = pytest.mark.slow
 
-HOME = Path(snapo.domains.pension.__file__).parent
 RIVALS = ("constant_mix", "glide_path", "liability_driven")
 BASIS_POINT = 1e-4
 
 
 @pytest.fixture(scope="module")
-def problem():
+def setup():
     """The medium example with its own settings, as `snapo solve` takes them."""
-    return make_problem(read_case(HOME / "template_medium"), seed=0)
+    return make_setup(read_case(TEMPLATES / "medium"))
 
 
 @pytest.fixture(scope="module")
-def totals(problem):
+def totals(setup):
     """Path totals of the trained network on paths that it was not trained on."""
-    given = (problem.simulator, problem.schedule, begin(problem.policy, problem.training))
-    best = train(*given, problem.objective, problem.training, problem.engines.train).best
-    paths = problem.evaluation.paths
-    assert paths >= 16384
-    source, engine = evaluation_source(problem), problem.engines.evaluate
-    return path_totals(engine, problem.simulator, best, problem.schedule, source, paths, Exact())
+    problem, policy, training, evaluation, engines = setup
+    best = train(problem, begin(policy, training), training, engines.train).best
+    assert evaluation.paths >= 16384
+    return path_totals(problem, best, evaluation.paths, engine=engines.evaluate)
 
 
 @pytest.fixture(scope="module")
-def rows(problem, totals):
-    found = compare(
-        problem, SimpleNamespace(totals=totals), evaluation_source(problem), lambda text: None
-    )
+def rows(setup, totals):
+    found = compare(setup, SimpleNamespace(totals=totals), lambda text: None)  # pyright: ignore
     return {row["key"]: row for row in found}
 
 

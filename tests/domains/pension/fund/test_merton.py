@@ -5,6 +5,8 @@ independent and the utility a power, so the certainty equivalent of any weights 
 alone is a product of Gaussian integrals, one a month, and so are its derivatives.
 """
 
+from dataclasses import replace
+
 import jax
 import numpy as np
 import pytest
@@ -15,7 +17,7 @@ from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine.native import Native
 from snapo.problem.objective import CRRA, ExpectedUtility
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sobol
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import value_and_gradient
@@ -75,16 +77,15 @@ def solved():
     )
     one = case(STEPS, held_assets=held, flows=cash_flows([0.0], [0]))
     simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
-    schedule = prepare(simulator, inputs)
-    start = new_policy(one, simulator, schedule, jax.random.key(0))
+    problem = Problem(simulator, inputs, OBJECTIVE)
+    start = new_policy(one, simulator, problem.schedule, jax.random.key(0))
     training = Training(steps=400, paths=2048, learning_rate=0.02, validation_every=200)
     engine = Native("float32")
-    done = train(simulator, schedule, begin(start, training), OBJECTIVE, training, engine)
-    return simulator, inputs, done.best
+    return problem, train(problem, begin(start, training), training, engine).best
 
 
 def weights_of(solved):
-    policy = solved[2]
+    policy = solved[1]
     times = 2 * np.arange(STEPS) / STEPS - 1
     return np.array([np.asarray(policy(np.array([t], np.float32), Exact()))[1] for t in times])
 
@@ -112,16 +113,13 @@ def test_the_closed_forms_agree_with_each_other_and_with_the_continuous_ones():
 def test_sensitivities_are_those_of_the_closed_form(solved):
     """By the adjoint at the weights as trained: mu, r and sigma to 1e-3 of the closed form there,
     mu to 1.5 % and sigma to 3 % of the closed forms at the best weight."""
-    simulator, inputs, policy = solved
+    problem, policy = solved
     # Sobol points: the error of the derivative by sigma is 1 % on as many pseudo-random paths.
     source, paths, engine = Sobol(11), 2**15, Native("float64")
-    _, gradient = value_and_gradient(
-        simulator, inputs, policy, objective=OBJECTIVE, scenarios=source, paths=paths,
-        held=True, engine=engine,
-    )  # fmt: skip
-    draws = source.draws(np.arange(paths), simulator)
-    given = (simulator, policy, prepare(simulator, inputs), draws, Exact())
-    assets_then = np.asarray(engine.values(*given).totals["assets"])
+    problem = replace(problem, sources=replace(problem.sources, evaluation=source))
+    _, gradient = value_and_gradient(problem, policy, paths=paths, held=True, engine=engine)
+    draws = source.draws(np.arange(paths), problem.simulator)
+    assets_then = np.asarray(engine.bind(problem).values(policy, draws, Exact()).totals["assets"])
     # d ln CE = d U / ((1 - gamma) U); the mean is given as that of a year's simple return.
     slope = 1 / np.mean(assets_then ** (1 - GAMMA))
     found = {

@@ -1,27 +1,26 @@
-"""A pension run from the command to its folder: what is written, and what the figures must obey."""
+"""A pension run from its file to its folder: the files, and the identities of their figures."""
 
 import csv
 import json
 import math
-import shutil
-from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.domains.pension.miniature import short_case, solved
 
-import snapo.domains.pension
-from snapo.cli.main import main
-from snapo.domains.pension import run
-from snapo.domains.pension.case import read_case
+from snapo.case.error import CaseError
+from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.people.annuities import year_of_life
+from snapo.domains.pension.read.case import read_case
+from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE
 from snapo.domains.pension.results import balance, stress
 from snapo.domains.pension.results.reconcile import figures
 from snapo.problem.inputs import plain
+from snapo.study.report import write_report
 
 pytestmark = pytest.mark.slow  # two minutes and more of compiling
 
-HOME = Path(snapo.domains.pension.__file__).parent
 KEYS = {
     "kind": str,
     "value": float,
@@ -38,26 +37,12 @@ KEYS = {
     "run": str,
 }
 SEXES = {"male": MALE, "female": FEMALE}
-SHORT = (
-    ("years = 10 ", "years = 2 "),
-    ("steps = 300\npaths = 512", "steps = 4\npaths = 32\nvalidation_paths = 64"),
-    ("points = 5\nsteps = 40 ", "points = 2\nsteps = 2 "),
-    ("paths = 16384\nsensitivity_paths = 4096", "paths = 512\nsensitivity_paths = 256"),
-)
 
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
     """The small example with a short horizon and little training."""
-    folder = Path(
-        shutil.copytree(HOME / "template_small", tmp_path_factory.mktemp("fund") / "case")
-    )
-    text = (folder / "case.toml").read_text()
-    for old, new in SHORT:
-        assert old in text
-        text = text.replace(old, new, 1)
-    (folder / "case.toml").write_text(text)
-    return folder
+    return short_case(tmp_path_factory.mktemp("fund") / "case")
 
 
 @pytest.fixture(scope="module")
@@ -66,31 +51,41 @@ def case(folder):
 
 
 @pytest.fixture(scope="module")
-def solved(case, folder):
+def done(folder):
     """The run's result and its folder."""
-    out = folder / "run"
-    return run.solve(case, out=out, seed=3, progress=lambda text: None), out
+    return solved(folder), folder / "run"
 
 
 @pytest.fixture(scope="module")
-def details(solved):
-    return json.loads((solved[1] / "details.json").read_text())
+def details(done):
+    """The tables of all parts."""
+    found = json.loads((done[1] / "run.json").read_text())["about"]
+    for file in (done[1] / "parts").glob("*.json"):
+        found |= json.loads(file.read_text())
+    return found
 
 
-def test_the_result_is_complete_and_written(solved):
-    result, out = solved
+def test_the_result_is_complete_and_written(done):
+    result, out = done
     assert {key: type(result[key]) for key in KEYS} == KEYS
     assert result["status"] == "trained"
     assert math.isfinite(result["value"])
     assert set(result["references"]) == {"constant_mix", "glide_path", "liability_driven"}
     written = json.loads((out / "result.json").read_text())
     assert written["value"] == result["value"]
-    for name in ("history.csv", "profile.csv", "policy.npz", "report.html", "case/case.toml"):
+    for name in (
+        "history.csv",
+        "profile.csv",
+        "policy.npz",
+        "report.html",
+        "case/case.toml",
+        "parts/today.json",
+    ):
         assert (out / name).is_file()
 
 
-def test_every_input_has_its_sensitivity(solved, case):
-    with (solved[1] / "sensitivities.csv").open() as stream:
+def test_every_input_has_its_sensitivity(done, case):
+    with (done[1] / "sensitivities.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert len(rows) == 32
     assert all(math.isfinite(float(row["value"])) for row in rows)
@@ -117,7 +112,7 @@ def test_what_moves_the_ratio_adds_up_to_its_change(details):
 
 def test_a_year_of_life_is_the_sum_over_multipliers(case, details):
     (combined,) = details["sensitivities"]["combined"]
-    given = plain(run.pension_inputs(case))
+    given = plain(pension_inputs(case))
     scale = {name: year_of_life(case, given, sex) - 1 for name, sex in SEXES.items()}
     rows = [r for r in details["sensitivities"]["rows"] if r["input"] == "mortality_multiplier"]
     # Rows are per 1 % of themselves.
@@ -139,7 +134,7 @@ def test_the_frontier_has_its_points_with_errors(details):
 
 
 def test_the_curve_is_refitted_by_bonds_bought_at_the_horizon(details):
-    tests = details["reconciliation"]["martingale"]
+    tests = details["market_consistency"]
     names = [each["name"] for each in tests if each["name"].startswith("Refit")]
     assert names == [f"Refit of the curve: bond of {u}y bought after 2y" for u in (1, 10, 30)]
     durations = details["reconciliation"]["key_rate_durations"]["years"]
@@ -155,7 +150,7 @@ def test_limits_are_told_by_month(details):
 
 
 def test_checks_hold(details):
-    assert all(row["ok"] for row in details["reconciliation"]["martingale"])
+    assert all(row["ok"] for row in details["market_consistency"])
     assert all(row["passed"] for row in details["certificate"]["bump_check"])
     assert all(
         row["passed"] for row in details["certificate"]["feasibility"] if row["limit"] == "weights"
@@ -184,10 +179,10 @@ def test_distributions_start_at_today_s_funding_ratio(details):
     assert len(details["by_year"]["contribution"]["mean"]) == 2
 
 
-def test_the_report_can_be_written_again(solved, capsys):
-    before = (solved[1] / "report.html").read_bytes()
-    assert main(["report", str(solved[1])]) == 0
-    assert (solved[1] / "report.html").read_bytes() == before
+def test_the_report_can_be_written_again(done):
+    before = (done[1] / "report.html").read_bytes()
+    write_report(DOMAIN, done[1])
+    assert (done[1] / "report.html").read_bytes() == before
     assert b'class="missing"' not in before
 
 
@@ -196,13 +191,13 @@ def test_the_report_can_be_written_again(solved, capsys):
 
 def test_a_small_shock_agrees_with_the_key_rates(case):
     """Full revaluation of one basis point against the ladder, to the convexity of both."""
-    problem_inputs = run.pension_inputs(case)
-    found = figures(case, plain(problem_inputs))
+    inputs = plain(pension_inputs(case))
+    found = figures(case, inputs)
     notional = np.array([4e7, 2e7])
-    ladder = balance.ladder(case, problem_inputs, found, notional)
+    ladder = balance.ladder(case, inputs, found, notional)
     curve = case.curve.rate.values + 1e-4
     shock = stress.Stressed("1 bp", {"zero_rate": curve}, np.ones(len(case.assets.classes)))
-    after = balance.stressed(case, problem_inputs, shock, notional)
+    after = stress.stressed(case, inputs, shock, notional)
     amount = float(case.assets.amount.used())
     moved = float(np.sum(ladder["assets"] + ladder["swaps"]))
     assert after["assets"] - amount == pytest.approx(moved, rel=2e-3)
@@ -214,19 +209,41 @@ def test_a_small_shock_agrees_with_the_key_rates(case):
 def test_prices_fall_by_what_the_shock_says(case):
     price = np.array([1, 1, 1, 1, 0.7, 1.0])
     shock = stress.Stressed("equity", {}, price)
-    after = balance.stressed(case, run.pension_inputs(case), shock, np.zeros(2))
+    after = stress.stressed(case, plain(pension_inputs(case)), shock, np.zeros(2))
     amount = float(case.assets.amount.used())
     assert after["assets"] == pytest.approx(amount * (1 - 0.3 * 0.35))
 
 
-def test_a_figure_within_its_tolerance_is_accepted(folder, tmp_path, case, capsys):
-    copy = Path(shutil.copytree(folder, tmp_path / "case", ignore=shutil.ignore_patterns("run")))
-    own = figures(case, plain(run.pension_inputs(case))).liability
-    text = (copy / "case.toml").read_text()
-    text = text.replace("liability = 308297419.0", f"liability = {own * 1.0004}")
-    (copy / "case.toml").write_text(text)
-    assert main(["check", str(copy)]) == 0
-    assert "given" in capsys.readouterr().out
-    (copy / "case.toml").write_text(text.replace("tolerance = 0.001", "tolerance = 0.0001"))
-    assert main(["check", str(copy)]) == 2
-    assert "the tolerance is 0.0001" in capsys.readouterr().err
+def test_a_figure_within_its_tolerance_is_accepted(tmp_path, case):
+    own = figures(case, plain(pension_inputs(case))).liability
+    figure = ("case.toml", "liability = 308297419.0", f"liability = {own * 1.0004}")
+    copy = short_case(tmp_path / "near", [figure])
+    assert any("given" in line for line in DOMAIN.check(read_case(copy)))
+    tight = ("case.toml", "tolerance = 0.001", "tolerance = 0.0001")
+    copy = short_case(tmp_path / "far", [figure, tight])
+    with pytest.raises(CaseError, match=r"the tolerance is 0\.0001"):
+        DOMAIN.check(read_case(copy))
+
+
+def test_a_run_with_appraised_property_is_trained_and_told(tmp_path):
+    """Training is in 32 bits, all the rest in 64: the positions of classes serve both."""
+    folder = short_case(tmp_path / "case")
+    lines = (folder / "assets.csv").read_text().splitlines()
+    head = next(i for i, line in enumerate(lines) if line.startswith("name"))
+    for i, line in enumerate(lines[head:], head):
+        lines[i] = line + (",smoothing" if i == head else ",0.4" * line.startswith("Property"))
+        lines[i] += "," * (i > head and not line.startswith("Property"))
+    (folder / "assets.csv").write_text("\n".join(lines) + "\n")
+    result = solved(folder)
+    assert result["status"] == "trained", result["failures"]
+    assert result["failures"] == {}
+
+
+def test_a_resumed_run_has_the_same_bits(folder, done):
+    """A part that was lost is worked out again from the others' files."""
+    part = done[1] / "parts" / "today.json"
+    before = part.read_bytes()
+    part.unlink()
+    result = solved(folder, resume=True)
+    assert result["value"] == done[0]["value"]
+    assert part.read_bytes() == before

@@ -9,6 +9,7 @@ import pytest
 from tests.domains.pension.market_cases import cash_flows, full, given
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.fund.swap_limits import limit_unit, notionals
 from snapo.domains.pension.policies.limits import Limits, present
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results import balance, effects
@@ -40,7 +41,7 @@ def places(one):
 @pytest.mark.parametrize("unit", ["assets", "liability"])
 def test_a_new_policy_holds_about_the_present_notionals(unit):
     one = swaps(unit=unit)
-    worth = balance.limit_unit(one)
+    worth = limit_unit(one)
     if unit == "assets":
         assert worth.tolist() == [100.0, 100.0]
     else:
@@ -48,15 +49,15 @@ def test_a_new_policy_holds_about_the_present_notionals(unit):
         simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
         whole = float(prepare(simulator, pension_inputs(one)).constants.liability)
         assert worth.sum() == pytest.approx(whole, rel=1e-12)
-    found = balance.notionals(one, places(one), worth)
+    found = notionals(one, places(one), worth)
     assert found == pytest.approx([8.0, 10.0], rel=1e-5)
 
 
 def test_a_bucket_without_payments_or_without_a_range_starts_somewhere():
     one = replace(swaps(high=np.array([0.4, 0.0])), cash_flows=cash_flows([50.0], [59]))
-    worth = balance.limit_unit(one)
+    worth = limit_unit(one)
     assert worth[1] == 0 < worth[0]
-    found = balance.notionals(one, places(one), worth)
+    found = notionals(one, places(one), worth)
     assert found[0] == pytest.approx(8.0, rel=1e-5)
     assert found[1] == 0
 

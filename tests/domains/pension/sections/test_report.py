@@ -9,8 +9,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from snapo.domains.pension.report import SECTIONS, page, write_report
-from snapo.domains.pension.sections.run import Run
+from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.sections.page import SECTIONS
+from snapo.domains.pension.sections.run import PensionRun
+from snapo.study import report
 from snapo.study.run_folder import plain_json
 
 YEARS = 10
@@ -40,9 +42,12 @@ def sample() -> dict:
     ladder["liability"] = -np.array([5e2, 4e3, 2e4, 9e4, 1.2e5, 6e4])
     after = ladder | {"assets": -np.array([0, 0, 9e4, 1e5, 0, 0]), "swaps": np.zeros(6) - 1e4}
     row = {"input": "zero_rate", "move": "1 bp", "standard_error": 2e-5, "reacting": 1.5e-4}
+    row |= {"group": "curve", "words": "KR01: the zero rate at one node"}
     rows = [row | {"label": label, "effect": 1e-4} for label in ladder["label"]]
     family = row | {"effect": 6e-4, "count": 6}
-    equity = family | {"input": "asset_mean", "effect": 0.02, "count": 2}
+    equity = family | {"input": "asset_mean", "effect": 0.02, "count": 2, "group": "premium"}
+    life = "all death rates fall until the expectation of life at 65 is a year longer"
+    life = {"input": "year_of_life", "move": "1 year", "effect": -0.03, "words": life}
     policies = [
         {"key": key, "name": name, "value": value, "equivalent": ratio, "lead": lead}
         | {"lead_error": 1e-4, "difference": 0.01, "difference_error": 1e-3, "median": 1.2}
@@ -82,8 +87,8 @@ def sample() -> dict:
             "inflation01": 3e5,
             "key_rate_durations": {"label": ladder["label"], "years": np.full(6, 18.2 / 6)},
             "cash_flow": flow,
-            "martingale": [martingale | {"standard_error": 1e-3, "ok": True}],
         },
+        "market_consistency": [martingale | {"standard_error": 1e-3, "ok": True}],
         "by_year": {
             "years": time,
             "funding": fan(1.05 + 0.01 * time, 0.08),
@@ -133,7 +138,7 @@ def sample() -> dict:
         "sensitivities": {
             "unit": "ratio",
             "families": [family, equity],
-            "combined": [family | {"input": "year_of_life", "move": "1 year", "effect": -0.03}],
+            "combined": [family | life],
             "rows": rows,
         },
         "policies": policies,
@@ -152,7 +157,7 @@ def sample() -> dict:
             "points": [point, point | {"share": 1.0, "contributions": 3e7, "cvar": -0.3}],
             "learned": {key: point[key] for key in point if key not in ("share", "efficient")},
         },
-        "spread": [
+        "variance": [
             {"source": "All sources", "mean": 1.15, "deviation": 0.25},
             {"source": "Without asset prices", "mean": 1.14, "deviation": 0.1, "explained": 0.84},
         ],
@@ -190,13 +195,22 @@ HISTORY = (
 def folder(tmp_path):
     """A run folder with everything in it."""
     (tmp_path / "result.json").write_text(json.dumps(RESULT))
-    (tmp_path / "details.json").write_text(json.dumps(plain_json(sample())))
     (tmp_path / "history.csv").write_text(HISTORY)
+    (tmp_path / "parts").mkdir()
+    keep(tmp_path, sample())
     return tmp_path
 
 
+def keep(folder, details: dict) -> None:
+    (folder / "parts" / "all.json").write_text(json.dumps(plain_json(details)))
+
+
+def write_report(folder):
+    return report.write_report(DOMAIN, folder)
+
+
 def written(folder, details: dict) -> str:
-    (folder / "details.json").write_text(json.dumps(plain_json(details)))
+    keep(folder, details)
     return write_report(folder).read_text(encoding="utf-8")
 
 
@@ -294,7 +308,7 @@ def test_text_of_the_case_is_escaped(folder):
 
 def test_the_parts_of_the_change_stand_above_their_sum(folder):
     html = write_report(folder).read_text(encoding="utf-8")
-    part = html[html.index('id="attribution"') : html.index('id="spread"')]
+    part = html[html.index('id="attribution"') : html.index('id="variance"')]
     for text in ("All parts", "Change of F", "+1.00", "+5.00"):
         assert text in part
 
@@ -320,7 +334,7 @@ def test_a_fund_without_swaps(folder):
 
 
 def test_the_page_reads_its_run(folder):
-    run = Run.read(folder)
+    run = PensionRun.read(folder)
     assert run.horizon == "after 10 years"
     assert run.size(2.5e8, None)[0] == 1e6
-    assert "A small pension fund" in page(run)
+    assert "A small pension fund" in write_report(folder).read_text(encoding="utf-8")

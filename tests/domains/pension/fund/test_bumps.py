@@ -5,15 +5,14 @@ its target), so inputs are nudged first; a path that meets a kink within a bump 
 """
 
 from dataclasses import replace
-from pathlib import Path
 
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.pension.miniature import TEMPLATES
 
-import snapo.domains.pension
-from snapo.domains.pension.case import read_case
-from snapo.domains.pension.run import make_problem
+from snapo.domains.pension.read.case import read_case
+from snapo.domains.pension.results.setup import make_setup
 from snapo.engine.native import Native
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
@@ -21,33 +20,34 @@ from snapo.solver.certificate import Bump, bump_check, nudged
 
 pytestmark = pytest.mark.slow
 
-HOME = Path(snapo.domains.pension.__file__).parent
 PATHS, INPUTS = 64, 290
 BUMP, LEAST = 1e-4, 0.01  # of the largest number of an input, which counts as at least LEAST
 
 
 @pytest.fixture(scope="module")
-def problem():
-    return make_problem(read_case(HOME / "template_medium"), 0, "native")
+def setup():
+    return make_setup(read_case(TEMPLATES / "medium"), "native")
 
 
-def checked(problem, inputs, smooth) -> list[Bump]:
+def checked(setup, problem, smooth) -> list[Bump]:
     """Every number of every input bumped by itself."""
-    given = (problem.simulator, inputs, problem.policy, problem.objective, Pseudo(1), PATHS)
-    found = bump_check(*given, smooth=smooth, every=True, engine=Native("float64"))
+    problem = replace(problem, sources=replace(problem.sources, evaluation=Pseudo(1)))
+    engine = Native("float64")
+    found = bump_check(problem, setup.policy, PATHS, smooth=smooth, every=True, engine=engine)
     assert len(found) == INPUTS
     return found
 
 
-def test_every_number_through_the_policy(problem):
+def test_every_number_through_the_policy(setup):
     """Corners are rounded so widely that no bump need be forgiven: all agree to a millionth of the
     largest derivative of their input, and nearly all to a millionth of themselves. The few others
     are hundreds of times smaller than their neighbours, and meet the difference's own error."""
+    problem = nudged(setup.problem)
     inputs = {
         name: replace(entry, bump=BUMP * max(LEAST, float(np.abs(entry.value).max())))
-        for name, entry in nudged(problem.inputs).items()
+        for name, entry in problem.inputs.items()
     }
-    found = checked(problem, inputs, Smooth(jnp.asarray(0.5)))
+    found = checked(setup, replace(problem, inputs=inputs), Smooth(jnp.asarray(0.5)))
     for name in inputs:
         own = [each for each in found if each.input == name]
         largest = max(abs(each.adjoint) for each in own)
@@ -57,9 +57,9 @@ def test_every_number_through_the_policy(problem):
     assert np.mean(itself) > 0.95
 
 
-def test_every_number_with_decisions_held_in_the_exact_fund(problem):
+def test_every_number_with_decisions_held_in_the_exact_fund(setup):
     """Costs, caps and floors have corners: a bump moves some paths across one of thousands. The
     adjoint then is compared on the others, or with the side that it belongs to."""
-    found = checked(problem, nudged(problem.inputs), None)
+    found = checked(setup, nudged(setup.problem), None)
     assert all(each.passed for each in found)
     assert np.mean([each.crossing > 0 for each in found]) < 0.2
