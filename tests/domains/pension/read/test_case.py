@@ -11,6 +11,8 @@ from tests.domains.pension.miniature import TEMPLATES
 from snapo.case.error import CaseError
 from snapo.case.table import load
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.fund.observation import FEATURES
+from snapo.domains.pension.market.rates.registry import MODELS
 from snapo.domains.pension.market.zero_rates import zero_rates
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.read.stress import read_shocks
@@ -123,6 +125,14 @@ def test_numbers_stand_where_the_files_have_them(small):
     assert mortality.multiplier.used()[FEMALE, 10] == 0.95
     assert members.salary.index.shape == (9,)
     assert members.salary.labels == members.names[:4]
+
+
+def test_the_page_names_every_model_and_every_part_of_the_observation():
+    text = (Path(__file__).parents[4] / "docs" / "pension_case.md").read_text()
+    for name in MODELS:
+        assert f'"{name}"' in text, name
+    for name in FEATURES:
+        assert name in text, name
 
 
 def test_annual_rates_are_made_continuous(folder):

@@ -1,4 +1,4 @@
-"""The fund's books on one path: its state, and what it owes at the market of that state."""
+"""The fund's books on one path: its state, and its liability at the market of that state."""
 
 from typing import NamedTuple
 
@@ -17,8 +17,8 @@ class State(NamedTuple):
 
     `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
     cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
-    `deaths` y, the log of what mortality has taken beyond the baseline; `log_price_last` at the
-    last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation beyond
+    `deaths` y, the log of the rights that mortality took beyond the baseline; `log_price_last` at
+    the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation beyond
     what was valued already.
     """
 

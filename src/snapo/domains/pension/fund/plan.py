@@ -72,7 +72,7 @@ def contribution(
     step: float,
     smooth: Constraints,
 ) -> Array:
-    """What is paid in this step, money.
+    """The contribution of this step, money.
 
     **Arguments:**
 

@@ -34,7 +34,7 @@ class Swaps(NamedTuple):
 
 
 class Terms(NamedTuple):
-    """What holds for the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
+    """The numbers of the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
     the people and `last_shape` [J] the curve at the horizon; `liability` its value now."""
 
     market: MarketTerms
@@ -62,7 +62,7 @@ class Period(NamedTuple):
 
 
 def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
-    """Everything that does not depend on the path."""
+    """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
     found = people(case, inputs, basis_log_bond(case, inputs))
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
@@ -112,11 +112,11 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
 
 
 def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
-    """ln of what a payment at time s * step is discounted by at time 0, s = 0 ... H.
+    """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability.basis`: payments that
     follow prices are multiplied by the expected index; under ready-made scenarios the curve
-    comes with the path, and only what is added to it is left here.
+    comes with the path, and only the addition to it is left here.
     """
     basis, count = case.liability, case.steps + round(PAYMENT_YEARS / case.step)
     years = np.arange(count + 1) * case.step
@@ -132,5 +132,5 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
 
 
 def _without_empty(tree: Any) -> Any:
-    """The same without arrays of size zero, which stand for what a case has not."""
+    """The same without arrays of size zero, which stand for absent parts of a case."""
     return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)

@@ -2,7 +2,7 @@
 
 Order within a step: the liability is valued and the contribution set; payments in advance; the
 fund trades; a step of the market; payments in arrears; indexation. Money counts when it is paid,
-and present values discount by what cash has earned on the path until then.
+and present values discount by the return of cash on the path until then.
 
 Signs: contributions are received, benefits, expenses and costs are paid; all are positive.
 """
@@ -39,7 +39,7 @@ AT_END = (
     "pv_shortfall",
 )
 # Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
-# the value of what accrues, "granted" and "cut" the indexation; "funding" is F before each step,
+# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
 # "bound_excess" by how much weights leave their bounds.
 EACH_STEP = (
     "contribution",
@@ -76,7 +76,7 @@ class Flows(NamedTuple):
 
 
 class Happened(NamedTuple):
-    """A step: the books before it, the money, what was `invested` and `held`, the market's move,
+    """A step: the books before it, the money, the sums `invested` and `held`, the market's move,
     the state after it, and the indexation `granted` and `cut` at its end."""
 
     books: Balance
@@ -138,7 +138,7 @@ class PensionSimulator(Simulator):
         return self.case.plan.timing == "advance"
 
     def _flows(self, constants: Terms, now: Period, state: State, books, smooth) -> Flows:
-        """What comes in and goes out; the rules look at the books before the step."""
+        """Money received and paid; the rules look at the books before the step."""
         people, market = now.people, state.market
         received = contribution(
             self.case.plan,
@@ -156,7 +156,7 @@ class PensionSimulator(Simulator):
         return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))
 
     def _settled(self, constants: Terms, after: State, flows, invested, held, moved) -> State:
-        """The state `after` with what was held and paid: assets, drifted weights, notionals."""
+        """The state `after` with holdings and payments: assets, drifted weights, notionals."""
         growth = jnp.sum(held.weights * moved.gross)
         assets = (invested - held.cost) * growth
         overlay = None
@@ -198,7 +198,7 @@ class PensionSimulator(Simulator):
         }
 
     def _indexed(self, constants: Terms, now: Period, state: State, books, market, smooth):
-        """The state at the end of a step but for assets, and what was granted and cut."""
+        """The state at the end of a step but for assets, and indexation granted and cut."""
         case, people = self.case, now.people
         rule = case.plan.indexation
         theta, last = state.theta, state.log_price_last

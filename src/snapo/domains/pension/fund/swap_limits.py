@@ -1,4 +1,4 @@
-"""Limits of the swaps in money: what their shares are shares of, and notionals from places."""
+"""Limits of the swaps in money: the unit of their shares, and notionals from places."""
 
 import jax
 import numpy as np

@@ -1,7 +1,7 @@
-"""What the fund holds in a step: weights, swaps, what trading costs and what collateral it takes.
+"""Holdings of a step: weights, swaps, the cost of trading and the collateral needed.
 
 The action is n weights, then for each swap bucket where in its range the notional lies. Cash takes
-what the other weights leave, so that any policy finances itself.
+the remainder of the other weights, so that any policy finances itself.
 """
 
 from typing import NamedTuple
@@ -40,8 +40,8 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     swaps = terms.swaps
     if swaps is not None:
         notional = _notional(case, swaps, action[count:], assets, buckets, smooth)
-        # What is held less what is wanted: where nothing is traded, the derivative by what is held
-        # is then that of one more.
+        # Holdings less targets: where nothing is traded, the derivative by the holding is then that
+        # of one more.
         change = state.overlay * state.assets / terms.assets - notional / terms.assets
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         required = jnp.sum(notional * swaps.duration) * swaps.stress

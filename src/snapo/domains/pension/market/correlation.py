@@ -37,7 +37,7 @@ def all_names(
 
 
 def matrix(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "B B"]:
-    """Instantaneous correlations; what the case does not name is independent."""
+    """Instantaneous correlations; motions that the case does not name are independent."""
     names = brownians(case)
     place = [names.index(name) for name in case.correlation.names]
     below = np.tril_indices(len(place), -1)

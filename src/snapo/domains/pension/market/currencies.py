@@ -1,4 +1,4 @@
-"""Currencies in returns: the unhedged share, what hedging costs and what a currency earns."""
+"""Currencies in returns: the unhedged share, the cost of hedging and the premium."""
 
 from typing import Any, NamedTuple
 

@@ -44,7 +44,7 @@ class Factors(NamedTuple):
 
 
 class BondLoads(NamedTuple):
-    """What a kind of bond loads on: `loads` [g] of the factors' integrals, `own` [T] of dW_I."""
+    """The loads of a kind of bond: `loads` [g] of the factors' integrals, `own` [T] of dW_I."""
 
     loads: np.ndarray
     own: Array
@@ -118,7 +118,7 @@ def moments(
 
 
 def _grow(factors: Factors, bond: BondLoads, covariance: Array, place: Slots):
-    """What a step's shocks add: Cov(s zeta), Cov(s zeta, k), Var(k); k = sum l s iota + own."""
+    """Additions of a step's shocks: Cov(s zeta), Cov(s zeta, k), Var(k); k = sum l s iota + own."""
     zeta, iota, index = place.zeta, place.iota, place.index
     moved = factors.volatility
     loaded = moved * bond.loads
@@ -132,7 +132,7 @@ def _grow(factors: Factors, bond: BondLoads, covariance: Array, place: Slots):
 
 
 def shift(log_bond: Float[Array, " T1"], found: Moments) -> Float[Array, " T"]:
-    """What K has on top of its factors in each step, so that the initial curve is met."""
+    """The part of K on top of its factors in each step, so that the initial curve is met."""
     return -jnp.diff(log_bond) + jnp.diff(found.total) / 2
 
 

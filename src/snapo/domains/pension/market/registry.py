@@ -1,4 +1,4 @@
-"""One file per kind: a folder whose files register what they hold when they are imported."""
+"""One file per kind: a folder whose files register their kind when they are imported."""
 
 import pkgutil
 from importlib import import_module

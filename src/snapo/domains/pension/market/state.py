@@ -11,7 +11,7 @@ LONG = 10.0  # years of the long rate that a policy may see
 class Market(NamedTuple):
     """State of the market: `factors` [g] of rates and expected inflation (under ready-made
     scenarios the zero rates of the file), ln of price index and wages, Lee-Carter's k, spreads
-    ln(s / mean) [R] or None, appraised returns [q] or None, ln of what cash discounts by."""
+    ln(s / mean) [R] or None, appraised returns [q] or None, ln of the discount factor of cash."""
 
     factors: Array
     log_price: Array
@@ -73,5 +73,5 @@ def at_start(factors: Array, spread: Array | None = None, shown: Array | None = 
 
 
 def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:
-    """[J] ln of what a payment's forward value is multiplied by, at the market's factors."""
+    """[J] ln of the factor of a payment's forward value, at the market's factors."""
     return shape - terms.slope @ market.factors

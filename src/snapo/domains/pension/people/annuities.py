@@ -1,4 +1,4 @@
-"""Textbook figures of a life: annuities, and what a year of life is in a case's mortality."""
+"""Textbook figures of a life: annuities, and a year of life in a case's mortality."""
 
 from dataclasses import replace
 from typing import Any

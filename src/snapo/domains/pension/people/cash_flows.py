@@ -1,15 +1,15 @@
-"""Expected payments by step: of rights accrued by now, and of what every later step accrues.
+"""Expected payments by step: of rights accrued by now, and of the accrual of every later step.
 
 A stream is a payment profile that scales with rights: `unit` [K, N] money in each step per unit
 of yearly pension, times `held` [K] rights at time 0, or `accrual` [K, T] rights per step. With a
 spouse's pension each group of members has three: its own pension, the spouse's as if the member
-were dead, and minus the spouse's while both live. Rights follow the member, so what a step
-accrues belongs to those alive then.
+were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
+a step belongs to those alive then.
 
 Payments are one step's share of the yearly pension at the start ("advance") or end of a step to
 those alive at that time. Pensions of actives and deferred begin with the first step that starts at
 or after the retirement age; a spouse's at the member's death, whenever that is. A step accrues
-for those at work at its start, and what it accrues is paid from the next step on.
+for those at work at its start, and its accrual is paid from the next step on.
 """
 
 from typing import Any, NamedTuple
@@ -45,9 +45,9 @@ class Projection(NamedTuple):
     """Expected payments; N is T plus the steps of `PAYMENT_YEARS`.
 
     - `accrued`: [N] money paid in each step out of rights accrued by time 0.
-    - `fresh`: [T, N], row t: out of what step t accrues, per unit of wages over indexation.
+    - `fresh`: [T, N], row t: out of the accrual of step t, per unit of wages over indexation.
     - `payroll`: [T+1] salaries of each step at wages of time 0.
-    - `streams`: what they are made of; None where the case gives cash flows.
+    - `streams`: their components; None where the case gives cash flows.
     """
 
     accrued: Array
@@ -68,7 +68,7 @@ def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " 
     if case.plan.open and case.plan.accruing and case.steps * case.step > 1:
         lives = joined(lives, entrants(case, inputs, lives, count))
     streams = _streams(case, inputs, lives, case.members.status)
-    # What step t accrues is paid from step t + 1 on; nobody lives longer than `PAYMENT_YEARS`.
+    # The accrual of step t is paid from step t + 1 on; nobody lives longer than `PAYMENT_YEARS`.
     wait = np.arange(count) - np.arange(case.steps)[:, None]
     within = count - case.steps
     fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
@@ -148,7 +148,7 @@ def _payroll(
 def _given(
     case: PensionCase, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
 ) -> Projection:
-    """The actuary's vector. What a step accrues is paid like that vector, seen one step earlier.
+    """The actuary's vector. The accrual of a step is paid like that vector, seen one step earlier.
 
     It is scaled such that the normal cost of step 0 is the given one on the initial curve.
     """

@@ -2,12 +2,12 @@
 
 Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
 cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
-what its curve did since (1 where it followed the forwards), so the liability depends on the
+the change of its curve since (1 where it followed the forwards), so the liability depends on the
 initial curve payment by payment, and only the curve's surprise is interpolated.
 
 Liability at t: Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k), Theta being
 cumulative indexation, y realised and k present mortality, X the path's factor of the node, and a
-the size of the rights accrued since time 0 over what they are at baseline wages:
+the size of the rights accrued since time 0 over their size at baseline wages:
 a' = (1 - mix) a + mix w / baseline, w = wages / Theta. Their value is then exact on the initial
 curve, and their profile over time is that of baseline wages.
 """
@@ -26,14 +26,14 @@ from .longevity import Longevity, longevity
 
 
 class People(NamedTuple):
-    """What the members mean for every path. Leading axis T + 1: at time t, before step t.
+    """The members as every path sees them. Leading axis T + 1: at time t, before step t.
 
     - `accrued`, `fresh` [T+1, J]: forward values on the nodes of rights accrued by time 0, and
-      in steps before t at baseline wages. `accrual` [T+1, J]: of what step t accrues, per
+      in steps before t at baseline wages. `accrual` [T+1, J]: of the accrual of step t, per
       unit of w (last row zeros). Money, at indexation 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
-    - `baseline` [T+1]: what w is taken to be, exp(real wage growth).
+    - `baseline` [T+1]: the assumed w, exp(real wage growth).
     - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.
     - `decline` [T+1], `outlook` [T+1, J]: response of the logarithm of values to the mortality
       factor, see `longevity`; zeros without one.
@@ -69,13 +69,13 @@ def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H
 
     **Arguments:**
 
-    - `log_bond`: ln of what a payment at time s * step is discounted by at time 0, basis
+    - `log_bond`: ln of the discount factor at time 0 of a payment at time s * step, basis
       included, s = 0 ... T + `PAYMENT_YEARS` / step.
     """
     steps, found = case.steps, project(case, inputs, log_bond)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step
     baseline = jnp.exp(growth * jnp.arange(steps + 1))
-    # Row t: rights accrued in steps before t; what is already paid is not looked at.
+    # Row t: rights accrued in steps before t; payments already made are left out.
     by_step = baseline[:steps, None] * found.fresh
     fresh = jnp.concatenate([jnp.zeros((1, by_step.shape[1])), jnp.cumsum(by_step, axis=0)])
     discount = forward_discount(case, log_bond)
@@ -142,7 +142,7 @@ def _with_row(rows: Array) -> Array:
 
 
 def _mix(case: PensionCase, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
-    """Value after step t of what it accrued, over that of all fresh rights."""
+    """Value after step t of its accrual, over that of all fresh rights."""
     steps, value = case.steps, fresh[1:].sum(1)
     due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
     own = jnp.sum(due * discount[1:], axis=1)

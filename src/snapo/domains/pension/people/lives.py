@@ -105,7 +105,7 @@ def entrants(case: PensionCase, inputs: dict[str, Any], lives: Lives, steps: int
 
 
 def _renewal(kept: Float[Array, "E E"], missing: Float[Array, " E"]) -> Array:
-    """Entry by entry, what fills the gap: sum over e' of kept[e', e] entered[e'] = missing[e]."""
+    """Entrants that fill the gap: sum over e' of kept[e', e] entered[e'] = missing[e]."""
     return jax.scipy.linalg.solve_triangular(kept.T, missing, lower=True)
 
 

@@ -21,7 +21,7 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
 
     The change is that of the multipliers, else of the death probabilities, else of the formula, to
     first order in the scale. None where mortality is no input or no scale does it. A number that
-    both sexes share moves by the mean of what either asks for.
+    both sexes share moves by the mean of the two moves.
     """
     mortality = case.mortality
     if mortality is None:

@@ -3,7 +3,7 @@
 At factor k the hazard at age x is exp(b(x) k) times its table's, so that a life's survival over a
 step of hazard h falls by the factor exp(-b h k) to first order. While k_t holds from t on, a
 payment is multiplied by exp(-outlook k_t), where outlook is the mean of sum b h over the lives it
-depends on, weighted with what each of them is paid. As a step passes with k_t, all rights fall
+depends on, weighted with their payments. As a step passes with k_t, all rights fall
 by exp(-decline k_t), decline being the same mean for that step alone, weighted with values.
 Differences between the cohorts' fates and terms of second order in k are left out.
 """

@@ -72,7 +72,7 @@ def step_hazards(
 
     **Arguments:**
 
-    - `loading`: [2, G]; what the hazard of each age is multiplied by, in a Lee-Carter response.
+    - `loading`: [2, G]; the factor of the hazard of each age, in a Lee-Carter response.
     """
     time = np.arange(steps) * case.step
     since_birth = np.asarray(age, float)[:, None] + time

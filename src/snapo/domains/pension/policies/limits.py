@@ -21,8 +21,8 @@ class Limits(Policy):
 
     Weights are `smooth.simplex` of the first n numbers, places of the notionals in their ranges a
     logistic curve of the rest. Where these ranges are shares of the assets, swaps are scaled down
-    together to what the weights back as collateral; where they are shares of the liability, a
-    policy does not see enough for that, and the simulator counts what falls short.
+    together to the collateral behind the weights; where they are shares of the liability, a
+    policy does not see enough for that, and the simulator counts the shortfall.
     """
 
     low: Frozen
@@ -79,8 +79,8 @@ class Limits(Policy):
 
 
 class Cover(eqx.Module):
-    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], what a unit of
-    each takes `need` [b], and what a unit of each class gives `eligible` [n]."""
+    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], the need
+    of a unit of each `need` [b], and the cover by a unit of each class `eligible` [n]."""
 
     low: Frozen
     width: Frozen

@@ -12,7 +12,7 @@ from .limits import Limits, present
 
 
 class PensionPolicy(Policy):
-    """A network around what the fund holds now.
+    """A network around the present holdings of the fund.
 
     **Arguments:**
 
@@ -35,6 +35,6 @@ class PensionPolicy(Policy):
 
 
 def new_policy(case: PensionCase, simulator: Simulator, schedule: Schedule, key) -> PensionPolicy:
-    """The network of a case, untrained: it keeps about what the fund holds now."""
+    """The network of a case, untrained: it keeps about the present holdings."""
     features = probe(simulator, schedule)[1].shape[0]
     return PensionPolicy(case, features, key=key, hidden=case.hidden)

@@ -37,8 +37,8 @@ MEAN = share(
 )
 VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
 SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
-COST = rate("the share of what is traded that trading costs", "assets", "1")
-FEE = rate("the fee per year, of what is held", "assets")
+COST = rate("the cost of trading as a share of the trade", "assets", "1")
+FEE = rate("the fee per year, as a share of the holding", "assets")
 WEIGHT = share("a weight held today, before the first trade", "assets")
 AMOUNT = "the market value of all assets today"
 

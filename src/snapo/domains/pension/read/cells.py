@@ -21,7 +21,7 @@ WHOLE = 1e-6  # of a step, or of all weights: closer than this is a whole
 
 
 class Grid(NamedTuple):
-    """What all tables are read for: the number of decisions, the years of a step, the currency."""
+    """The grid of all tables: the number of decisions, the years of a step, the currency."""
 
     steps: int
     step: float

@@ -28,13 +28,13 @@ from .cells import (
 from .tables import CreditTable, CurrenciesTable, OverlayTable
 
 CREDIT = {
-    "spread": rate("the spread today, at unchanged prices of what is held", "credit"),
+    "spread": rate("the spread today, at unchanged prices of the holdings", "credit"),
     "mean_spread": rate("where the spread reverts to", "model"),
     "mean_reversion": pure("mean reversion of the logarithm of a spread", "model", YEARLY),
     "volatility": volatility("volatility of the logarithm of a spread"),
     "default_loss": rate("the share of a holding lost per year at the mean spread", "premium"),
 }
-NOT_HEDGED = "what is hedged does not feel it"
+NOT_HEDGED = "the hedged share does not feel it"
 CURRENCY = {
     "volatility": volatility(f"volatility of a currency; {NOT_HEDGED}"),
     "premium": rate(f"return of a currency over the difference of rates; {NOT_HEDGED}", "premium"),

@@ -23,7 +23,7 @@ FORMULA_AGES = (16, 105)  # first age and number of ages of a formula: 16 to 120
 
 
 def read_mortality(section: Place, table: MortalityTable) -> Mortality:
-    """Death probabilities by sex and age, or Gompertz-Makeham, with what modifies them."""
+    """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers."""
     if table.kind == "table":
         for key in ("male", "female"):
             if getattr(table, key) is not None:

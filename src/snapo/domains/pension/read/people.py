@@ -18,7 +18,7 @@ STATUS = ("active", "deferred", "pensioner", "spouse")
 NUMBER = amount("the number of members of a cohort", "people", "members")
 PENSION = "the yearly pension that each member has earned"
 SALARY = "the salary of each member, and with it contributions and accrual"
-FLOW, COST = "an expected payment", "the value of what a step accrues today"
+FLOW, COST = "an expected payment", "the value of the accrual of a step today"
 
 
 def read_members(

@@ -1,6 +1,6 @@
 """The tables of a pension case as they stand in the TOML file, each key with its meaning.
 
-The description of a key is the text that an error message quotes as what is allowed.
+The description of a key is the text that an error message quotes as allowed.
 """
 
 import datetime

@@ -1,4 +1,4 @@
-"""What the fund holds as resolved data; conventions as in `records.case`."""
+"""Holdings of the fund as resolved data; conventions as in `records.case`."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal
@@ -32,7 +32,7 @@ class Assets:
     - `volatility`: index [T, m] in local currency, 1/sqrt(year).
     - `smoothing`: index [q], the share of a step's return that an appraisal shows at once, 0 to
       1; `smoothed`: [q] positions of the appraised classes ("property"), often none.
-    - `cost`: index [n], share of what is traded; `fee`: index [n], share of assets per year.
+    - `cost`: index [n], share of the trade; `fee`: index [n], share of assets per year.
     - `weight`: index [n], weights now, adding up to one.
     - `low`, `high`: [n] bounds between 0 and 1; `groups`: disjoint.
     - `amount`: market value of all assets now, index [].

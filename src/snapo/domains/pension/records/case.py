@@ -49,7 +49,7 @@ class PensionCase:
     - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
     - `measure`: "P" real-world, "Q" risk-neutral.
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
-    - `observation`: names of what the policy sees (see `fund.observation.FEATURES`), in order.
+    - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
     """
 

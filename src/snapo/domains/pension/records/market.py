@@ -88,9 +88,9 @@ class Currencies:
 class Correlation:
     """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
 
-    - `names`: [k] of what is correlated: "rate", "rate 2", "inflation", "price index", "wage",
-      ratings, currencies, and classes with a shock of their own. What is not named here, and
-      mortality, is independent of all the rest.
+    - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
+      ratings, currencies, and classes with a shock of their own. Others, and mortality, are
+      independent of all the rest.
     - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
     - `repaired`: the largest change of an entry, 0 where nothing was repaired.
     """

@@ -32,11 +32,11 @@ class Indexation:
 
 @dataclass(frozen=True, eq=False)
 class Contribution:
-    """What is paid in each step; C = normal cost + recovery, then limits.
+    """The payment of each step; C = normal cost + recovery, then limits.
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
       plus `spread_factor` per year times (liability - assets), surplus is spread too;
-      "target": normal cost plus what is missing to `target_ratio` times the liability, over
+      "target": normal cost plus the gap to `target_ratio` times the liability, over
       `recovery_years`.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.

@@ -7,7 +7,7 @@ mean of moving assets first and of moving the liability first. dA and dL are sum
   and over it, bonds with swaps, credit, and the classes with a shock of their own.
 - liability, in this order: benefits paid, rights accrued, both with interest at the short rate;
   the remainder, which is the curve's (and that of prices, where payments follow them);
-  mortality away from what was expected; indexation granted beyond what was valued.
+  mortality away from the expected one; indexation granted beyond the part valued.
 """
 
 from dataclasses import replace
@@ -82,7 +82,7 @@ class Moment(NamedTuple):
 
 
 class Explained(PensionSimulator):
-    """The fund with other outputs: what each part of a step does to the funding ratio."""
+    """The fund with other outputs: the effect of each part of a step on the funding ratio."""
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
         made = super().prepare(inputs)

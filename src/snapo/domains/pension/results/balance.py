@@ -1,6 +1,6 @@
 """Today's balance sheet: key rates of assets, swaps and liabilities, trades, collateral, stresses.
 
-Everything here is closed form on today's curve; no path is simulated.
+All of it is closed form on today's curve; no path is simulated.
 """
 
 from collections.abc import Callable

@@ -26,9 +26,9 @@ TENORS = (1, 10, 30)  # years: bonds that are priced at the horizon
 
 
 class Priced(PensionSimulator):
-    """The fund, with what bonds at the horizon are worth today: "bond 10", discounted.
+    """The fund, with the discounted worth of bonds at the horizon: "bond 10".
 
-    Per unit of what the forward curve says they are worth then; index-linked where the liability
+    Per unit of their forward price; index-linked where the liability
     is valued as following prices.
     """
 
@@ -43,7 +43,7 @@ class Priced(PensionSimulator):
 
 
 def work(run: StudyRun) -> dict[str, Any]:
-    """ "market_consistency": what discounted values should be, and what they are, with the trained
+    """ "market_consistency": discounted values beside their expectations, with the trained
     policy.
 
     The scenarios are "Q" whatever the measure of the case, without the cost of hedging currencies,
@@ -86,12 +86,12 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
     if not case.assets.smoothed.size:
         paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]
         left = totals["pv_assets"] + paid - totals["pv_contribution"]
-        tests.append(("Assets: what they leave and pay", left, float(case.assets.amount.used())))
+        tests.append(("Assets: remainder and payments", left, float(case.assets.amount.used())))
     plain_basis = case.liability.basis == "risk-free" and case.liability.future_indexation == "none"
     if plain_basis and case.lee_carter is None:
         added = totals["pv_indexation"] + totals["pv_accrual"]
         left = totals["pv_liability"] + totals["pv_benefit"] - added
-        tests.append(("Liability: what it leaves and pays", left, liability))
+        tests.append(("Liability: remainder and payments", left, liability))
     return tests
 
 
@@ -109,7 +109,7 @@ def _price(case: PensionCase, given: dict[str, Any], years: float, real: bool) -
 
 
 def _tested(name: str, values: np.ndarray, expected: float, source: Scenarios) -> dict[str, Any]:
-    """One line: the mean over independent groups of paths against what it should be."""
+    """One line: the mean over independent groups of paths against its expectation."""
     groups = source.groups(np.arange(values.size))
     means = np.bincount(groups, values) / np.bincount(groups)
     mean, error = float(means.mean()), float(means.std(ddof=1) / np.sqrt(means.size))

@@ -66,7 +66,7 @@ class Record:
 
     @property
     def weights(self) -> np.ndarray:
-        """[T, N, n] weights after trading; cash takes what the others leave."""
+        """[T, N, n] weights after trading; cash is the remainder."""
         count, cash = len(self.case.assets.classes), self.case.assets.cash
         weights = self.action[:, :, :count].astype(np.float64)
         weights[:, :, cash] += 1 - weights.sum(2)
@@ -162,7 +162,7 @@ def limits_by_step(record: Record, round_off: float) -> dict[str, Any]:
     """Shares of the paths that break a limit: in each step [T], and ever.
 
     "weights": a weight or a group leaves its bounds by more than `round_off`; with swaps,
-    "collateral": eligible assets do not cover what the stress requires.
+    "collateral": eligible assets do not cover the need under stress.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:

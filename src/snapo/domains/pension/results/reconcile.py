@@ -21,7 +21,7 @@ EXACT = 1e-9  # relative: two ways to the same number, both in float64
 
 
 class Figures(NamedTuple):
-    """What a valuation report states.
+    """The figures of a valuation report.
 
     - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
       for a parallel shift of continuous rates; `convexity`: years squared.
@@ -92,7 +92,7 @@ def check(case: PensionCase, inputs: dict[str, Any]) -> list[Line]:
 
 
 def _payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
-    """Expected payments by step [N] and what each is discounted by."""
+    """Expected payments by step [N] and their discount factors."""
     log_bond = basis_log_bond(case, inputs)
     flow = project(case, inputs, log_bond).accrued
     return flow, jnp.exp(log_bond[paid_at(case, np.arange(horizon(case)))])

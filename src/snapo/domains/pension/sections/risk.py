@@ -16,15 +16,15 @@ BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 HELD = (
     "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
     " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
-    " answers by its rule, not trained anew; the distance between the two shows what training"
-    " and smoothing left. Prices of risk, excess returns and today's market values are held while"
+    " answers by its rule, not trained anew; the distance between the two is left by training"
+    " and smoothing. Prices of risk, excess returns and today's market values are held while"
     " the curve moves."
 )
 TOP = 14
 
 
 def _scale(run: PensionRun) -> tuple[float, str]:
-    """What effects are multiplied by, and their unit."""
+    """The factor of effects, and their unit."""
     if run.get("sensitivities.unit") == "ratio":
         return 1e4, "bp of the certainty equivalent"
     return 1.0, "objective"

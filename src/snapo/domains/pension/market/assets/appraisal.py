@@ -1,4 +1,4 @@
-"""Appraised returns: what is shown of a return at once, and what later.
+"""Appraised returns: the share of a return that is shown at once, the rest later.
 
 shown' = a r + (1 - a) shown, with a the share that an appraisal takes up in a step.
 """

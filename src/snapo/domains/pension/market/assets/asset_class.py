@@ -28,7 +28,7 @@ SPECIAL = ("mean", "volatility", "maturity", "rating", "smoothing")
 
 
 class Names(NamedTuple):
-    """What a row of the table may refer to: the years of a step, ratings and currencies."""
+    """The references of a row of the table: the years of a step, ratings and currencies."""
 
     step: float
     ratings: Sequence[str]
@@ -44,7 +44,7 @@ class Names(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """What the returns of all kinds are prepared from."""
+    """The sources from which all kinds prepare their returns."""
 
     case: PensionCase
     inputs: dict[str, Any]

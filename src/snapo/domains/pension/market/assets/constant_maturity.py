@@ -48,7 +48,7 @@ def linked_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) ->
 
 
 class Load(NamedTuple):
-    """What returns over cash load on: `size` [T, k, L] of the components `which` [k, L] of the
+    """The loads of returns over cash: `size` [T, k, L] of the components `which` [k, L] of the
     Gaussian vector."""
 
     size: Array

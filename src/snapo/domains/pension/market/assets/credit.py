@@ -1,4 +1,4 @@
-"""Corporate bonds: the curve plus a rating's spread, less what defaults take.
+"""Corporate bonds: the curve plus a rating's spread, less defaults.
 
 Over a bond of the same maturity the log return has minus duration times the change of the spread
 s = mean exp(u), with the spread's own noise made a martingale. In the real world it earns the

@@ -16,7 +16,7 @@ from .swaps import swap_returns, swap_schedule
 
 class AssetTerms(NamedTuple):
     """`kinds` one entry per kind (see `AssetClass.prepare`), `swaps` or None; `exposure` [X] the
-    volatility of what is left unhedged of a currency; `smoothing` [q]."""
+    volatility of the unhedged share of a currency; `smoothing` [q]."""
 
     kinds: tuple[Any, ...]
     swaps: Any
