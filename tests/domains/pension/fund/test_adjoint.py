@@ -79,7 +79,7 @@ def real():
 
 CASES = [
     pytest.param(everything, id="everything"),
-    pytest.param(real, id="real", marks=pytest.mark.slow),
+    pytest.param(real, id="real", marks=pytest.mark.study),
 ]
 
 

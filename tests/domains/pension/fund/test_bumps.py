@@ -18,7 +18,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 from snapo.solver.certificate import Bump, bump_check, nudged
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 PATHS, INPUTS = 64, 290
 BUMP, LEAST = 1e-4, 0.01  # of the largest number of an input, which counts as at least LEAST

@@ -23,7 +23,7 @@ from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.train import Training, begin, train
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 GAMMA, STEPS = 5.0, 120
 WEIGHT, EQUIVALENT = 0.24678682, 1.28318464  # of exact monthly rebalancing

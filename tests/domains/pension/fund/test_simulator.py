@@ -101,7 +101,7 @@ def curve_case(flows, observation, steps=24):
 SEEN = ("time", "relative_funding", "rates", "weights", "overlay")
 
 
-@pytest.mark.parametrize("trained", [False, pytest.param(True, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("trained", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_the_final_ratio_depends_on_the_node_of_the_payment_alone(trained):
     """P2: d ln F_T / d z_i is T_L at the node T_L and 0 elsewhere, path by path."""
     one = curve_case(cash_flows([120.0], [119]), SEEN)
@@ -134,7 +134,7 @@ def path_slopes(engine, simulator, inputs, policy, schedule, paths, held=False):
     return pull_back(simulator, inputs, found)["zero_rate"]
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_a_stream_is_met_payment_by_payment_with_decisions_held():
     """P2 for a stream: tau_j CF_j P(T, tau_j) / L_T on each path, for any observation."""
     months, steps, paths = np.array([59, 119, 239]), 24, 3
@@ -164,7 +164,7 @@ def test_a_stream_is_met_payment_by_payment_with_decisions_held():
     assert np.abs(slopes - want).max() < 1e-7
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_both_engines_support_the_full_case():
     one = full()
     simulator, _, schedule = simulated(one)
@@ -236,7 +236,7 @@ def fair():
 
 @pytest.mark.parametrize(
     "kind",
-    ["constant", *(pytest.param(kind, marks=pytest.mark.slow) for kind in ("driven", "network"))],
+    ["constant", *(pytest.param(kind, marks=pytest.mark.study) for kind in ("driven", "network"))],
 )
 def test_values_are_consistent_with_the_market(fair, kind):
     """P8: assets, liability and cash are worth what they cost, whatever the policy does."""
@@ -268,7 +268,7 @@ def test_values_are_consistent_with_the_market(fair, kind):
     assert np.abs(total["pv_indexation"]).max() > 0.1
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_derivatives_are_consistent_with_the_market(fair):
     """The assets' worth does not depend on volatilities or spreads, nor cash on anything else."""
     simulator, inputs, schedule = fair

@@ -82,7 +82,7 @@ def test_one_per_cent_of_nothing_is_a_unit():
     assert move.words == "1 unit"
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_derivatives_where_no_swaps_are_held():
     """Nothing held and nothing wanted: both engines are finite, and at the kink of the trading
     cost the derivative by the notional is that of one more."""

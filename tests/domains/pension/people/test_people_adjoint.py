@@ -90,7 +90,7 @@ def slopes(value, inputs):
     return unravel((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * steps))
 
 
-SLOW = pytest.param("open", marks=pytest.mark.slow)
+SLOW = pytest.param("open", marks=pytest.mark.study)
 
 
 @pytest.mark.parametrize("name", [*(name for name in CASES if name != "open"), SLOW])

@@ -13,7 +13,7 @@ from snapo.domains.pension.results.setup import make_setup
 from snapo.solver.evaluate import path_totals
 from snapo.solver.train import begin, train
 
-pytestmark = pytest.mark.slow
+pytestmark = pytest.mark.study
 
 RIVALS = ("constant_mix", "glide_path", "liability_driven")
 BASIS_POINT = 1e-4

@@ -19,7 +19,7 @@ from snapo.domains.pension.results.reconcile import figures
 from snapo.problem.inputs import plain
 from snapo.study.report import write_report
 
-pytestmark = pytest.mark.slow  # two minutes and more of compiling
+pytestmark = pytest.mark.study  # two minutes and more of compiling
 
 KEYS = {
     "kind": str,

@@ -35,7 +35,7 @@ def draws(case, paths=PATHS, seed=0):
     return np.concatenate([half, -half])
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_bonds_and_swaps_earn_what_their_prices_do():
     """Over the first step under "Q": ln P(d, m d) - ln P(0, m d), whatever happens."""
     two = full(STEPS, measure="Q")
