@@ -229,8 +229,10 @@ class Msmpr(Instant):
             return jnp.zeros(0)
         scale = found.growth * residence
         some = scale > 0
-        below = -jnp.expm1(-fixed(self.edges) / jnp.where(some, scale, 1.0))
-        numbers = found.nucleation * residence * jnp.diff(below)
+        edges = fixed(self.edges) / jnp.where(some, scale, 1.0)
+        # Cells far out hold few crystals: no difference of two numbers that are nearly 1.
+        share = jnp.exp(-edges[:-1]) * -jnp.expm1(-jnp.diff(edges))
+        numbers = found.nucleation * residence * share
         volume = SIZE**3 * jnp.sum(fixed(cell_powers(self.edges / SIZE)[3]) * numbers)
         return jnp.where(some, numbers * moments[3] / jnp.where(some, volume, 1.0), 0.0)
 
