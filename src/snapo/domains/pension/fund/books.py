@@ -18,8 +18,8 @@ class State(NamedTuple):
     `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
     cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
     `deaths` y, the log of the rights that mortality took beyond the baseline; `log_price_last` at
-    the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation beyond
-    what was valued already.
+    the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation
+    beyond the part valued already.
     """
 
     market: Market
