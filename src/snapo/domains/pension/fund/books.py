@@ -19,7 +19,7 @@ class State(NamedTuple):
     cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
     `deaths` y, the log of the rights that mortality took beyond the baseline; `log_price_last` at
     the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation
-    beyond the share that was valued already.
+    beyond the part valued already.
     """
 
     market: Market

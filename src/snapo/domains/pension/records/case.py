@@ -86,8 +86,6 @@ class PensionCase:
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
-    kind = "pension"
-
     @property
     def risk_neutral(self) -> bool:
         return self.measure == "Q"
