@@ -10,12 +10,7 @@ from pydantic import Field
 from scipy.stats import lognorm
 
 import snapo
-from snapo.case.settings import (
-    EvaluationTable,
-    TrainingTable,
-    read_evaluation,
-    read_training,
-)
+from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
 from snapo.case.table import Count, Positive, Table, parse
 from snapo.engine import choose
 from snapo.report.folder import Folder

@@ -37,7 +37,7 @@ class PensionFund:
         return resolve(file, dict(data))
 
     def check(self, case: "PensionCase") -> list[str]:
-        from .results.check import lines
+        from .results.figures.lines import lines
 
         return lines(case)
 

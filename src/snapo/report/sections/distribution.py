@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from snapo.report import charts
-from snapo.report.drawing import draw
-from snapo.report.folder import Folder
-from snapo.report.page import Block, Chart, Section, Table
-from snapo.report.quantity import array, decimals, finite, number, quantity
-
+from .. import charts
+from ..drawing import draw
+from ..folder import Folder
+from ..page import Block, Chart, Section, Table
+from ..quantity import array, decimals, finite, number, quantity
 from .lacking import lacking
 
 PICTURES = 4  # of outputs; all stand in the table

@@ -4,12 +4,11 @@ from typing import Any
 
 import numpy as np
 
-from snapo.report.bands import quantile_fan
-from snapo.report.drawing import draw
-from snapo.report.folder import Folder
-from snapo.report.page import Block, Chart, Section, Text
-from snapo.report.quantity import array, number
-
+from ..bands import quantile_fan
+from ..drawing import draw
+from ..folder import Folder
+from ..page import Block, Chart, Section, Text
+from ..quantity import array, number
 from .distribution import words
 from .lacking import lacking
 

@@ -1,10 +1,9 @@
 """The value of a run with its standard error, and the numbers that stand beside it."""
 
-from snapo.report.evidence import checks
-from snapo.report.folder import Folder
-from snapo.report.page import Block, Facts, Headline, Mark, Section
-from snapo.report.quantity import SPACE, decimals, finite, number, percent, plus_minus
-
+from ..evidence import checks
+from ..folder import Folder
+from ..page import Block, Facts, Headline, Mark, Section
+from ..quantity import SPACE, decimals, finite, number, percent, plus_minus
 from .lacking import lacking
 
 STATUS = {

@@ -1,7 +1,7 @@
 """The sentence that stands in a report for numbers that are not there."""
 
-from snapo.report.folder import Folder
-from snapo.report.page import Missing
+from ..folder import Folder
+from ..page import Missing
 
 
 def lacking(run: Folder, part: str) -> Missing:

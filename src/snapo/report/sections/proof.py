@@ -1,10 +1,9 @@
 """Why to believe the number, and how to get it again."""
 
-from snapo.report import evidence
-from snapo.report.folder import Folder
-from snapo.report.page import Block, Facts, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, seconds
-
+from .. import evidence
+from ..folder import Folder
+from ..page import Block, Facts, Missing, Section, Table, Text
+from ..quantity import finite, number, seconds
 from .distribution import words
 from .lacking import lacking
 

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from snapo.report.bands import Swing, tornado
-from snapo.report.drawing import draw
-from snapo.report.folder import Folder, Sensitivity
-from snapo.report.page import Block, Chart, Missing, Section, Table, Text
-from snapo.report.quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity
-
+from ..bands import Swing, tornado
+from ..drawing import draw
+from ..folder import Folder, Sensitivity
+from ..page import Block, Chart, Missing, Section, Table, Text
+from ..quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity
 from .distribution import words
 from .lacking import lacking
 

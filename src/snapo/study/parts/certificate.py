@@ -6,7 +6,8 @@ import numpy as np
 
 from snapo.problem.problem import Problem
 from snapo.solver.certificate import bump_check, feasibility, nudged
-from snapo.study.study import Part, StudyRun
+
+from ..study import Part, StudyRun
 
 PATHS = 256
 ROUND_OFF = 1e-9  # of the largest number among the inputs, at least of one

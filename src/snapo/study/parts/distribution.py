@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.study.study import Part, StudyRun
+from ..study import Part, StudyRun
 
 BINS = 60
 QUANTILES = {"p01": 0.01, "p05": 0.05, "p25": 0.25, "p50": 0.5, "p75": 0.75, "p95": 0.95,

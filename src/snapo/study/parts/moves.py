@@ -7,7 +7,8 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.solver.sensitivity import Estimate, Sensitivities
-from snapo.study.study import Part, StudyRun
+
+from ..study import Part, StudyRun
 
 SHARE = 0.01  # of every number of an input that does not say its `move`
 

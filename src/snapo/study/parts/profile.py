@@ -7,8 +7,8 @@ import jax
 import numpy as np
 
 from snapo.problem.smooth import Exact
-from snapo.study.study import Part, Setup, StudyRun
 
+from ..study import Part, Setup, StudyRun
 from .distribution import QUANTILES
 
 PATHS, MOST_NUMBERS = 4096, 4_000_000  # paths, and numbers of one record that are held at once

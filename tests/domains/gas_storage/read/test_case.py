@@ -11,11 +11,7 @@ import pytest
 from tests.domains.gas_storage.storage_cases import read_case
 
 from snapo.case.error import CaseError
-from snapo.domains.gas_storage.contract.end import (
-    LevelAtEnd,
-    PriceAtEnd,
-    ValueAtEnd,
-)
+from snapo.domains.gas_storage.contract.end import LevelAtEnd, PriceAtEnd, ValueAtEnd
 from snapo.domains.gas_storage.contract.expiry import (
     discount,
     fixed_costs_value,

@@ -13,7 +13,7 @@ from snapo.domains.pension.people.cash_flows import horizon, project
 from snapo.domains.pension.people.liability import forward_discount, nodes, on_nodes, people
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability, Reconcile
-from snapo.domains.pension.results.reconcile import check, figures
+from snapo.domains.pension.results.figures.reconcile import check, figures
 from snapo.problem.inputs import plain
 
 

@@ -19,7 +19,7 @@ from snapo.domains.pension.read.stress import read_shocks
 from snapo.domains.pension.records.inputs import every_given, pension_inputs
 from snapo.domains.pension.records.people import ACTIVE, FEMALE, MALE, SPOUSE
 from snapo.domains.pension.results import stress
-from snapo.domains.pension.results.reconcile import check, figures
+from snapo.domains.pension.results.figures.reconcile import check, figures
 from snapo.problem.inputs import plain
 
 GROUPS = {

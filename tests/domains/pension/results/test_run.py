@@ -15,7 +15,7 @@ from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE
 from snapo.domains.pension.results import balance, stress
-from snapo.domains.pension.results.reconcile import figures
+from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
 from snapo.study.report import write_report
 

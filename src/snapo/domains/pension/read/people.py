@@ -10,7 +10,18 @@ from snapo.case.table import Section
 
 from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, Members, Mortality
 from ..records.said import amount
-from .cells import WHOLE, Grid, Place, empty, listed, number, single, unique, word, years
+from .cells import (
+    WHOLE,
+    Grid,
+    Place,
+    empty,
+    listed,
+    number,
+    single,
+    unique,
+    word,
+    years,
+)
 from .mortality import SEX
 from .tables_people import MembersTable
 

@@ -17,7 +17,7 @@ from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_log_prices
 from ..records.case import PensionCase
 from ..records.market import Curve
-from .reconcile import Figures
+from .figures.reconcile import Figures
 
 BASIS_POINT = 1e-4
 

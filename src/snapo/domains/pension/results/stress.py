@@ -18,7 +18,7 @@ from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.market import Curve
 from .balance import held_now
-from .reconcile import figures
+from .figures.reconcile import figures
 from .setup import case_of
 
 

@@ -17,12 +17,12 @@ from . import (
     frontier,
     objective,
     paths,
-    reconciliation,
     stress,
     today,
     variance,
 )
-from .check import reconciled
+from .figures import table as reconciliation
+from .figures.lines import reconciled
 from .setup import make_setup
 
 TRAINED = (TRAINING.name,)

@@ -11,7 +11,7 @@ from snapo.study.study import StudyRun
 from ..fund.swap_limits import limit_unit, notionals
 from ..records.case import PensionCase
 from . import balance
-from .reconcile import figures
+from .figures.reconcile import figures
 from .setup import case_of
 
 

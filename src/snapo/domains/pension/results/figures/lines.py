@@ -3,8 +3,8 @@
 from snapo.case.error import CaseError
 from snapo.problem.inputs import plain
 
-from ..records.case import PensionCase
-from ..records.inputs import pension_inputs
+from ...records.case import PensionCase
+from ...records.inputs import pension_inputs
 from .reconcile import Line
 from .reconcile import check as reconcile
 

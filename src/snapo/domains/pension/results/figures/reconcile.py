@@ -10,11 +10,11 @@ from jaxtyping import Array
 
 from snapo.solver.adjoint import adjoint_gradient
 
-from ..fund.schedule import basis_log_bond
-from ..people.cash_flows import horizon, project
-from ..people.liability import paid_at, people
-from ..records.case import PensionCase
-from ..records.market import Curve
+from ...fund.schedule import basis_log_bond
+from ...people.cash_flows import horizon, project
+from ...people.liability import paid_at, people
+from ...records.case import PensionCase
+from ...records.market import Curve
 
 BASIS_POINT = 1e-4
 EXACT = 1e-9  # relative: two ways to the same number, both in float64

@@ -7,11 +7,11 @@ import numpy as np
 from snapo.problem.inputs import plain
 from snapo.study.study import StudyRun
 
-from ..records.case import PensionCase
-from ..records.inputs import pension_inputs
-from .check import reconciled
+from ...records.case import PensionCase
+from ...records.inputs import pension_inputs
+from ..setup import case_of
+from .lines import reconciled
 from .reconcile import BASIS_POINT, Figures, figures
-from .setup import case_of
 
 
 def work(run: StudyRun) -> dict[str, Any]:
