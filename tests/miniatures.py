@@ -1,16 +1,8 @@
 """A case of every domain, small enough to be solved in seconds: its template with less of it."""
 
-from pathlib import Path
-
 from snapo.testing.miniature import Miniature
 
 LITTLE = ("training.paths=32", "training.validation_paths=64", "evaluation.sensitivity_paths=64")
-
-
-def thirty_days() -> dict[str, str]:
-    """A month of a small gas store."""
-    folder = Path(__file__).parent / "domains" / "gas_storage" / "cases" / "quick"
-    return {each.name: each.read_text(encoding="utf-8") for each in folder.iterdir()}
 
 
 def reactor() -> dict[str, str]:
@@ -23,7 +15,11 @@ def reactor() -> dict[str, str]:
 MINIATURES = {
     each.kind: each
     for each in (
-        Miniature("gas-storage", texts=thirty_days),
+        Miniature(
+            "gas-storage",
+            None,
+            ("contract.end=2021-05-25", "training.steps=4", "evaluation.paths=256", *LITTLE),
+        ),
         Miniature(
             "pension",
             "small",
