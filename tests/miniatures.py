@@ -1,8 +1,16 @@
 """A case of every domain, small enough to be solved in seconds: its template with less of it."""
 
+from pathlib import Path
+
 from snapo.testing.miniature import Miniature
 
 LITTLE = ("training.paths=32", "training.validation_paths=64", "evaluation.sensitivity_paths=64")
+
+
+def thirty_days() -> dict[str, str]:
+    """A month of a small store with one price factor."""
+    folder = Path(__file__).parent / "domains" / "gas_storage" / "cases" / "quick"
+    return {each.name: each.read_text(encoding="utf-8") for each in folder.iterdir()}
 
 
 def reactor() -> dict[str, str]:
@@ -17,8 +25,8 @@ MINIATURES = {
     for each in (
         Miniature(
             "gas-storage",
-            None,
-            ("contract.end=2021-05-25", "training.steps=4", "evaluation.paths=256", *LITTLE),
+            assignments=("training.steps=4", "evaluation.paths=256", *LITTLE),
+            texts=thirty_days,
         ),
         Miniature(
             "pension",
