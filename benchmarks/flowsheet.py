@@ -17,8 +17,8 @@ import jax
 import numpy as np
 from scipy.optimize import minimize
 
-from snapo.domains.pharma.case import read_case
 from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.read.case import read_case
 from snapo.domains.pharma.recipe.optimise import Optimum, goal_and_room, optimise
 
 EXAMPLE = Path(__file__).parents[1] / "examples" / "plug_flow"

@@ -9,9 +9,9 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo
-from snapo.domains.pharma.case import resolve
 from snapo.domains.pharma.flowsheet.case import PharmaCase
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
+from snapo.domains.pharma.read.case import resolve
 from snapo.report.folder import Folder
 from snapo.study import commands
 from snapo.testing.miniature import quiet

@@ -10,10 +10,10 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.study.study import Tell
 
-from .case import resolve
 from .derivatives.jacobian import gradient, matrix
 from .flowsheet.process import Process
 from .quality.draws import all_draws, all_entries
+from .read.case import resolve
 
 BATCHES, REPEATS = 4096, 5
 

@@ -28,7 +28,7 @@ class Pharma:
         return {"standard": files("snapo.domains.pharma") / "template"}
 
     def read(self, file: Path, data: Mapping[str, Any]) -> "PharmaCase":
-        from .case import resolve
+        from .read.case import resolve
 
         return resolve(file, dict(data))
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
-from snapo.domains.pharma.case import read_case
 from snapo.domains.pharma.flowsheet import march
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
+from snapo.domains.pharma.read.case import read_case
 from snapo.engine import Unsupported
 
 PLUG_FLOW = Path(__file__).parents[4] / "examples" / "plug_flow" / "case.toml"

@@ -3,8 +3,8 @@
 import pytest
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
-from snapo.domains.pharma.case import read_case
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
+from snapo.domains.pharma.read.case import read_case
 from snapo.domains.pharma.read.quantities import UnitError, conversion, split
 from snapo.domains.pharma.results.statement import statement
 

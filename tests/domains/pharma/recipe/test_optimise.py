@@ -10,8 +10,8 @@ import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.case import read_case, resolve
 from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.recipe.optimise import optimise
 from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
 

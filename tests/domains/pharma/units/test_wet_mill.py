@@ -123,7 +123,7 @@ def in_a_chain():
     """A crystalliser by finite volumes, the mill, and a second crystalliser on the same grid."""
     edges = np.linspace(0, 300e-6, 61)
     names = "crystalliser", "second"
-    units = [crystalliser(name, seed=seeded(20e-6, 0.02), edges=edges) for name in names]
+    units = [crystalliser(name, seed=seeded(20e-6, 0.02, name), edges=edges) for name in names]
     lines = (
         *chain("charge", "crystalliser"),
         Connection("crystalliser", "slurry", "mill", "slurry"),

@@ -30,8 +30,7 @@ from snapo.domains.pharma.units.crystals.seed import Seed, seed_numbers
 SPREAD, MEAN = 0.3, 60e-6
 
 
-def seeded(size=MEAN, loading=1.0):
-    name = "crystalliser"
+def seeded(size=MEAN, loading=1.0, name="crystalliser"):
     return Seed(
         number(f"{name}.seed_loading", loading, "kg/m3"),
         number(f"{name}.seed_size", size, "m"),

@@ -1,0 +1,114 @@
+"""Reads a pharma case: a TOML file and the CSVs beside it become a `PharmaCase`."""
+
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.case.settings import read_evaluation, read_training
+from snapo.case.table import Section, load, parse
+
+from ..flowsheet.case import PharmaCase
+from ..given import every_given
+from ..time.numerics import Numerics
+from ..units.operation import Unit, timed
+from ..units.registry import read_units
+from .checks import check_amounts, check_decided, check_moved, check_varied_once
+from .connections import in_order, read_connections
+from .control import read_control, read_design_space, read_goal
+from .entries import Numbers
+from .estimation import read_estimation
+from .network import read_feeds, read_network
+from .optimise import read_optimise
+from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
+from .tables import NumericsTable, PharmaTable
+
+# Where a case does not say: limits as soft as their margins at first, so that all of them are felt.
+TRAINING = {
+    "steps": 150, "paths": 256, "learning_rate": 0.02, "warmup": 10, "temperature_start": 1.0,
+    "temperature_end": 0.1, "validation_paths": 2048, "validation_every": 25,
+}  # fmt: skip
+EVALUATION = {"paths": 16384, "sensitivity_paths": 1024}
+
+
+def read_case(path: str | Path) -> PharmaCase:
+    """Reads and checks the case at `path`, a TOML file or a folder with `case.toml`.
+
+    **Raises:** `CaseError` where a table, a quantity or the flowsheet is wrong; nothing is written.
+    """
+    file, data = load(Path(path))
+    return resolve(file, data)
+
+
+def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
+    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    top = parse(PharmaTable, data, str(file), "")
+    notes: list[str] = []
+    network = read_network(file, top.species, top.reactions, top.reference_temperature, notes)
+    feeds = read_feeds(file, top.feeds, network.species, notes)
+    units = read_units(file, top.units, network.species, notes)
+    connections = read_connections(file, top.connections, feeds, units)
+    units = in_order(file, units, connections)
+    numbers = Numbers(
+        {given.name: given for given in every_given((network, feeds, units))}, network
+    )
+    check_amounts(file, feeds, units, connections, notes)
+    parameters = read_parameters(file, top.parameters, numbers, notes)
+    attributes = read_attributes(file, top.attributes, network, feeds, units, notes)
+    case = PharmaCase(
+        file=file,
+        title=top.title,
+        purpose=top.purpose,
+        network=network,
+        feeds=feeds,
+        units=units,
+        connections=connections,
+        parameters=parameters,
+        attributes=attributes,
+        uncertainty=read_uncertainty(file, top.uncertainty, top.correlations, numbers, notes),
+        control=read_control(file, top.control, numbers, network.species, units, notes),
+        goal=read_goal(file, top.goal, attributes),
+        design_space=read_design_space(file, top.design_space, parameters, attributes),
+        estimation=read_estimation(file, top.estimation, numbers, network.species, units, notes),
+        pairs=_read_pairs(file, top.pairs, [each.name for each in parameters]),
+        held=_read_held(file, top.held, numbers, parameters),
+        numerics=_read_numerics(file, top.numerics, units),
+        training=read_training({**TRAINING, **top.training}, str(file)),
+        evaluation=read_evaluation({**EVALUATION, **top.evaluation}, str(file)),
+        assumptions=tuple(top.assumptions),
+        notes=tuple(notes),
+        optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
+    )
+    check_moved(case)
+    check_decided(case)
+    check_varied_once(case)
+    return case
+
+
+def _read_pairs(file, raw: list[list[str]], names: list[str]) -> tuple[tuple[str, str], ...]:
+    for i, pair in enumerate(raw):
+        for name in pair:
+            if name not in names:
+                what = f"there is no such parameter; there are {', '.join(names)}"
+                raise CaseError(str(file), f"pairs[{i}]", name, what)
+    return tuple((one, other) for one, other in raw)
+
+
+def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[str]:
+    section = Section(file, "case", [])
+    for name in raw:
+        numbers.all(section, "held", name)
+        for each in parameters:
+            if each.input == name:
+                what = f"parameter {each.name} is one of these numbers, and needs a sensitivity"
+                raise CaseError(str(file), "held", name, what)
+    return frozenset(raw)
+
+
+def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
+    """ "auto" is a mesh where it may hold the event, and else error control."""
+    table = parse(NumericsTable, raw, str(file), "numerics")
+    method = table.method
+    if method == "auto":
+        controlled = any(unit.error_controlled for unit in timed(units))
+        method = "adaptive" if controlled else "mesh"
+    return Numerics(method, table.steps, table.tolerance, table.max_steps, table.refine)
