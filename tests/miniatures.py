@@ -8,7 +8,7 @@ LITTLE = ("training.paths=32", "training.validation_paths=64", "evaluation.sensi
 
 
 def thirty_days() -> dict[str, str]:
-    """A month of a small gas store."""
+    """A month of a small store with one price factor."""
     folder = Path(__file__).parent / "domains" / "gas_storage" / "cases" / "quick"
     return {each.name: each.read_text(encoding="utf-8") for each in folder.iterdir()}
 
@@ -23,7 +23,11 @@ def reactor() -> dict[str, str]:
 MINIATURES = {
     each.kind: each
     for each in (
-        Miniature("gas-storage", texts=thirty_days),
+        Miniature(
+            "gas-storage",
+            assignments=("training.steps=4", "evaluation.paths=256", *LITTLE),
+            texts=thirty_days,
+        ),
         Miniature(
             "pension",
             "small",

@@ -8,10 +8,12 @@ import sys
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 from tests.miniatures import MINIATURES
 
 from snapo.cli.main import main
+from snapo.study import commands
 
 CASES = Path(__file__).parents[1] / "domains" / "gas_storage" / "cases"
 OWN = MINIATURES["own"]
@@ -117,6 +119,55 @@ def test_json_prints_one_object_even_for_bad_input(case, capsys):
     assert answer["status"] == "bad-input"
     assert "curve.csv" in answer["message"]
     assert "curve.csv" in printed.err
+
+
+# What the command asks for, and what it prints.
+
+
+@pytest.fixture
+def asked(monkeypatch):
+    """What `solve` is asked for; it answers at once."""
+    calls = []
+
+    def solve(asked, tell, **options):
+        calls.append((asked, options))
+        print("a library prints")
+        result = {"kind": "own", "status": "ok", "value": np.float64(12.5)}
+        return result | {"standard_error": float("nan"), "run": options["out"]}
+
+    monkeypatch.setattr(commands, "solve", solve)
+    return calls
+
+
+def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
+    options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
+    assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
+    case, given = asked[0]
+    assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
+    assert given == {"out": tmp_path, "engine": "xla", "reference": True, "resume": True}
+    assert "12.50" in capsys.readouterr().out
+
+
+def test_solve_has_defaults(asked):
+    assert main(["solve", "mine"]) == 0
+    case, given = asked[0]
+    assert case == (Path("mine"), (), None)
+    assert given == {"out": None, "engine": "auto", "reference": False, "resume": False}
+
+
+def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):
+    assert main(["solve", "mine", "--json", "--out", str(tmp_path)]) == 0
+    printed = capsys.readouterr()
+    result = json.loads(printed.out)
+    assert (result["value"], result["standard_error"]) == (12.5, None)
+    assert result["run"] == str(tmp_path)
+    assert "a library prints" in printed.err
+
+
+def test_check_prints_its_lines(monkeypatch, capsys):
+    monkeypatch.setattr(commands, "check", lambda asked, tell: ["fine"])
+    assert main(["check", "mine"]) == 0
+    assert capsys.readouterr().out == "fine\n"
 
 
 # Runs.

@@ -48,6 +48,7 @@ def not_above(solution, exact: float) -> None:
     assert solution.value <= exact + 3 * solution.standard_error + 1e-9 * abs(exact)
 
 
+@pytest.mark.prove
 def test_intrinsic_value_without_volatility():
     made, solution = solved("G2", steps=40, paths=32, evaluate=64)
     not_above(solution, 10_827.2072)
@@ -134,6 +135,7 @@ def monthly(made, solution) -> np.ndarray:
     return np.bincount(np.array(months) - months[0], found)
 
 
+@pytest.mark.prove
 def test_flagship_quickly():
     """A fifth of the training: the value is close already, the deltas are on their way."""
     made, solution = solved("G1", steps=120, paths=256, evaluate=16384)
@@ -169,6 +171,7 @@ def test_flagship_in_full(steps, paths, within):
     assert np.median(deltas) <= within
 
 
+@pytest.mark.prove
 def test_paths_are_the_same_however_many_there_are():
     made = setup("quick")
     options = {"source": Pseudo(2), "engine": made.engines.evaluate}

@@ -97,6 +97,7 @@ def details_of(out: Path) -> dict:
 # The folder that a run leaves.
 
 
+@pytest.mark.prove
 def test_the_result(whole):
     result, out = whole
     assert set(result) >= HEAD
@@ -115,6 +116,7 @@ def test_the_result(whole):
     assert gap == pytest.approx(result["smoothing_gap"])
 
 
+@pytest.mark.prove
 def test_the_folder(whole, folder):
     _, out = whole
     names = {file.name for file in out.iterdir()}
@@ -149,6 +151,7 @@ def test_every_part_is_done_and_inputs_say_their_meaning(whole):
     assert ladder[3]["name"] == "Dynamic programming"
 
 
+@pytest.mark.prove
 def test_the_certificate_passes(whole):
     details = details_of(whole[1])["certificate"]
     wrong = [row for row in details["bump_check"] if not row["passed"]]
@@ -237,6 +240,7 @@ def stop(folder: Path, out: Path, how: int) -> int:
             process.wait()
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.prove)]
 )
@@ -252,6 +256,7 @@ def test_a_stopped_run_goes_on_bit_for_bit(whole, folder, tmp_path, how):
     same_bits(whole[1], out)
 
 
+@pytest.mark.prove
 def test_an_interrupt_while_validating_loses_nothing(whole, folder, tmp_path, monkeypatch):
     """Ctrl-C falls into the validation of a step: that validation is made up for."""
     calls, validate = [], train._validate
@@ -271,6 +276,7 @@ def test_an_interrupt_while_validating_loses_nothing(whole, folder, tmp_path, mo
     same_bits(whole[1], out)
 
 
+@pytest.mark.prove
 def test_another_case_does_not_resume(whole, folder, tmp_path):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     before = (out / "result.json").read_bytes()
@@ -281,6 +287,7 @@ def test_another_case_does_not_resume(whole, folder, tmp_path):
     assert (out / "result.json").read_bytes() == before
 
 
+@pytest.mark.prove
 def test_a_checkpoint_that_cannot_be_written_is_a_status(folder, tmp_path, monkeypatch):
     def full_disk(*given, **named):
         raise OSError(28, "No space left on device", "somewhere")

@@ -126,6 +126,7 @@ def all_pass(bumps):
     assert not wrong, "\n".join(map(str, wrong[:5]))
 
 
+@pytest.mark.prove
 def test_every_input_with_decisions_held(contract):
     bumps = check(contract)
     numbers = sum(entry.value.size for entry in contract[0].named.values())
@@ -137,6 +138,7 @@ def test_every_input_with_decisions_held(contract):
     assert max(bump.crossing for bump in bumps) < 0.1
 
 
+@pytest.mark.prove
 def test_every_input_through_the_policy(contract):
     bumps = check(contract, smooth=Smooth(np.float64(0.02)))
     all_pass(bumps)
@@ -202,6 +204,7 @@ def test_moved_inputs_are_near_and_forced_flows_stay_zero():
     assert moved["min_injection"].value.item() == 0
 
 
+@pytest.mark.prove
 def test_a_wrong_adjoint_is_found(monkeypatch):
     """The check itself is checked: a derivative that is off by 1e-4 must not pass."""
     contract = prepared(read("quick"))

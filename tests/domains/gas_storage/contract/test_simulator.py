@@ -341,6 +341,7 @@ def test_forced_flows_without_volatility():
 # Identities.
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("name", "tables"),
     [
@@ -387,6 +388,7 @@ def test_one_factor_without_reversion_is_worth_its_intrinsic_value():
 # Supplied prices, ends, and dates.
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("rescaled", [True, False])
 def test_supplied_paths(tmp_path, rescaled):
     folder = tmp_path / "case"

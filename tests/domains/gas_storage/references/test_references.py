@@ -119,6 +119,7 @@ def test_linear_program_declines_what_it_would_overstate():
     assert intrinsic_by_linear_program(cases.dated_ratchets("step"), "step") is None
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("interpolation", ["linear", "step"])
 @pytest.mark.parametrize("seed", range(3))
 def test_intrinsic_is_the_limit_of_fine_grids(interpolation, seed):

@@ -161,6 +161,7 @@ def sketched(monkeypatch):
     monkeypatch.setattr(drawing, "_svg", sketch)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("key", sorted(sample_details()))
 def test_any_key_may_be_missing(tmp_path, sketched, key):
     outline = Outline(page(tmp_path, **{key: None}))
@@ -193,6 +194,7 @@ def test_profile_csv_stands_in_for_details(tmp_path):
     assert html.count("<svg") == 8
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("days", [0, 1, 16, 100])
 def test_short_contracts(tmp_path, days):
     details = sample_details()

@@ -93,6 +93,7 @@ def problem(request):
     return simulator, inputs, schedule, policy
 
 
+@pytest.mark.prove
 def test_every_input_agrees_with_central_differences(problem):
     simulator, inputs, schedule, policy = problem
     draws, smooth = Pseudo(1).draws(np.arange(PATHS), simulator), Smooth(jnp.asarray(0.5))

@@ -101,6 +101,7 @@ def curve_case(flows, observation, steps=24):
 SEEN = ("time", "relative_funding", "rates", "weights", "overlay")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("trained", [False, pytest.param(True, marks=pytest.mark.study)])
 def test_the_final_ratio_depends_on_the_node_of_the_payment_alone(trained):
     """P2: d ln F_T / d z_i is T_L at the node T_L and 0 elsewhere, path by path."""
@@ -287,6 +288,7 @@ def test_derivatives_are_consistent_with_the_market(fair):
         assert np.all(np.abs(found[name].mean(0)) < 4.5 * error + 1e-12)
 
 
+@pytest.mark.prove
 def test_a_market_that_stands_still_moves_money_as_the_books_say():
     """Advance against arrears, costs, contributions: one step by hand."""
     steps = 3

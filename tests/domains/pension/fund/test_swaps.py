@@ -38,6 +38,7 @@ def places(one):
     return np.asarray(action)[CLASSES:]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("unit", ["assets", "liability"])
 def test_a_new_policy_holds_about_the_present_notionals(unit):
     one = swaps(unit=unit)

@@ -78,6 +78,7 @@ def test_what_a_step_accrues_written_out():
     assert not found.fresh[t, : t + 1].any()
 
 
+@pytest.mark.prove
 def test_salaries_fall_as_actives_leave_and_stay_in_an_open_plan():
     closed, opened = (projected(people_case(15, plan=plan(open=each))) for each in (False, True))
     case = people_case()

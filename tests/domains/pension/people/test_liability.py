@@ -137,6 +137,7 @@ def test_mortality_that_is_realised_and_that_is_expected_add_up(mortal):
     assert np.all(found.decline[:24] > 0) and np.all(found.outlook >= -1e-12)
 
 
+@pytest.mark.prove
 def test_figures_are_exact_sums_and_their_slopes():
     case = people_case()
     inputs = plain(pension_inputs(case))

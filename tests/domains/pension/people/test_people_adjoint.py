@@ -93,6 +93,7 @@ def slopes(value, inputs):
 SLOW = pytest.param("open", marks=pytest.mark.study)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", [*(name for name in CASES if name != "open"), SLOW])
 def test_every_number_of_members_and_mortality(name):
     case = people_case(3, **CASES[name])
@@ -126,6 +127,7 @@ RULES = {
 }
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", RULES)
 @pytest.mark.parametrize("ratio", [0.9, 1.01, 1.1, 1.24])
 def test_every_number_of_the_rules(name, ratio):

@@ -35,10 +35,12 @@ def problem():
     return one, simulator, schedule, policies
 
 
+@pytest.mark.prove
 def test_all_classical_policies_are_there(problem):
     assert set(problem[3]) == {"network", "constant_mix", "glide_path", "liability_driven"}
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("key", ["network", "constant_mix", "glide_path", "liability_driven"])
 def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
     one, simulator, schedule, policies = problem

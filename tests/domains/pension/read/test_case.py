@@ -199,6 +199,7 @@ def test_a_frontier_needs_contributions_that_depend_on_decisions(folder):
         resolve(folder / "case.toml", data)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("timing", ["arrears", "advance"])
 def test_the_last_payment_may_be_due_after_exactly_100_years(timing, folder):
     """At the end of the last step; a payment in advance would begin one more step."""

@@ -254,6 +254,7 @@ def test_the_page_is_whole_and_needs_nothing(folder):
     assert len(names) == len(set(names))
 
 
+@pytest.mark.prove
 def test_the_same_files_give_the_same_page(folder):
     first = write_report(folder).read_bytes()
     assert write_report(folder).read_bytes() == first
@@ -268,6 +269,7 @@ def test_numbers_carry_their_units_and_their_measure(folder):
     assert "Parallel = sum" in html
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("key", sorted(sample()))
 def test_what_is_missing_is_said_in_a_sentence(folder, key):
     details = sample()

@@ -33,6 +33,7 @@ def test_values(process):
     np.testing.assert_allclose(process.values(), VALUES, rtol=1e-6)
 
 
+@pytest.mark.prove
 def test_matrix_against_published_rows(forward):
     """1e-5 of the row's largest, or half a unit of the last digit printed."""
     assert forward.mode == "forward" and "6.6 forward tangents" in forward.reason
@@ -44,6 +45,7 @@ def test_structural_zeros_are_exactly_zero(forward):
     assert {tuple(each) for each in np.argwhere(forward.jacobian == 0.0)} == set(ZEROS)
 
 
+@pytest.mark.prove
 def test_adjoint_is_forward(process, forward):
     adjoint = matrix(process, mode="adjoint")
     largest = np.abs(forward.jacobian).max(1, keepdims=True)
@@ -58,6 +60,7 @@ def test_one_adjoint_pass_gives_a_row(process, forward):
     np.testing.assert_allclose(found, forward.jacobian[1], atol=1e-12)
 
 
+@pytest.mark.prove
 def test_batch_is_a_loop_of_single_runs(process, forward):
     entries = (("kinetics.prefactor", 0), ("crystalliser.growth", 0))
     nominal = process.at(entries)
@@ -168,6 +171,7 @@ def test_convergence_of_values_and_gradients(process):
     assert found.passed and len(found.rows) == 6 * 7
 
 
+@pytest.mark.prove
 def test_too_few_steps_are_a_status_with_unit_and_time():
     process = Process(reactor_alone(numerics=Numerics("adaptive", 320, 1e-10, 10, True)))
     status = process.run().status

@@ -47,6 +47,7 @@ def compared(process, entries, draws, by, tolerance=1e-10):
     return native
 
 
+@pytest.mark.prove
 def test_uncertain_batches_with_every_sensitivity_wherever_the_event_falls(process):
     """Also with nodes moved so far that saturation is reached in any piece, at once, or never."""
     entries = all_entries(process.case)

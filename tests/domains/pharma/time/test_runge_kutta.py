@@ -37,6 +37,7 @@ def x():
         yield jnp.array([1.3, 0.7, 2.0])
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("mode", [adjoint_jacobian, jax.jacfwd])
 def test_first_derivatives(x, mode):
     found = jax.jit(mode(at_once))(x)

@@ -41,6 +41,7 @@ def test_batch_reactor():
     np.testing.assert_allclose(found, list(MIDDLE.values()), atol=1e-7)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(("pieces", "value"), [(20, 0.610454), (80, 0.610776)])
 def test_best_temperature_profile(pieces, value):
     """A classic: the best value with this many pieces, to the digits published."""

@@ -117,6 +117,7 @@ def test_constant_rate_is_the_wet_bulb_balance():
     assert taken == pytest.approx(speed * (time[-1] - time[middle]), rel=1e-6)
 
 
+@pytest.mark.prove
 def test_falling_rate_is_exponential():
     """Below critical, at the shelf's temperature and in vacuum: X = X_0 exp(-k a p_v t / X_c)."""
     hot = dryer(

@@ -63,6 +63,7 @@ def test_bonds_and_swaps_earn_what_their_prices_do():
     assert terms.swap_slope is None
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("start", [0.0, 0.4])
 def test_every_class_earns_cash_on_average_under_q(start):
     """Whatever the spread stands at; hedging is free here, and appraisals are off."""

@@ -67,6 +67,7 @@ def seed_law():
     return lognorm(np.sqrt(variance), scale=MEAN * np.exp(-variance / 2))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("growth", [2e-8, -1e-8])
 @pytest.mark.parametrize("spacing", ["equal", "geometric"])
 def test_growth_moves_the_distribution(growth, spacing):
@@ -133,6 +134,7 @@ def test_limiter():
             assert np.all(np.isfinite(slope))
 
 
+@pytest.mark.prove
 def test_quantiles_of_a_lognormal_seed():
     """By volume the median of a lognormal law is exp(3 s^2) times that by number."""
     crystals = population(np.linspace(0, 400e-6, 401))
@@ -167,6 +169,7 @@ def alone(edges, measures=MEASURES, **fields):
     return case((charge,), (unit,), chain("charge", name), found, PARAMETERS[1:4], **fields)
 
 
+@pytest.mark.prove
 def test_against_moments():
     """The moment model is exact here: what is left falls with the square of the cells' width."""
     exact, gaps = Process(alone(None, MEASURES[:3])).values(), []
@@ -216,6 +219,7 @@ def test_error_control_finds_the_steps():
     assert run.attributes["d43"] == pytest.approx(exact, rel=0.016)  # the grid's own error
 
 
+@pytest.mark.prove
 def test_undersaturated_seed_dissolves_and_mass_closes():
     unit = crystalliser(
         seed=seeded(20e-6, 1.0),
