@@ -247,8 +247,16 @@ def test_help_answers_at_once():
     assert min(seconds() for _ in range(5)) < 0.3
 
 
-def test_bad_input_is_found_without_jax(case):
+STARTED = """
+from snapo.cli.main import main
+from jax._src import xla_bridge
+print(main({!r}), xla_bridge.backends_are_initialized())
+"""
+
+
+def test_bad_input_is_found_before_jax_starts(case):
+    """A case holds objects of the core, so reading loads JAX; but nothing is computed by it."""
     (case / "curve.csv").write_text("")
-    done = run_python("-c", LIGHT.format(["solve", str(case)]))
-    assert done.stdout.splitlines()[-1] == "2 ['numpy', 'pydantic']"
+    done = run_python("-c", STARTED.format(["solve", str(case)]))
+    assert done.stdout.splitlines()[-1] == "2 False"
     assert "curve.csv: the file is empty" in done.stderr

@@ -1,10 +1,12 @@
 """Numbers that the owner of a case gave, with what is said about them."""
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from snapo.problem.inputs import Input
+if TYPE_CHECKING:
+    from snapo.problem.inputs import Input
 
 SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
 
@@ -47,7 +49,9 @@ class Given:
         """`values[index]`, the numbers where they are used."""
         return self.values[self.index]
 
-    def input(self) -> Input:
+    def input(self) -> "Input":
         """The numbers as a differentiable input, with all that is said about them."""
+        from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
+
         said = {name: getattr(self, name) for name in SAID}
         return Input(self.values, self.unit, self.labels, **said)

@@ -5,8 +5,6 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from snapo.problem import objective as core
-
 from .error import CaseError
 from .table import Count, Positive, Table, parse
 
@@ -105,21 +103,3 @@ def read_training(data: Mapping, file: str) -> TrainingTable:
 def read_evaluation(data: Mapping, file: str) -> EvaluationTable:
     """Reads `[evaluation]`."""
     return parse(EvaluationTable, data, file, "evaluation")
-
-
-def make_objective(table: ObjectiveTable, output: str) -> core.Objective:
-    """The objective that `table` names, of the paths' totals of `output`."""
-    aversion = table.risk_aversion or 0.0
-    match table.kind:
-        case "mean":
-            return core.Mean(output)
-        case "cvar":
-            return core.CVaR(output, table.level or 0.95)
-        case "mean-variance":
-            return core.MeanVariance(output, aversion)
-        case "entropic":
-            return core.Entropic(output, aversion)
-        case "crra":
-            return core.ExpectedUtility(output, core.CRRA(aversion, table.wealth or 0.0))
-        case "target":
-            return core.Target(output, table.target or 0.0)

@@ -4,12 +4,12 @@ import tomllib
 from pathlib import Path
 
 import numpy as np
-from snapo.domains.gas_storage.prices.registry import kinds
-from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
 
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.prices.registry import kinds
+from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
 from snapo.study import commands
 
 CASES = Path(__file__).parent / "cases"

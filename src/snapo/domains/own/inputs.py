@@ -60,8 +60,8 @@ def _from_csv(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[st
         raise section.error("value", table.value, "an input has a value or a file, not both")
     if table.labels is not None:
         raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
-    if table.column is None:
-        raise section.error("column", None, "this key is missing; it names a column of the file")
+    if not table.column:
+        raise section.error("column", table.column, "allowed is the name of a column of the file")
     column, label = table.column.lower(), (table.label or "").lower()
     rows = read_rows(Mention(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])

@@ -5,9 +5,9 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.case.objective import make_objective
 from snapo.case.settings import (
     ObjectiveTable,
-    make_objective,
     read_evaluation,
     read_objective,
     read_training,

@@ -4,7 +4,7 @@ import jax
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.settings import make_objective
+from snapo.case.objective import make_objective
 from snapo.engine import choose
 from snapo.problem.objective import Objective, Weighted
 from snapo.problem.problem import Problem
