@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from .error import CaseError, Unquoted
+from .error import CaseError, Unquoted, nearest
 from .table import Section, not_utf8
 
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
@@ -112,8 +112,14 @@ def beside(mention: Mention, suffixes: Sequence[str]) -> Path:
     return path
 
 
-def read_rows(mention: Mention, columns: Sequence[str]) -> list[Row]:
-    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped."""
+def read_rows(
+    mention: Mention, columns: Sequence[str], optional: Sequence[str] | None = None
+) -> list[Row]:
+    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
+
+    Other columns are those of `optional`: a misspelt one must not count as left out. None allows
+    any.
+    """
     path = beside(mention, (".csv",))
     name = mention.name
     records = _records(name, _text(path, name))
@@ -123,6 +129,10 @@ def read_rows(mention: Mention, columns: Sequence[str]) -> list[Row]:
         raise CaseError(name, "", None, what)
     line, cells = header
     names = _header(name, line, cells, columns)
+    for column in names if optional is not None else ():
+        if column not in (*columns, *optional):
+            known = nearest(column, (*columns, *optional), "column")
+            raise CaseError(name, f"line {line}", column, f"there is no such column; {known}")
     rows = []
     for line, cells in records:
         if len(cells) != len(names):

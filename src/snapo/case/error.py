@@ -50,9 +50,9 @@ class Unquoted(str):
     """A description in place of a value ("an unknown key"), shown without quotation marks."""
 
 
-def nearest(key: str, known) -> str:
+def nearest(key: str, known, word: str = "key") -> str:
     """Suggests the known key nearest to an unknown one, or lists them all."""
     close = difflib.get_close_matches(key, known, n=1, cutoff=0.6)
     if close:
-        return f"the nearest known key is {close[0]}"
-    return f"the known keys are {', '.join(known)}"
+        return f"the nearest known {word} is {close[0]}"
+    return f"the known {word}s are {', '.join(known)}"

@@ -37,6 +37,8 @@ MEAN = share(
 )
 VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
 SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
+LIMITS = ("low", "high", "group", "group_low", "group_high")
+OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible")
 COST = rate("the cost of trading as a share of the trade", "assets", "1")
 FEE = rate("the fee per year, as a share of the holding", "assets")
 WEIGHT = share("a weight held today, before the first trade", "assets")
@@ -47,7 +49,7 @@ def read_assets(
     section: Section, table: AssetsTable, amount_now: float, grid: Grid, names: Names
 ) -> Assets:
     """The table of asset classes; costs and fees of classes without one are zero."""
-    rows = read_rows(Mention(section, "file", table.file), ("name", "kind", "weight"))
+    rows = read_rows(Mention(section, "file", table.file), ("name", "kind", "weight"), OPTIONAL)
     labels = unique(rows, "name")
     classes = tuple(_class(row, names) for row in rows)
     cash = [each.name for each in classes if each.is_cash]

@@ -58,7 +58,7 @@ def read_credit(section: Section, table: CreditTable | None) -> Credit:
     if table is None:
         return Credit((), **{name: empty(f"credit_{name}") for name in CREDIT})
     needed = ("spread", "mean_spread", "mean_reversion")
-    rows = read_rows(Mention(section, "file", table.file), ("rating", *needed))
+    rows = read_rows(Mention(section, "file", table.file), ("rating", *needed), tuple(CREDIT))
     ratings = unique(rows, "rating")
 
     def above(name: str) -> Given:
@@ -80,7 +80,9 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     """Foreign currencies; none without the table."""
     if table is None:
         return Currencies((), **{name: empty(f"currency_{name}") for name in CURRENCY})
-    rows = read_rows(Mention(section, "file", table.file), ("currency", "volatility"))
+    rows = read_rows(
+        Mention(section, "file", table.file), ("currency", "volatility"), tuple(CURRENCY)
+    )
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
     return Currencies(
@@ -96,7 +98,9 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
     """Swaps by tenor bucket."""
     if table is None:
         return None
-    rows = read_rows(Mention(section, "file", table.file), ("tenor", "notional", "low", "high"))
+    rows = read_rows(
+        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("cost",)
+    )
     rising(rows, "tenor")
     maturity = [whole_steps(row, "tenor", grid.step) for row in rows]
     labels = [years(steps * grid.step) for steps in maturity]

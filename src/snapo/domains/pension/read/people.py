@@ -37,7 +37,7 @@ def read_members(
 ) -> Members:
     """Cohorts, each within the ages of the mortality table."""
     columns = ("name", "status", "sex", "age", "number", "pension")
-    rows = read_rows(Mention(section, "file", str(table.file)), columns)
+    rows = read_rows(Mention(section, "file", str(table.file)), columns, ("salary", "service"))
     names = unique(rows, "name")
     status = np.array([STATUS.index(word(row, "status", STATUS)) for row in rows], np.int64)
     sex = np.array([SEX.index(word(row, "sex", SEX)) for row in rows], np.int64)
