@@ -7,6 +7,7 @@ is prepare and one forward sweep; with gradients comes the adjoint pass, and bac
 
 import time
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from statistics import median
 from typing import NamedTuple
@@ -16,23 +17,22 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-import snapo.domains.gas_storage as domain
-from snapo.domains.gas_storage.case import read_case
-from snapo.domains.gas_storage.guide import Guide
-from snapo.domains.gas_storage.inputs import storage_inputs
-from snapo.domains.gas_storage.policy import StoragePolicy
-from snapo.domains.gas_storage.references import marginal_values
-from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.case.table import load
+from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.policy.value_table import ValueTable
+from snapo.domains.gas_storage.references.marginal import marginal_values
+from snapo.domains.gas_storage.setup import OUTPUT, bare_problem, factors
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.simulator import probe
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import float64, pull_back
 
-CASE = Path(domain.__path__[0]) / "template" / "case.toml"
+CASE = Path(str(DOMAIN.templates["flagship"]))
 COUNTS = (12, 365, 3650)
 PATHS, RUNS = 4096, 7
 PER_DAY = (
@@ -44,8 +44,8 @@ PER_DAY = (
     "withdrawal_cost_discount",
     "withdrawal_fuel",
     "next_high",
-    "loading",
-    "variance",
+    "inventory_loss",
+    "inventory_cost",
 )
 
 
@@ -81,44 +81,42 @@ class Row(NamedTuple):
     ratio: float
 
 
-def problem(count: int):
-    """Simulator, inputs and policy of the year with this many inputs."""
-    case = read_case(CASE)
-    given = storage_inputs(case)
-    bare = StorageSimulator(case)
-    kind = case.contract.ratchets.interpolation
-    schedule = prepare(bare, given)
-    guide = Guide.of(marginal_values(schedule, kind))
-    fixed = {name: entry.value for name, entry in given.items()}
-    simulator = Year(case, guide, fixed=fixed)
+def problem(count: int) -> tuple[Problem, StoragePolicy]:
+    """The year with this many inputs, and a policy."""
+    case = DOMAIN.read(*load(CASE))
+    bare = bare_problem(case)
+    found = marginal_values(bare.schedule, factors(bare), case.contract.ratchets.interpolation)
+    fixed = {name: entry.value for name, entry in bare.named.items()}
+    year = Year(case, ValueTable.of(found), fixed=fixed)
     inputs = {"factors": Input(np.ones(count))}
-    features = probe(bare, schedule)[1].shape[0]
-    return simulator, inputs, StoragePolicy(features, key=jax.random.key(0))
+    policy = StoragePolicy(bare.features, key=jax.random.key(0))
+    return Problem(year, inputs, bare.objective), policy
 
 
 def measure(engine, count: int) -> Iterator[Row]:
     """Smooth derivatives through the policy, and those with decisions held."""
-    simulator, inputs, policy = problem(count)
-    draws = Pseudo(1).draws(np.arange(PATHS), simulator)
-    weights = {"cash_flow": np.full(PATHS, 1 / PATHS)}
+    given, policy = problem(count)
+    draws = Pseudo(1).draws(np.arange(PATHS), given.simulator)
+    weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
     smooth = Smooth(jnp.asarray(0.01))
 
+    def prepared():
+        """The same problem, to be prepared again: both sides start from the inputs."""
+        return replace(given)
+
     def value(constraints):
-        schedule = prepare(simulator, inputs)
-        totals = float64(engine.values(simulator, policy, schedule, draws, constraints).totals)
-        return totals["cash_flow"].mean()
+        bound = engine.bind(prepared())
+        return float64(bound.values(policy, draws, constraints).totals)[OUTPUT].mean()
 
     def through():
-        schedule = prepare(simulator, inputs)
-        passed = engine.adjoint(simulator, policy, schedule, draws, smooth, weights)
-        return pull_back(simulator, inputs, [passed.schedule])
+        passed = engine.bind(prepared()).adjoint(policy, draws, smooth, weights)
+        return pull_back(given.simulator, given.inputs, [passed.schedule])
 
     def held():
-        schedule = prepare(simulator, inputs)
-        given = (schedule, draws, Exact())
-        kept = engine.values(simulator, policy, *given, record=("action",)).record["action"]
-        passed = engine.adjoint(simulator, None, *given, weights, actions=kept, wrt=("schedule",))
-        return pull_back(simulator, inputs, [passed.schedule])
+        bound, exact = engine.bind(prepared()), Exact()
+        kept = bound.values(policy, draws, exact, record=("action",)).record["action"]
+        passed = bound.adjoint(None, draws, exact, weights, actions=kept, wrt=("schedule",))
+        return pull_back(given.simulator, given.inputs, [passed.schedule])
 
     name = type(engine).__name__
     yield Row(name, "smooth", count, *alternate(lambda: value(smooth), through))

@@ -24,15 +24,16 @@ from typing import NamedTuple
 import jax
 import numpy as np
 
-import snapo.domains.pension as domain
-from snapo.domains.pension.case import read_case
-from snapo.domains.pension.run import Problem, make_problem
+from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.read.case import read_case
+from snapo.domains.pension.results.setup import make_setup
 from snapo.engine import Engine, Xla
 from snapo.engine.native import Native
-from snapo.problem.prepare import prepare
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import float64, pull_back
+from snapo.study.study import Setup
 
 from .gas_storage import alternate, timed
 from .machine import machine
@@ -61,26 +62,26 @@ class Row(NamedTuple):
         return (self.inputs + 1) * self.bump / self.adjoint
 
 
-def problem_of(size: str) -> Problem:
+def setup_of(size: str) -> Setup:
     """The example of a size with an untrained policy."""
-    return make_problem(read_case(Path(domain.__path__[0]) / f"template_{size}"), 0, "native")
+    return make_setup(read_case(Path(str(DOMAIN.templates[size]))), "native")
 
 
-def passes(problem: Problem, engine: Engine, paths: int = PATHS) -> tuple[Callable, Callable]:
-    """The value at given inputs, and all its derivatives."""
-    simulator, policy = problem.simulator, problem.policy
+def passes(setup: Setup, engine: Engine, paths: int = PATHS) -> tuple[Callable, Callable]:
+    """The value at given inputs, and all its derivatives; either prepares its schedule anew."""
+    problem, policy = setup.problem, setup.policy
+    simulator = problem.simulator
     draws = Pseudo(1).draws(np.arange(paths), simulator)
     weights = {OUTPUT: np.full(paths, 1 / paths)}
 
     def value(inputs) -> float:
-        schedule = prepare(simulator, inputs)
-        totals = float64(engine.values(simulator, policy, schedule, draws, Exact()).totals)
+        bound = engine.bind(replace(problem, inputs=inputs))
+        totals = float64(bound.values(policy, draws, Exact()).totals)
         return float(totals[OUTPUT].mean())
 
     def gradient() -> dict[str, np.ndarray]:
-        schedule = prepare(simulator, problem.inputs)
-        wrt = ("schedule",)
-        found = engine.adjoint(simulator, policy, schedule, draws, Exact(), weights, wrt=wrt)
+        bound = engine.bind(replace(problem))
+        found = bound.adjoint(policy, draws, Exact(), weights, wrt=("schedule",))
         return pull_back(simulator, problem.inputs, [found.schedule])
 
     return value, gradient
@@ -100,9 +101,10 @@ def bumped(problem: Problem, count: int) -> list[dict]:
 
 def measure(size: str, engine: Engine) -> Row:
     """Medians; adjoints, values and bumps take turns, so that a busy machine slows them alike."""
-    problem = problem_of(size)
+    setup = setup_of(size)
+    problem = setup.problem
     count = sum(entry.value.size for entry in problem.inputs.values())
-    value, gradient = passes(problem, engine)
+    value, gradient = passes(setup, engine)
     value(problem.inputs)
     gradient()
     moved = bumped(problem, min(count, SAMPLE))
@@ -111,7 +113,8 @@ def measure(size: str, engine: Engine) -> Row:
         gradients.append(timed(gradient))
         values.append(timed(lambda: value(problem.inputs)))
         bumps += [timed(lambda inputs=moved[i]: value(inputs)) for i in some]
-    return Row(size, count, problem.case.steps, median(values), median(gradients), median(bumps))
+    steps = problem.simulator.horizon
+    return Row(size, count, steps, median(values), median(gradients), median(bumps))
 
 
 def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterator[str]:
@@ -132,26 +135,25 @@ def table(sizes: Sequence[str] = SIZES, rows: list[Row] | None = None) -> Iterat
         )
 
 
-def sweeps(problem: Problem, engine: Engine) -> tuple[Callable, Callable]:
-    """What an engine does of a value and of its derivatives: everything but `prepare`."""
-    simulator, policy = problem.simulator, problem.policy
-    schedule = prepare(simulator, problem.inputs)
-    draws = Pseudo(1).draws(np.arange(PATHS), simulator)
+def sweeps(setup: Setup, engine: Engine) -> tuple[Callable, Callable]:
+    """The share of an engine in a value and in its derivatives: everything but `prepare`."""
+    bound = engine.bind(setup.problem)
+    draws = Pseudo(1).draws(np.arange(PATHS), setup.problem.simulator)
     weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
-    given = simulator, policy, schedule, draws, Exact()
+    given = setup.policy, draws, Exact()
     return (
-        lambda: np.asarray(engine.values(*given).totals[OUTPUT]),
-        lambda: jax.block_until_ready(engine.adjoint(*given, weights).schedule),
+        lambda: np.asarray(bound.values(*given).totals[OUTPUT]),
+        lambda: jax.block_until_ready(bound.adjoint(*given, weights).schedule),
     )
 
 
 def engines() -> Iterator[str]:
     """Native against XLA on the medium case; at least 5 times the speed is needed."""
-    problem = problem_of("medium")
+    setup = setup_of("medium")
     yield f"medium fund, {PATHS} paths, medians of alternating runs; XLA over native"
     yield f"{'precision':<11}{'':<10}{'native':>10}{'XLA':>10}{'ratio':>8}"
     for precision in ("float32", "float64"):
-        ours, theirs = (sweeps(problem, each(precision)) for each in (Native, Xla))
+        ours, theirs = (sweeps(setup, each(precision)) for each in (Native, Xla))
         found = {name: alternate(*pair) for name, *pair in zip(("value", "gradient"), ours, theirs)}
         for name, (native, xla, ratio) in found.items():
             yield f"{precision:<11}{name:<10}{native:>9.3f}s{xla:>9.3f}s{ratio:>8.2f}"
@@ -168,10 +170,10 @@ def memory() -> Iterator[str]:
 def peak(precision: str) -> str:
     """The peak of this process: after start-up, after a value, after all derivatives."""
     found = []
-    problem = problem_of("large")
+    setup = setup_of("large")
     found.append(_resident())
-    value, gradient = passes(problem, Native(precision), MANY)
-    value(problem.inputs)
+    value, gradient = passes(setup, Native(precision), MANY)
+    value(setup.problem.inputs)
     found.append(_resident())
     gradient()
     found.append(_resident())
@@ -186,7 +188,7 @@ def _resident() -> float:
 
 
 def picture(rows: Sequence[Row]) -> str:
-    """Speed-up over the number of inputs as SVG, with what is needed and the machine."""
+    """Speed-up over the number of inputs as SVG, with the speed-up needed and the machine."""
     from snapo.report.drawing import draw_alone
     from snapo.report.theme import LIGHT
 

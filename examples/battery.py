@@ -1,16 +1,19 @@
 """A grid battery on an hourly market: trade the price, and pay for it in lost capacity.
 
-One week of hours. The price is a mean-reverting deviation around a daily profile. Charging and
-discharging lose energy, every cycle costs a little of the capacity, and so does time. At the
-end the remaining capacity has a value per MWh, and the energy left is sold at the mean price.
-The decision is the power, as a share of the rating: +1 discharges at full power, -1 charges.
+One week of hours. The price is a process of its own, by default a mean-reverting deviation around
+a daily profile; any other `Process` can take its place. Charging and discharging lose energy,
+every cycle costs a little of the capacity, and so does time. At the end the remaining capacity has
+a value per MWh, and the energy left is sold at the mean price. The decision is the power, as a
+share of the rating: +1 discharges at full power, -1 charges.
 """
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
 
 import snapo
+from snapo.problem.process import Process, Schwartz, SchwartzInputs
 
 HOURS = 168
 
@@ -18,9 +21,7 @@ HOURS = 168
 class Inputs(eqx.Module):
     """What is differentiable: a price a week ahead by hour, and the battery's data sheet."""
 
-    price: snapo.Input
-    volatility: snapo.Input
-    mean_reversion: snapo.Input
+    price: SchwartzInputs
     power: snapo.Input
     capacity: snapo.Input
     efficiency: snapo.Input
@@ -30,41 +31,44 @@ class Inputs(eqx.Module):
 
 
 class Battery(snapo.Simulator):
-    """One path. State: energy stored (MWh), capacity (MWh), deviation of ln price, cycles."""
+    """One path. State: energy stored (MWh), capacity (MWh), that of the price, cycles."""
 
+    price: Process = Schwartz(range(HOURS), time_scale=24.0)
     horizon: int = HOURS
     action: snapo.Box = snapo.Box(1, -1.0, 1.0)
-    noise_size: int = 1
+
+    @property
+    def noise_size(self):
+        return self.price.noise_size
+
+    @property
+    def initial_noise_size(self):
+        return self.price.initial_noise_size
 
     def prepare(self, inputs: Inputs) -> snapo.Schedule:
-        # The deviation is an Ornstein-Uhlenbeck process, taken exactly from hour to hour.
-        decay = jnp.exp(-inputs.mean_reversion)
-        shock = inputs.volatility * jnp.sqrt((1 - decay**2) / (2 * inputs.mean_reversion))
+        prices = self.price.prepare(inputs.price)
+        forward = jax.vmap(lambda now: self.price.forward(prices.constants, now))(prices.steps)
         hour = jnp.arange(HOURS)
-        variance = shock**2 * (1 - decay ** (2 * hour)) / (1 - decay**2)
-        # Forward prices: the level, then the best and the worst of the coming day, for the policy.
-        day = jnp.minimum(hour[:, None] + jnp.arange(24), HOURS - 1)
-        ahead = inputs.price[day]
+        # Forward prices: mean, best and worst of the coming day, for the policy.
+        ahead = forward[jnp.minimum(hour[:, None] + jnp.arange(24), HOURS - 1)]
         steps = {
-            "price": inputs.price,
-            "variance": variance,
+            "price": prices.steps,
+            "forward": forward,
             "mean": ahead.mean(1),
             "high": ahead.max(1),
             "low": ahead.min(1),
             "left": 1 - hour / HOURS,
         }
         constants = {
-            "decay": decay,
-            "shock": shock,
-            "deviation": inputs.volatility / jnp.sqrt(2 * inputs.mean_reversion),
+            "price": prices.constants,
             "power": inputs.power,
             "capacity": inputs.capacity,
             "efficiency": inputs.efficiency,
             "cycle_ageing": inputs.cycle_ageing,
             "calendar_ageing": inputs.calendar_ageing / (365 * 24),
             "replacement": inputs.replacement,
-            "spread": inputs.price.max() - inputs.price.min(),
-            "last_price": inputs.price[-24:].mean(),
+            "spread": forward.max() - forward.min(),
+            "last_price": forward[-24:].mean(),
         }
         return snapo.Schedule(constants, steps)
 
@@ -73,24 +77,23 @@ class Battery(snapo.Simulator):
         return {
             "energy": 0.5 * constants["capacity"],
             "capacity": constants["capacity"],
-            "deviation": zero,
+            "price": self.price.initial(constants["price"], noise),
             "cycles": zero,
         }
 
     def observe(self, constants, now, state):
-        spot = self._spot(now, state)
+        spot = self._spot(constants, now, state)
         width = constants["spread"]
-        return jnp.stack(
-            [
-                state["energy"] / constants["capacity"] - 0.5,
-                state["deviation"] / constants["deviation"],
-                (spot - now["mean"]) / width,
-                (now["price"] - now["mean"]) / width,
-                (now["high"] - spot) / width,
-                (spot - now["low"]) / width,
-                now["left"],
-            ]
-        )
+        features = [
+            state["energy"] / constants["capacity"] - 0.5,
+            (spot - now["mean"]) / width,
+            (now["forward"] - now["mean"]) / width,
+            (now["high"] - spot) / width,
+            (spot - now["low"]) / width,
+            now["left"],
+        ]
+        prices = self.price.observe(constants["price"], now["price"], state["price"])
+        return jnp.concatenate([jnp.stack(features), prices])
 
     def step(self, constants, now, state, action, noise, smooth):
         c, power, scale = constants, constants["power"], constants["power"]
@@ -110,10 +113,10 @@ class Battery(snapo.Simulator):
             # What no longer fits into an aged battery is lost.
             "energy": smooth.minimum(energy, capacity, scale=scale),
             "capacity": capacity,
-            "deviation": c["decay"] * state["deviation"] + c["shock"] * noise[0],
+            "price": self.price.step(c["price"], now["price"], state["price"], noise),
             "cycles": state["cycles"] + cycles,
         }
-        cash = (out - into) * self._spot(now, state)
+        cash = (out - into) * self._spot(c, now, state)
         return after, {"cash": cash, "value": cash, "cycles": cycles}
 
     def terminal(self, constants, state, smooth):
@@ -124,12 +127,13 @@ class Battery(snapo.Simulator):
 
     def state_scale(self, constants):
         c = constants
-        one = jnp.ones_like(c["capacity"])
-        return {"energy": c["power"], "capacity": c["power"], "deviation": one, "cycles": one}
+        one, noise = jnp.ones_like(c["capacity"]), jnp.zeros(self.initial_noise_size)
+        prices = jax.tree.map(jnp.ones_like, self.price.initial(c["price"], noise))
+        return {"energy": c["power"], "capacity": c["power"], "price": prices, "cycles": one}
 
-    def _spot(self, now, state):
-        """The price this hour; its mean is the forward price."""
-        return now["price"] * jnp.exp(state["deviation"] - now["variance"] / 2)
+    def _spot(self, constants, now, state):
+        """The price this hour."""
+        return self.price.level(constants["price"], now["price"], state["price"])
 
 
 def simulator() -> Battery:
@@ -145,9 +149,11 @@ def inputs() -> Inputs:
     weekend = np.where(hour // 24 >= 5, 0.8, 1.0)
     names = [f"day {h // 24 + 1} {h % 24:02d}:00" for h in hour]
     return Inputs(
-        price=snapo.Input(daily * weekend, "EUR/MWh", names),
-        volatility=snapo.Input(0.10, "1/sqrt(hour)"),
-        mean_reversion=snapo.Input(0.08, "1/hour"),
+        price=SchwartzInputs(
+            forward=snapo.Input(daily * weekend, "EUR/MWh", names),
+            volatility=snapo.Input(0.10, "1/sqrt(hour)"),
+            mean_reversion=snapo.Input(0.08, "1/hour"),
+        ),
         power=snapo.Input(10.0, "MW"),
         capacity=snapo.Input(20.0, "MWh"),
         efficiency=snapo.Input(0.88, "round trip"),

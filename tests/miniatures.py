@@ -1,15 +1,42 @@
 """A case of every domain, small enough to be solved in seconds: its template with less of it."""
 
+from pathlib import Path
+
 from snapo.testing.miniature import Miniature
 
 LITTLE = ("training.paths=32", "training.validation_paths=64", "evaluation.sensitivity_paths=64")
 
+
+def thirty_days() -> dict[str, str]:
+    """A month of a small gas store."""
+    folder = Path(__file__).parent / "domains" / "gas_storage" / "cases" / "quick"
+    return {each.name: each.read_text(encoding="utf-8") for each in folder.iterdir()}
+
+
+def reactor() -> dict[str, str]:
+    """A batch reactor alone, with measurements to fit."""
+    from tests.domains.pharma.pharma_cases import CASE, data
+
+    return {"case.toml": CASE, "batch.csv": data()}
+
+
 MINIATURES = {
     each.kind: each
     for each in (
-        Miniature("gas-storage"),
-        Miniature("pension"),
-        Miniature("pharma"),
+        Miniature("gas-storage", texts=thirty_days),
+        Miniature(
+            "pension",
+            "small",
+            (
+                "fund.years=2",
+                "training.steps=4",
+                "evaluation.paths=256",
+                "frontier.points=2",
+                "frontier.steps=2",
+                *LITTLE,
+            ),
+        ),
+        Miniature("pharma", assignments=("evaluation.paths=128",), texts=reactor),
         Miniature(
             "own",
             None,

@@ -13,17 +13,14 @@ from snapo.study.domain import Domain, find, installed
 from snapo.testing.miniature import quiet
 from snapo.testing.mistakes import refusals, spoilt_files, spoilt_keys
 
-# Tables whose keys are names of the owner's choice.
+# Tables whose keys, and columns whose entries, are names of the owner's choice.
 FREE = {"own": ("inputs", "units")}
+LABELS = {"own": ("week",)}
 
 
 @pytest.fixture(params=sorted(MINIATURES))
 def kind(request):
     """Every kind of case that the package brings."""
-    try:
-        find(request.param, "tests")
-    except AttributeError:
-        pytest.skip("this domain is not an object yet")
     return request.param
 
 
@@ -34,11 +31,11 @@ def test_every_installed_domain_has_a_miniature():
 @pytest.mark.parametrize("spoilt", ["keys", "files"])
 def test_a_mistake_is_refused_in_words(kind, spoilt, tmp_path):
     """Every key and column of the template, spoilt in every common way."""
-    asked = MINIATURES[kind].write(tmp_path)
+    asked = MINIATURES[kind]._replace(texts=None).write(tmp_path)
     read = commands.load(asked).domain.read
     mistakes = spoilt_keys(asked.path, FREE.get(kind, ()))
     if spoilt == "files":
-        mistakes = spoilt_files(asked.path)
+        mistakes = spoilt_files(asked.path, LABELS.get(kind, ()))
     complaints = refusals(read, asked.path, mistakes, tmp_path / "scratch")
     assert not complaints, "\n".join(complaints)
 
@@ -47,7 +44,7 @@ def test_every_template_is_accepted(kind, tmp_path):
     domain = find(kind, "tests")
     assert isinstance(domain, Domain) and domain.kind == kind and domain.words
     for size in domain.templates:
-        small = MINIATURES[kind]._replace(size=size, assignments=())
+        small = MINIATURES[kind]._replace(size=size, assignments=(), texts=None)
         lines = commands.check(small.write(tmp_path / size), quiet)
         assert lines and all(isinstance(line, str) for line in lines)
 

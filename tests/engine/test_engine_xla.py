@@ -247,6 +247,7 @@ def test_segments_give_the_same_gradient(adjoint):
         )
 
 
+@pytest.mark.prove
 def test_segments_need_less_memory():
     """256 steps of 4 numbers a path: 16 segments keep 16 + 16 states, an eighth of 256."""
     long = Toy(horizon=256)
@@ -263,6 +264,7 @@ def test_segments_need_less_memory():
     assert memory(16) < memory(None) / 3
 
 
+@pytest.mark.prove
 def test_clipping_bounds_each_path_alone(adjoint):
     """The adjoint of the first state, scaled, is at most norm times the path's weight, whatever
     the number of paths; a loose bound changes nothing; a path that obeys it is left alone."""

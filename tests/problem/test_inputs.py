@@ -33,10 +33,9 @@ def test_the_certificate_bumps_small_numbers_by_small_steps():
 
     inputs = HeatInputs(Input([1.5, 1.6e-6, 1.8]), Input(2e-5))
     policy = snapo.Linear(np.full((1, 1), 0.3))
+    problem = snapo.Problem(Heat(), inputs, snapo.Mean("cost"))
     for every in (False, True):
-        found = bump_check(
-            Heat(), inputs, policy, snapo.Mean("cost"), snapo.Pseudo(0), 8, every=every
-        )
+        found = bump_check(problem, policy, 8, every=every)
         assert len(found) == (4 if every else 2)
         assert all(bump.passed for bump in found), found
         by = {(bump.input, bump.direction): bump for bump in found}

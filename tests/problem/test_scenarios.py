@@ -106,6 +106,7 @@ def test_components_come_from_the_contracted_words():
         np.testing.assert_allclose(steps[step, path], expected, rtol=1e-15)  # compiled: 4 ulp
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "scenarios", [Pseudo(4), Pseudo(4, antithetic=False), Sobol(4, scrambles=4)], ids=str
 )
@@ -174,6 +175,7 @@ def test_sobol_covariance_and_smaller_error():
     assert np.sqrt(np.mean(np.square(errors))) < np.sqrt((np.e**2 - np.e) / n) / 3
 
 
+@pytest.mark.prove
 def test_sobol_past_its_dimensions(monkeypatch):
     """The leading bridge components are Sobol, the rest pseudo-random, and still normal."""
     monkeypatch.setattr("snapo.problem.scenarios.SOBOL_DIMENSIONS", 8)

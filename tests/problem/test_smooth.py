@@ -142,6 +142,7 @@ SCALARS = {
 }
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", SCALARS)
 @pytest.mark.parametrize(
     "smooth",

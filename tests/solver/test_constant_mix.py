@@ -125,6 +125,7 @@ def test_gradients_of_the_exact_expectation():
         np.testing.assert_allclose(moved[name], slope, rtol=1e-9, atol=1e-9 * np.abs(slope).max())
 
 
+@pytest.mark.prove
 def test_moments_and_gradients_of_ten_years_by_simulation():
     """32 blocks of 512 antithetic paths: each of 2 moments and 14 derivatives within 3.5 standard
     errors (16 statements of one sample), the mean's standard error below 0.5 %."""

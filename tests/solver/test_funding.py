@@ -121,6 +121,7 @@ def test_value_and_sensitivities_of_a_given_rule():
     assert float(gradient.inputs["start"]) == pytest.approx(2 * value / START, rel=1e-10)
 
 
+@pytest.mark.prove
 def test_training_finds_the_gains():
     """200 steps of 512 paths from gains of half the optimum: gains within 2 %, value within 0.5 %
     by the recursion, so without sampling error in the comparison. The optimal gains fall to zero

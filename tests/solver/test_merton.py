@@ -151,6 +151,7 @@ def test_sensitivities_at_the_optimal_weight(measured):
         assert (up - down) / 2e-5 == pytest.approx(formula, rel=5e-3)
 
 
+@pytest.mark.prove
 def test_training_finds_the_weight():
     """150 steps of 1,024 paths from a weight of 0.6. Near the optimum ln CE falls by
     g sigma^2 T / 2 = 0.81 times the squared error of the weight, so 0.03 costs 0.07 %."""

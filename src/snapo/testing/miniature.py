@@ -8,7 +8,7 @@ makes it a single time for all processes of a test session.
 """
 
 import shutil
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -24,24 +24,31 @@ class Miniature(NamedTuple):
     - `size`: of its template; the default one where it is None.
     - `assignments`: keys with other values, as `snapo solve --set` takes them.
     - `simulator`: (module, class) beside the case, for a kind that runs the user's code.
+    - `texts`: gives the files of the case, {name: text}, where it is none of the templates.
     """
 
     kind: str
     size: str | None = None
     assignments: tuple[str, ...] = ()
     simulator: tuple[str, str] | None = None
+    texts: Callable[[], Mapping[str, str]] | None = None
 
     def asked(self, folder: Path) -> commands.Asked:
         """What a command is asked for, of the case that lies in `folder`/case."""
         return commands.Asked(folder / CASE, self.assignments, self.simulator)
 
     def write(self, folder: Path) -> commands.Asked:
-        """The template in `folder`/case."""
-        commands.new(self.kind, folder / CASE, self.size)
+        """The template, or the case of its own, in `folder`/case."""
+        if self.texts is None:
+            commands.new(self.kind, folder / CASE, self.size)
+        else:
+            (folder / CASE).mkdir(parents=True)
+            for name, text in self.texts().items():
+                (folder / CASE / name).write_text(text, encoding="utf-8")
         return self.asked(folder)
 
     def solve(self, folder: Path, **options: Any) -> dict[str, Any]:
-        """The template in `folder`/case and its run in `folder`/run; returns the result.
+        """The case in `folder`/case and its run in `folder`/run; returns the result.
 
         `options` are those of `snapo.study.commands.solve`: engine, reference.
         """

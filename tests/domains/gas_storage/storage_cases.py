@@ -8,17 +8,22 @@ import jax
 import numpy as np
 
 from snapo.case.table import load
-from snapo.domains.gas_storage import run
-from snapo.domains.gas_storage.case import resolve
-from snapo.domains.gas_storage.inputs import storage_inputs
-from snapo.domains.gas_storage.policy import StoragePolicy
-from snapo.domains.gas_storage.records import StorageCase
-from snapo.domains.gas_storage.simulator import StorageSimulator
+from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.contract.inputs import storage_inputs
+from snapo.domains.gas_storage.contract.records import StorageCase
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.setup import make_setup
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import probe
-from snapo.solver import certificate
+from snapo.study.study import Setup
 
 CASES = Path(__file__).parent / "cases"
+
+
+def read_case(path: Path) -> StorageCase:
+    """The case at a path, a TOML file or a folder with `case.toml`."""
+    return DOMAIN.read(*load(path))
 
 
 def read(name: str, **tables: dict[str, Any]) -> StorageCase:
@@ -27,13 +32,18 @@ def read(name: str, **tables: dict[str, Any]) -> StorageCase:
 
 
 def changed(folder: Path, **tables: dict[str, Any]) -> StorageCase:
+    return DOMAIN.read(*tables_of(folder, **tables))
+
+
+def tables_of(folder: Path, **tables: dict[str, Any]) -> tuple[Path, dict[str, Any]]:
+    """File and tables of a case, with keys changed (None: removed)."""
     file, data = load(folder)
     for table, keys in tables.items():
         given = data.setdefault(table, {})
         given.update(keys)
         for key in [key for key, value in given.items() if value is None]:
             del given[key]
-    return resolve(file, data)
+    return file, data
 
 
 def bare(case: StorageCase):
@@ -47,14 +57,9 @@ def untrained(simulator: StorageSimulator, schedule, seed: int = 0) -> StoragePo
 
 
 @cache
-def problem(name: str) -> run.Problem:
+def setup(name: str) -> Setup:
     """A case made ready for the native engine."""
-    return run.make_problem(read(name), 0, "native")
-
-
-def off_ties(inputs, **zeros: float):
-    """Inputs a hair away, where round numbers no longer tie."""
-    return certificate.nudged(inputs, zeros)
+    return make_setup(read(name), "native")
 
 
 def random_actions(days: int, paths: int, seed: int = 0) -> np.ndarray:

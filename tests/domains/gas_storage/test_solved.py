@@ -8,17 +8,19 @@ standard error only.
 from dataclasses import replace
 from functools import cache
 
+import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.domains.gas_storage.storage_cases import problem
+from tests.domains.gas_storage.storage_cases import setup
 
-from snapo.domains.gas_storage.intrinsic import intrinsic
-from snapo.domains.gas_storage.run import new_policy
-from snapo.problem.scenarios import Pseudo, Sobol
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.references.intrinsic import intrinsic
+from snapo.domains.gas_storage.setup import case_of
+from snapo.problem.scenarios import Pseudo, Sobol, Sources
 from snapo.problem.smooth import Exact
-from snapo.solver import solve as solver
 from snapo.solver.evaluate import path_totals
+from snapo.solver.solve import solve
 
 MONTHS = (747, -994, -464, -237, -242, -1524, -168, 1786, 505, 1609, 1801, 1378)
 
@@ -26,20 +28,20 @@ MONTHS = (747, -994, -464, -237, -242, -1524, -168, 1786, 505, 1609, 1801, 1378)
 @cache
 def solved(name: str, source=None, seed: int = 0, evaluate=16384, sensitivity=16384, **training):
     """A case solved by the native engine with these training options."""
-    made = problem(name)
-    solution = solver.solve(
-        made.simulator,
-        made.inputs,
-        new_policy(made._replace(training=replace(made.training, seed=seed))),
-        objective=made.objective,
-        scenarios=source,
-        training=replace(made.training, seed=seed, **training),
+    made = setup(name)
+    given = replace(made.training, seed=seed, **training)
+    sources = Sources.of(source, seed)
+    problem = replace(made.problem, sources=sources)
+    solution = solve(
+        problem,
+        policy=StoragePolicy(problem.features, key=jax.random.key(seed)),
+        training=given,
         evaluation=replace(
             made.evaluation, paths=evaluate, sensitivity_paths=sensitivity, smooth_paths=0
         ),
         engine=made.engines,
     )
-    return made, solution
+    return made._replace(problem=problem), solution
 
 
 def not_above(solution, exact: float) -> None:
@@ -51,22 +53,21 @@ def test_intrinsic_value_without_volatility():
     not_above(solution, 10_827.2072)
     assert solution.standard_error == pytest.approx(0, abs=1e-6)
     assert_allclose(solution.value, 10_827.2072, rtol=1e-3)
-    assert_allclose(intrinsic(made.schedule, "linear").value, 10_827.2072, rtol=1e-8)
+    assert_allclose(intrinsic(made.problem.schedule, "linear").value, 10_827.2072, rtol=1e-8)
 
 
-def plan_earns(made, source, paths: int) -> np.ndarray:
-    """What the intrinsic plan earns on each path, spot by spot."""
-    plan = intrinsic(made.schedule, made.interpolation).net
-    steps, earned = made.schedule.steps, np.full(paths, np.nan)
+def plan_earns(problem, engine, source, paths: int) -> np.ndarray:
+    """The earnings of the intrinsic plan on each path, spot by spot."""
+    steps, earned = problem.schedule.steps, np.full(paths, np.nan)
+    plan, bound = intrinsic(problem.schedule, "linear").net, engine.bind(problem)
     for block in source.blocks(paths):
-        draws = source.draws(block, made.simulator)
+        draws = source.draws(block, problem.simulator)
         # Prices do not depend on decisions.
-        nothing = np.zeros((made.simulator.horizon, len(block), 2))
-        rolled = made.engines.evaluate.values(
-            made.simulator, None, made.schedule, draws, Exact(), actions=nothing, record=("state",)
-        )
+        nothing = np.zeros((problem.simulator.horizon, len(block), 2))
+        rolled = bound.values(None, draws, Exact(), actions=nothing, record=("state",))
         factors = np.asarray(rolled.record["state"].price)
-        log = np.einsum("tnf,tf->tn", factors, steps.loading) - steps.variance[:, None] / 2
+        log = np.einsum("tnf,tf->tn", factors, steps.price.loading)
+        log = log - steps.price.variance[:, None] / 2
         gas = steps.forward[:, None] * np.exp(log) * steps.gas_discount[:, None]
         cost = np.maximum(plan, 0) * steps.injection_cost * steps.injection_cost_discount
         cost += np.maximum(-plan, 0) * steps.withdrawal_cost * steps.withdrawal_cost_discount
@@ -74,7 +75,7 @@ def plan_earns(made, source, paths: int) -> np.ndarray:
     return earned
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_most_of_the_extrinsic_value():
     """Paired with the intrinsic plan on the same paths.
 
@@ -85,7 +86,9 @@ def test_most_of_the_extrinsic_value():
     made, solution = solved("G3", source, steps=300, paths=512, evaluate=paths)
     extremes, free, plan = 24_802.08, 24_808.2, 24_781.90
     not_above(solution, free)
-    extra = solution.totals["cash_flow"] - plan_earns(made, source, paths)
+    extra = solution.totals["cash_flow"] - plan_earns(
+        made.problem, made.engines.evaluate, source, paths
+    )
     pairs = extra.reshape(-1, 2).mean(1)
     mean, error = pairs.mean(), pairs.std(ddof=1) / np.sqrt(pairs.size)
     print(f"G3: extrinsic {mean:.2f} ± {error:.2f} of {extremes - plan:.2f} or {free - plan:.2f}")
@@ -95,7 +98,7 @@ def test_most_of_the_extrinsic_value():
 CALLS = {"2019-12-15": 646.4087, "2020-01-20": 374.7695, "2020-03-31": 248.2129}
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_three_calls_in_disguise():
     made, solution = solved("G4", Sobol(1), steps=100, paths=256, evaluate=65536, sensitivity=65536)
     print(f"G4: {solution.value:.4f} ± {solution.standard_error:.4f}")
@@ -103,8 +106,8 @@ def test_three_calls_in_disguise():
     assert_allclose(solution.value, 10_447.3037, rtol=3e-3)
     assert solution.standard_error < 5e-4 * 10_447
     found = solution.sensitivities.held["forward_curve"]
-    undiscounted = found.value[: len(made.case.days)] / made.schedule.steps.gas_discount
-    by_day = dict(zip(map(str, made.case.days), undiscounted))
+    undiscounted = found.value[: len(case_of(made).days)] / made.problem.schedule.steps.gas_discount
+    by_day = dict(zip(map(str, case_of(made).days), undiscounted))
     for day, delta in CALLS.items():
         print(f"G4 delta {day}: {by_day[day]:.3f} (exact {delta})")
     assert_allclose([by_day[day] for day in CALLS], list(CALLS.values()), rtol=5e-3)
@@ -112,7 +115,7 @@ def test_three_calls_in_disguise():
     assert_allclose(others, 0, atol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 def test_slow_storage():
     made, solution = solved("G6", steps=150, paths=256, evaluate=16384)
     print(f"G6: {solution.value:.3f} ± {solution.standard_error:.3f}")
@@ -121,12 +124,12 @@ def test_slow_storage():
     found = solution.sensitivities.held["forward_curve"]
     assert found.value.shape == (365,) and np.all(np.isfinite(found.value))
     # No costs: the deltas explain the value on their own paths.
-    explained = made.case.market.forward_curve.values @ found.value
+    explained = case_of(made).market.forward_curve.values @ found.value
     assert_allclose(explained, solution.value, rtol=0.02)
 
 
 def monthly(made, solution) -> np.ndarray:
-    months = [day.year * 12 + day.month for day in made.case.days]
+    months = [day.year * 12 + day.month for day in case_of(made).days]
     found = solution.sensitivities.held["forward_curve"].value[: len(months)]
     return np.bincount(np.array(months) - months[0], found)
 
@@ -139,14 +142,14 @@ def test_flagship_quickly():
     not_above(solution, 78_380)
     assert solution.value >= 78_370 * 0.985
     assert error < 0.25
-    forward = made.case.market.forward_curve.values
+    forward = case_of(made).market.forward_curve.values
     explained = forward @ solution.sensitivities.held["forward_curve"].value
     costs = np.asarray(solution.totals["costs"])
     cash = np.asarray(solution.totals["cash_flow"])
     assert_allclose(explained, np.mean(cash + costs), rtol=1e-9)
 
 
-@pytest.mark.slow
+@pytest.mark.study
 @pytest.mark.parametrize(("steps", "paths", "within"), [(None, None, 0.10), (2400, 1024, 0.05)])
 def test_flagship_in_full(steps, paths, within):
     """Five fixed seeds: the median must hold, the worst is printed."""
@@ -167,8 +170,8 @@ def test_flagship_in_full(steps, paths, within):
 
 
 def test_paths_are_the_same_however_many_there_are():
-    made = problem("quick")
-    policy, source = new_policy(made), Pseudo(2)
-    given = (made.engines.evaluate, made.simulator, policy, made.schedule, source)
-    few, many = (path_totals(*given, paths, Exact())["cash_flow"] for paths in (256, 1024))
+    made = setup("quick")
+    options = {"source": Pseudo(2), "engine": made.engines.evaluate}
+    given = (made.problem, made.policy)
+    few, many = (path_totals(*given, paths, **options)["cash_flow"] for paths in (256, 1024))
     assert np.array_equal(few, many[:256])

@@ -7,21 +7,19 @@ import numpy as np
 
 from snapo.case.given import Given
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
-from snapo.domains.pension.records import (
-    AssetClass,
-    Assets,
-    Correlation,
-    Credit,
-    Currencies,
-    Curve,
-    Group,
-    Inflation,
-    ObjectiveTerm,
-    Overlay,
-    PensionCase,
-    RateModel,
-)
-from snapo.domains.pension.records_people import CashFlows, Contribution, Indexation, Liability, Plan
+from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.market.assets.cash import Cash
+from snapo.domains.pension.market.assets.credit import CreditBond
+from snapo.domains.pension.market.assets.equity import Equity
+from snapo.domains.pension.market.assets.property import Property
+from snapo.domains.pension.market.rates.g2 import G2
+from snapo.domains.pension.market.rates.hull_white import HullWhite
+from snapo.domains.pension.market.rates.short_rate import ShortRate
+from snapo.domains.pension.records.assets import Assets, Group, Overlay
+from snapo.domains.pension.records.case import ObjectiveTerm, PensionCase
+from snapo.domains.pension.records.market import Correlation, Credit, Currencies, Curve, Inflation
+from snapo.domains.pension.records.people import CashFlows
+from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, Plan
 
 
 def given(name: str, values, index=None, unit="1") -> Given:
@@ -51,15 +49,14 @@ def curve(name: str, tenor, rate, quote="zero") -> Curve:
     )
 
 
-def rates(steps: int, a=0.03, s=0.01, price=0.0) -> RateModel:
+def rates(steps: int, a=0.03, s=0.01, price=0.0) -> ShortRate:
     """Hull-White, or G2++ where two numbers are given."""
     a, s, price = (
         np.atleast_1d(a),
         np.atleast_1d(s),
         np.broadcast_to(price, np.shape(np.atleast_1d(a))),
     )
-    return RateModel(
-        "hull-white" if len(a) == 1 else "g2++",
+    return (HullWhite if len(a) == 1 else G2)(
         given("rate_mean_reversion", a),
         steady("rate_volatility", s, steps),
         given("rate_price_of_risk", price),
@@ -96,13 +93,11 @@ def assets(
     groups=(),
 ) -> Assets:
     classes = tuple(classes)
-    own = [i for i, c in enumerate(classes) if c.kind in KINDS]
     n = len(classes)
     return Assets(
         classes=classes,
         return_kind=return_kind,
         mean_kind=mean_kind,
-        shocks=np.array(own, int),
         mean=given("asset_mean", np.asarray(mean, float)),
         volatility=steady("asset_volatility", np.asarray(volatility, float), steps),
         smoothing=given("asset_smoothing", np.full(len(smoothed), 0.4)),
@@ -117,8 +112,7 @@ def assets(
     )
 
 
-KINDS = ("equity", "property", "commodity", "hedge-fund")
-CASH, EQUITY = AssetClass("Cash", "cash", eligible=1.0), AssetClass("Equity", "equity")
+CASH, EQUITY = Cash("Cash", eligible=1.0), Equity("Equity")
 
 
 def plan(timing="arrears", indexation="none", **changes) -> Plan:
@@ -224,11 +218,11 @@ def full(steps: int = 6, **changes) -> PensionCase:
     classes = [
         CASH,
         EQUITY,
-        AssetClass("World", "equity", currency=0),
-        AssetClass("Property", "property"),
-        AssetClass("Government", "bond", maturity=120, eligible=0.9),
-        AssetClass("Corporate", "credit", maturity=60, rating=0),
-        AssetClass("Dollar credit", "credit", maturity=84, rating=1, currency=0),
+        Equity("World", currency=0),
+        Property("Property"),
+        Bond("Government", maturity=120, eligible=0.9),
+        CreditBond("Corporate", maturity=60, rating=0),
+        CreditBond("Dollar credit", maturity=84, rating=1, currency=0),
     ]
     names = ("rate", "rate 2", "inflation", "price index", "Equity", "World", "A", "USD")
     lower = np.linspace(-0.2, 0.25, len(names) * (len(names) - 1) // 2)

@@ -7,18 +7,12 @@ import numpy as np
 
 from snapo.case.given import Given
 from snapo.case.settings import EvaluationTable, TrainingTable
-from snapo.domains.pension.records import (
-    AssetClass,
-    Assets,
-    Correlation,
-    Credit,
-    Currencies,
-    Curve,
-    Inflation,
-    PensionCase,
-    RateModel,
-)
-from snapo.domains.pension.records_people import (
+from snapo.domains.pension.market.assets.cash import Cash
+from snapo.domains.pension.market.rates.hull_white import HullWhite
+from snapo.domains.pension.records.assets import Assets
+from snapo.domains.pension.records.case import PensionCase
+from snapo.domains.pension.records.market import Correlation, Credit, Currencies, Curve, Inflation
+from snapo.domains.pension.records.people import (
     ACTIVE,
     DEFERRED,
     FEMALE,
@@ -26,14 +20,11 @@ from snapo.domains.pension.records_people import (
     PENSIONER,
     SPOUSE,
     CashFlows,
-    Contribution,
-    Indexation,
     LeeCarter,
-    Liability,
     Members,
     Mortality,
-    Plan,
 )
+from snapo.domains.pension.records.plan import Contribution, Indexation, Liability, Plan
 
 FIRST_AGE, AGES = 20, 91
 # Gompertz fit to the US period life table 2017, ages 60 to 95: alpha, beta, and no Makeham term.
@@ -172,10 +163,9 @@ def _curve(name: str, rates: Any) -> Curve:
 
 def _assets() -> Assets:
     return Assets(
-        classes=(AssetClass("Cash", "cash"),),
+        classes=(Cash("Cash"),),
         return_kind="excess",
         mean_kind="log",
-        shocks=np.zeros(0, int),
         mean=nothing("asset_mean", (0,)),
         volatility=nothing("asset_volatility", (0, 0)),
         smoothing=nothing("asset_smoothing", (0,)),
@@ -211,8 +201,7 @@ def people_case(steps: int = 6, **changes: Any) -> PensionCase:
         "start_month": 1,
         "measure": "Q",
         "curve": _curve("zero_rate", [0.02, 0.022, 0.024, 0.026, 0.025]),
-        "rates": RateModel(
-            "hull-white",
+        "rates": HullWhite(
             given("rate_mean_reversion", [0.03]),
             given("rate_volatility", [0.01], np.zeros((steps, 1), int)),
             nothing("rate_price_of_risk", (1,)),

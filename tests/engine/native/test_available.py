@@ -10,6 +10,8 @@ from snapo.engine.choose import choose
 from snapo.engine.native import available
 from snapo.lanes import jax_private
 from snapo.lanes.machine import llvm
+from snapo.problem.objective import Mean
+from snapo.problem.problem import Problem
 
 BLOCKED = """
 import sys
@@ -18,21 +20,23 @@ sys.path.insert(0, ".")
 import numpy as np
 from snapo.engine import Native, Unsupported, choose
 from snapo.engine.native import unsupported
+from snapo.problem.objective import Mean
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from tests.engine.native.problems import Store, Tanh
 
 WHY = "llvmlite is not installed (pip install 'snapo[native]')"
 store, policy = Store(), Tanh((4, 14, 2))
-schedule = store.prepare(None)
-engines = choose("auto", store, policy, schedule)
+schedule, problem = store.prepare(None), Problem(store, None, Mean("cash"))
+engines = choose("auto", problem, policy)
 assert engines.name == "xla" and engines.reason.startswith("XLA on "), engines
 assert engines.reason.endswith(f", as {WHY}"), engines.reason
 draws = Pseudo(0).draws(np.arange(4), store)
 assert engines.evaluate.values(store, policy, schedule, draws, Exact()).totals["cash"].size == 4
 assert unsupported(store, schedule, policy, Exact()) == WHY
 for call in (
-    lambda: choose("native", store, policy, schedule),
+    lambda: choose("native", problem, policy),
     lambda: Native().values(store, policy, schedule, draws, Exact()),
 ):
     try:
@@ -54,13 +58,12 @@ def test_importing_the_engines_imports_no_llvmlite():
 
 
 def test_an_untested_jax_is_a_reason(monkeypatch):
-    store, policy = Store(), Tanh((4, 14, 2))
-    schedule = store.prepare(None)
+    problem, policy = Problem(Store(), None, Mean("cash")), Tanh((4, 14, 2))
     monkeypatch.setattr(jax_private, "TESTED", ((0, 1), (0, 2)))
-    engines = choose("auto", store, policy, schedule)
+    engines = choose("auto", problem, policy)
     assert engines.name == "xla" and "0.1 to below 0.2" in engines.reason
     with pytest.raises(ValueError, match=r"native cannot run here, as jax .* not among"):
-        choose("native", store, policy, schedule)
+        choose("native", problem, policy)
 
 
 def test_an_old_or_broken_llvmlite_is_a_reason(monkeypatch):

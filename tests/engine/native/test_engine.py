@@ -50,6 +50,7 @@ def test_values_and_gradients(store, precision, smooth):
     assert difference(results[0][1], results[1][1]) < TOLERANCE[precision]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("precision", ["float64", pytest.param("float32", marks=pytest.mark.study)])
 def test_windows_starts_actions_and_clipping(store, precision):
     simulator, policy, schedule = store
@@ -134,6 +135,7 @@ class Corners(Tanh):
         return jax.nn.sigmoid(last @ x + end)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("kind", "precision", "widths"),
     [

@@ -5,6 +5,7 @@ import pytest
 from tests.engine.native import fuzz
 
 
+@pytest.mark.prove
 def test_random_step_functions():
     for case in range(2, 38, 6):
         agree, word = fuzz.compare(case)

@@ -7,14 +7,13 @@ import jax
 import numpy as np
 import pytest
 from tests import test_examples as examples
-from tests.domains.gas_storage.storage_cases import problem as storage
+from tests.domains.gas_storage.storage_cases import setup as storage
 from tests.engine.native.problems import difference
 from tests.solver import test_constant_mix as mix
 from tests.solver import test_funding as funding
 from tests.solver import test_lqr as lqr
 from tests.solver import test_merton as merton
 
-from snapo.domains.gas_storage.run import new_policy
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.inputs import Input
@@ -35,8 +34,8 @@ STORAGE = ("quick", "G1", "G3", "G6")
 def problem(name: str):
     """(simulator, inputs, schedule, policy) of a problem."""
     if name in STORAGE:
-        made = storage(name)
-        return made.simulator, made.inputs, made.schedule, new_policy(made)
+        made, policy, *_ = storage(name)
+        return made.simulator, made.inputs, made.schedule, policy
     if name in examples.NAMES:
         simulator, inputs, _ = examples.problem(name)
     else:
@@ -60,6 +59,7 @@ FAST = (*CORE, "own_simulator", "battery")
 SLOW = [pytest.param(n, marks=pytest.mark.study) for n in ("quick", "portfolio", "G1", "G3", "G6")]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("constraints", [Exact(), Smooth(np.float64(0.1))], ids=["exact", "smooth"])
 @pytest.mark.parametrize("name", [*FAST, *SLOW])
 def test_engines_agree(name, constraints):

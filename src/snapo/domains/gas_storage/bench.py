@@ -1,38 +1,41 @@
-"""`snapo bench`: how fast this machine runs the flagship, value alone and with gradients."""
+"""`snapo bench`: the speed of this machine on the flagship, value alone and with gradients."""
 
 import time
-from collections.abc import Callable
+from importlib.resources import files
 from pathlib import Path
 
 import jax
 import numpy as np
 
+from snapo.case.table import load
 from snapo.engine import Native, Xla
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
+from snapo.study.study import Tell
 
-from .case import read_case
-from .run import make_problem, new_policy
+from .read.case import read_case
+from .setup import OUTPUT, make_setup
 
 PATHS, ROUNDS = 1024, 5
-OUTPUT = "cash_flow"
 
 
-def bench(engine: str, progress: Callable[[str], None]) -> str:
+def bench(engine: str, tell: Tell) -> str:
     """A table of medians in milliseconds, from alternating runs; `engine` "auto" times both."""
-    problem = make_problem(read_case(Path(__file__).parent / "template"), seed=0)
-    policy, smooth = new_policy(problem), Smooth(np.float32(0.01))
+    case = read_case(*load(Path(str(files(__package__ or "") / "template"))))
+    setup = make_setup(case)
+    problem, smooth = setup.problem, Smooth(np.float32(0.01))
     draws = Pseudo(1).draws(np.arange(PATHS), problem.simulator)
     weights = {OUTPUT: np.full(PATHS, 1 / PATHS)}
-    given = (problem.simulator, policy, problem.schedule, draws, smooth)
+    given = (setup.policy, draws, smooth)
     engines = {"native": Native("float32"), "xla": Xla("float32")}
     jobs = {}
     for name, each in engines.items():
         if engine in ("auto", name):
-            jobs[name, "value"] = lambda each=each: each.values(*given).totals
-            jobs[name, "value and gradients"] = lambda each=each: each.adjoint(*given, weights)
+            bound = each.bind(problem)
+            jobs[name, "value"] = lambda bound=bound: bound.values(*given).totals
+            jobs[name, "value and gradients"] = lambda bound=bound: bound.adjoint(*given, weights)
     for (name, what), job in jobs.items():
-        progress(f"compiling {name}, {what}")
+        tell(f"compiling {name}, {what}")
         jax.block_until_ready(job())
     seconds = {job: [] for job in jobs}
     for _ in range(ROUNDS):

@@ -1,4 +1,4 @@
-"""The report of a storage run: one HTML file made of nothing but the files of the run folder."""
+"""How a storage run is told: its sections, and the picture for the README."""
 
 from pathlib import Path
 
@@ -6,14 +6,14 @@ import numpy as np
 
 from snapo.report import charts
 from snapo.report.drawing import draw_alone
-from snapo.report.page import Page, render
 from snapo.report.quantity import array, decimals, finite, long_date
+from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
+from snapo.study.domain import Report
 
 from .sections import evidence, headline, position, risk, today, value
 from .sections.run import Run
 
-FILE = "report.html"
 HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
 SECTIONS = (
     headline.headline,
@@ -29,32 +29,8 @@ SECTIONS = (
     evidence.history,
     evidence.certificate,
     evidence.assumptions,
+    making,
 )
-
-
-def write_report(folder: Path) -> Path:
-    """Writes `report.html` into the run folder and returns its path.
-
-    It reads result.json, details.json, sensitivities.csv, profile.csv and history.csv; where a
-    file or a key is missing, the section says so in a sentence. The same files give the same page,
-    byte for byte.
-    """
-    run = Run.read(Path(folder))
-    file = Path(folder) / FILE
-    file.write_text(page(run), encoding="utf-8")
-    return file
-
-
-def page(run: Run) -> str:
-    """The report as HTML."""
-    return render(
-        Page(
-            title=str(run.get("title") or run.result.get("title") or "Gas storage"),
-            about=_about(run),
-            sections=[section(run) for section in SECTIONS],
-            footer=_footer(run),
-        )
-    )
 
 
 def _about(run: Run) -> list[tuple[str, str]]:
@@ -71,11 +47,7 @@ def _about(run: Run) -> list[tuple[str, str]]:
     return found
 
 
-def _footer(run: Run) -> str:
-    version = run.get("versions.snapo")
-    known = version and version[:1].isdigit()  # else it says that it is not installed
-    made = f"Made by snapo {version}" if known else "Made by snapo"
-    return f"{made} from the files of one run folder; the page needs and sends nothing."
+REPORT = Report("Gas storage", Run, _about, SECTIONS)
 
 
 def readme_picture(folder: Path) -> str:
@@ -88,7 +60,7 @@ def readme_picture(folder: Path) -> str:
     months = run.get("deltas_monthly", [])
     volumes = array([each.get("undiscounted") for each in months])
     if not ladder or volumes is None:
-        raise ValueError("details.json: `value_ladder` and `deltas_monthly` are needed.")
+        raise ValueError("the run has no `value_ladder` or no `deltas_monthly`.")
     places = decimals([each["value"] for each in ladder])
     main = finite(run.result.get("value"))
     rungs = [

@@ -2,7 +2,7 @@
 
 from snapo.report import evidence
 from snapo.report.folder import Folder
-from snapo.report.page import Block, Missing, Section, Table, Text
+from snapo.report.page import Block, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, seconds
 
 from .distribution import words
@@ -32,8 +32,18 @@ def certificate(run: Folder) -> Section:
 def making(run: Folder) -> Section:
     """Notes, the state of every part, times, engine, seed and versions."""
     blocks: list[Block] = [Text(str(note)) for note in run.get("notes", [])]
-    blocks += [_parts(run), *evidence.times(run), evidence.made_with(run)]
+    blocks += [_parts(run), *_times(run), evidence.made_with(run)]
     return Section("making", "Parts, times and versions", "Versions", blocks)
+
+
+def _times(run: Folder) -> list[Facts]:
+    """The stages of the training and the total; the parts have theirs in their table."""
+    found = [
+        (name.capitalize(), seconds(each), "wall clock")
+        for name, each in run.result.get("seconds", {}).items()
+        if name not in run.parts and finite(each) is not None
+    ]
+    return [Facts(found)] if found else []
 
 
 def _parts(run: Folder) -> Table:

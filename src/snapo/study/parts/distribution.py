@@ -39,8 +39,8 @@ def described(total: np.ndarray) -> dict[str, Any]:
     total = total[np.isfinite(total)]
     if not total.size:
         return {"paths": 0}
-    # The outer half per cent on each side would only stretch the histogram.
-    low, high = np.quantile(total, [0.005, 0.995])
+    # The outermost paths would only stretch the histogram.
+    low, high = np.quantile(total, [0.0005, 0.9995])
     edges = np.linspace(low, high, BINS + 1) if high > low else np.array([low - 0.5, low + 0.5])
     counts, _ = np.histogram(np.clip(total, edges[0], edges[-1]), edges)
     tail = np.sort(total)[: max(1, round(TAIL * total.size))]

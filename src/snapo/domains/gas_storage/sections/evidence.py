@@ -2,8 +2,9 @@
 
 from snapo.report import evidence
 from snapo.report.evidence import checks as checks
-from snapo.report.page import Block, Facts, Missing, Section, Table, Text
+from snapo.report.page import Block, Facts, Section, Table, Text
 from snapo.report.quantity import decimals, finite, long_date, number, percent, power
+from snapo.report.sections.lacking import lacking
 
 from .run import Run
 
@@ -17,13 +18,12 @@ def certificate(run: Run) -> Section:
     """Every test that this very run was put to."""
     title = "Certificate: why to believe this number"
     if not run.get("certificate"):
-        text = "This run was not certified: details.json has no `certificate`."
-        return Section("certificate", title, "Certificate", [Missing(text)])
+        return Section("certificate", title, "Certificate", [lacking(run, "certificate")])
     blocks: list[Block] = []
     if facts := _facts(run):
         blocks.append(Facts(facts))
     blocks += [
-        evidence.bump_table(run, run.currency, _family),
+        evidence.bump_table(run, run.currency, lambda name: run.said(name).title()),
         evidence.limit_table(run, run.volume, "Day", lambda step: _day(run, step)),
     ]
     return Section("certificate", title, "Certificate", blocks, break_before=True)
@@ -59,10 +59,6 @@ def _plain(value) -> str:
     return number(value) if finite(value) is not None else str(value)
 
 
-def _family(name: str) -> str:
-    return name.replace("_", " ").capitalize()
-
-
 def _day(run: Run, step) -> str:
     known, when = finite(step), run.days
     if known is None or when is None or not 0 <= known < len(when):
@@ -71,15 +67,12 @@ def _day(run: Run, step) -> str:
 
 
 def assumptions(run: Run) -> Section:
-    """Model, notes, seeds, versions, timings, and what the units mean."""
-    blocks: list[Block] = [
-        Text(str(note)) for note in [run.get("model"), *run.get("notes", [])] if note
-    ]
+    """The price model, and the meaning of the units."""
+    blocks: list[Block] = [Text(str(run.get("model")))] if run.get("model") else []
     if not blocks:
-        blocks.append(Missing("The price model and the notes of the run are not in details.json."))
-    blocks += [*evidence.times(run), evidence.made_with(run), _glossary(run)]
-    title = "Assumptions, versions and units"
-    return Section("assumptions", title, "Assumptions", blocks)
+        blocks.append(lacking(run, "training"))
+    title = "Assumptions and units"
+    return Section("assumptions", title, "Assumptions", [*blocks, _glossary(run)])
 
 
 def _glossary(run: Run) -> Table:

@@ -1,7 +1,8 @@
-"""The first screen: what the contract is worth and what to do today."""
+"""The first screen: the worth of the contract and the decision of today."""
 
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
 from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
+from snapo.report.sections.lacking import lacking
 
 from .evidence import checks
 from .run import Run
@@ -31,7 +32,7 @@ def headline(run: Run) -> Section:
     )
     blocks: list[Block] = [block]
     if not action:
-        blocks.append(Missing("Today's decision is not in this run (details.json, `today`)."))
+        blocks.append(lacking(run, "profile"))
     if facts := _facts(run, value, places):
         blocks.append(Facts(facts))
     return Section("headline", "Value and decision", "", blocks)
@@ -60,7 +61,7 @@ def _when(run: Run) -> str:
     day = run.get("today.date")
     if day and day != run.get("valuation_date", day):
         return f"First decision, {long_date(day)}"
-    return "What to do today"
+    return "Decision of today"
 
 
 def _verb(run: Run) -> str:

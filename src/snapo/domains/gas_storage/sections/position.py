@@ -1,5 +1,4 @@
-"""What the storage does over time and what to trade against it: curve and trigger prices,
-inventory, deltas by month and by day."""
+"""The storage over time, and the trades against it: curve and trigger prices, inventory, deltas."""
 
 import numpy as np
 
@@ -17,6 +16,7 @@ from snapo.report.quantity import (
     plus_minus,
     quantity,
 )
+from snapo.report.sections.lacking import lacking
 
 from .run import Run
 
@@ -31,8 +31,7 @@ def curve(run: Run) -> Section:
     title, short = "Forward curve and trigger prices", "Curve"
     prices, when = run.numbers("forward", "forward"), run.days
     if prices is None or when is None:
-        text = "The forward curve by day is not in this run."
-        return Section("curve", title, short, [Missing(text)])
+        return Section("curve", title, short, [lacking(run, "profile")])
     place = date_numbers(when)
     lines = []
     for key, label, colour in TRIGGERS:
@@ -63,12 +62,11 @@ TRIGGERS = (
 
 
 def inventory(run: Run) -> Section:
-    """Expected inventory with its 5-95 % band, inside what is reachable and allowed."""
+    """Expected inventory with its 5-95 % band, inside the reachable and the allowed ones."""
     title, short = "Inventory against its limits", "Inventory"
     mean, when = run.numbers("inventory.mean", "inventory_mean"), run.days
     if mean is None or when is None:
-        text = "The expected inventory by day is not in this run."
-        return Section("inventory", title, short, [Missing(text)])
+        return Section("inventory", title, short, [lacking(run, "profile")])
     place = date_numbers(when)
     ends = np.append(place, place[-1] + 1)[: len(mean)]  # [T+1]: the start of every day and the end
     band = [run.numbers(f"inventory.{name}", f"inventory_{name}") for name in ("p05", "p95")]
@@ -108,8 +106,7 @@ def monthly(run: Run) -> Section:
     rows = run.get("deltas_monthly", [])
     values = array([each.get("undiscounted") for each in rows])
     if values is None:
-        text = "Deltas by delivery month are not in this run."
-        return Section("deltas", title, short, [Missing(text)])
+        return Section("deltas", title, short, [lacking(run, "deltas")])
     paint = month_painter(run, rows, values)
     parts = [
         f"{long_month(each.get('month'))} {number(value, 0)}"
@@ -196,8 +193,7 @@ def daily(run: Run) -> Section:
     title, short = "Deltas by delivery day", "Daily deltas"
     when, values = run.days, run.numbers("deltas_daily.undiscounted", "delta_undiscounted")
     if values is None or when is None:
-        text = "Deltas by delivery day are not in this run."
-        return Section("daily", title, short, [Missing(text)])
+        return Section("daily", title, short, [lacking(run, "deltas")])
     place, error = date_numbers(when), run.numbers("deltas_daily.standard_error")
     discounted = run.numbers("deltas_daily.discounted")
     half = None

@@ -1,4 +1,4 @@
-"""What else moves the value: vegas, shadow prices, costs and rates, and the sliders over them."""
+"""Other sensitivities: vegas, shadow prices, costs and rates, and the sliders over them."""
 
 import math
 from collections import Counter, defaultdict
@@ -7,21 +7,12 @@ import numpy as np
 
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.sections.lacking import lacking
 
-from .run import Run, Sensitivity
+from .run import SPAN, Run, Said, Sensitivity
 
-CURVE = "forward_curve"
-# What a desk moves such a number by, and its words; other inputs move by one of their unit.
-STEPS = {
-    "volatility": (0.01, "1 volatility point"),
-    "interest_rate": (0.0001, "1 basis point"),
-    "correlation": (0.01, "0.01"),
-    "reversion": (1.0, "1 per year"),
-    "fuel": (0.001, "0.1 percentage points"),
-    "loss": (0.0001, "0.01 percentage points a day"),
-    "factor": (0.01, "1 percentage point"),
-}
-MODEL = ("volatility", "reversion", "correlation")
+# Families of inputs; every input says to which it belongs.
+CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
     "First order only: the change is each shift times its stored sensitivity, with the decisions of"
     " every path held. {bound}For other inputs the curvature may have either sign. For large moves,"
@@ -29,7 +20,7 @@ CAVEAT = (
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
 BOUND = (
-    "For a move of the forward curve that is what the present plan would earn; with the decisions"
+    "For a move of the forward curve the change is that of the present plan; with the decisions"
     " chosen anew the contract is worth at least as much, and the gap grows with the square of the"
     " move. "
 )
@@ -46,38 +37,23 @@ def risk(run: Run) -> Section:
 
 def _vegas(run: Run) -> Table | Missing:
     """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
-    lines = [
-        Sensitivity(
-            str(each.get("input", "")),
-            str(each.get("label") or ""),
-            value,
-            finite(each.get("standard_error")),
-            str(each.get("unit") or ""),
-        )
-        for each in run.get("vegas", [])
-        if _of_model(str(each.get("input", "")))
-        and (value := finite(each.get("value"))) is not None
-    ]
+    lines = run.group(*MODEL)
     if not lines:
         return Missing("Vegas are not in this run (supplied price paths have no model numbers).")
     many = {name for name, count in Counter(each.input for each in lines).items() if count > 12}
-    rows = [_row([each]) for each in lines if each.input not in many]
-    rows += [_row([each for each in lines if each.input == name]) for name in sorted(many)]
+    rows = [_row(run, [each]) for each in lines if each.input not in many]
+    rows += [_row(run, [each for each in lines if each.input == name]) for name in sorted(many)]
     return _moves(run, rows, "Vegas: sensitivity to the price model")
-
-
-def _of_model(name: str) -> bool:
-    return any(part in name for part in MODEL)
 
 
 def _shadow_prices(run: Run) -> Table | Missing:
     prices = run.get("shadow_prices", [])
     if not prices:
-        return Missing("Shadow prices of volume and capacity are not in this run.")
+        return lacking(run, "shadow prices")
     places = decimals([each.get(side) for each in prices for side in ("up", "down")], 4)
     rows = [
         (
-            _name(each.get("name", ""), ""),
+            str(each.get("name", "")).capitalize(),
             str(each.get("unit") or ""),
             number(each.get("up"), places, sign=True),
             number(each.get("down"), places, sign=True),
@@ -97,16 +73,16 @@ def _others(run: Run) -> Table | None:
     """Parallel shifts: the sensitivities of an input summed over its labels."""
     groups: dict[str, list[Sensitivity]] = defaultdict(list)
     for each in run.sensitivities:
-        if each.input != CURVE and not _of_model(each.input):
+        if run.said(each.input).group not in (CURVE, *MODEL):
             groups[each.input].append(each)
     if not groups:
         return None
-    rows = [_row(members) for members in groups.values()]
+    rows = [_row(run, members) for members in groups.values()]
     folded = f"Sensitivities to {len(rows)} other inputs"
     return _moves(run, rows, "Parallel shifts of the other inputs", folded)
 
 
-def _row(members: list[Sensitivity]) -> tuple[str, ...]:
+def _row(run: Run, members: list[Sensitivity]) -> tuple[str, ...]:
     """One line for a number, or for several of one input that move together.
 
     Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
@@ -114,37 +90,28 @@ def _row(members: list[Sensitivity]) -> tuple[str, ...]:
     many digits mean anything.
     """
     first = members[0]
-    step, words = step_of(first.input, first.unit)
-    total, error = step * math.fsum(each.value for each in members), None
+    said = run.said(first.input, first.unit)
+    total, error = said.move * math.fsum(each.value for each in members), None
     if len(members) == 1 and first.standard_error is not None:
-        error = step * first.standard_error
-    label = first.label if len(members) == 1 else ""
-    words = words if len(members) == 1 else f"{words}, all {len(members)} numbers together"
+        error = said.move * first.standard_error
+    label, move = first.label if len(members) == 1 else "", _move(said)
+    if len(members) > 1:
+        move = f"{move}, all {len(members)} numbers together"
     places = min(decimals([error], 2) if error else decimals([total], 4), 6)
-    return (
-        _name(first.input, label),
-        words,
-        number(total, places, True),
-        plus_minus(error, places),
-    )
+    change = number(total, places, True)
+    return (said.title(label), said.words, move, change, plus_minus(error, places))
+
+
+def _move(said: Said) -> str:
+    """ "1 volatility point", "10 bp", "0.01 EUR/MWh"."""
+    return f"{said.trade_move:.6g} {said.trade_unit}"
 
 
 def _moves(run: Run, rows, caption: str, folded: str = "") -> Table:
     names = ("Value changes by", "Std. error")
-    head = [("Input", ""), ("For a rise of", ""), *((name, run.currency) for name in names)]
-    return Table(head, rows, caption, 2, folded=folded)
-
-
-def step_of(name: str, unit: str = "") -> tuple[float, str]:
-    """The step that an input is moved by in tables, and its words."""
-    plain = f"1 {unit}" if unit not in ("", "1") else "1 unit"
-    return next((step for part, step in STEPS.items() if part in name), (1.0, plain))
-
-
-def _name(name: str, label: str) -> str:
-    words = str(name).replace("_", " ").replace(".", " ").replace("long term", "long-term")
-    words = words.strip().capitalize()
-    return f"{words}, {label}" if label else words
+    head = [("Input", ""), ("Meaning", ""), ("For a rise of", "")]
+    head += [(name, run.currency) for name in names]
+    return Table(head, rows, caption, 3, folded=folded)
 
 
 def sliders(run: Run) -> Section:
@@ -170,7 +137,7 @@ def _curve_sliders(run: Run) -> tuple[list[Slider], list[Slider]]:
     """The whole curve; its delivery months, or quarters where there are many months."""
     months: dict[str, float] = defaultdict(float)
     for each in run.sensitivities:
-        if each.input == CURVE:
+        if run.said(each.input).group == CURVE:
             months[long_month(each.label)] += each.value
     if not months:
         return [], []
@@ -196,19 +163,20 @@ def _quarters(months: dict[str, float]) -> dict[str, float]:
 
 
 def _model_sliders(run: Run) -> list[Slider]:
-    """Volatilities move in points of annual volatility, rates in basis points."""
-    totals: dict[str, float] = defaultdict(float)
-    for each in run.sensitivities:
-        many = "volatility" in each.input and len(each.label) < 10  # a name, not a delivery day
-        totals[_name(each.input, each.label if many else "")] += each.value
-    found = []
-    for name, slope in totals.items():
-        lower = name.lower()
-        if "volatility" in lower:
-            found.append(Slider(name, "points", 0.01 * slope, 10.0, 0.5, 1))
-        elif lower.startswith("interest rate"):
-            found.append(Slider(name, "bp", 0.0001 * slope, 200.0, 5.0, 0))
-    return found
+    """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
+    totals: dict[tuple[str, str], float] = defaultdict(float)
+    for each in run.group("volatility", RATE):
+        by_name = run.said(each.input).group != RATE and len(each.label) < 10  # no delivery day
+        totals[each.input, each.label if by_name else ""] += each.value
+    return [_slider(run.said(name), label, slope) for (name, label), slope in totals.items()]
+
+
+def _slider(said: Said, label: str, slope: float) -> Slider:
+    """A slider over ten usual moves to either side; `slope` is per unit of the input."""
+    span = SPAN * said.trade_move
+    step = span / 20
+    slope *= said.move / said.trade_move
+    return Slider(said.title(label), said.trade_unit, slope, span, step, decimals([step], 1))
 
 
 def _round(size: float) -> float:

@@ -4,8 +4,9 @@ import math
 
 from snapo.report import charts
 from snapo.report.drawing import draw
-from snapo.report.page import Block, Chart, Missing, Section, Table
+from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import array, finite, number, quantity
+from snapo.report.sections.lacking import lacking
 
 from .run import Run
 
@@ -18,8 +19,7 @@ def today(run: Run) -> Section:
     rungs = run.get("today.ladder", [])
     columns = [array([each.get(key) for each in rungs]) for key in LADDER_KEYS] if rungs else []
     if not rungs or columns[0] is None:
-        text = "The decision of today at other inventories (`today.ladder`) is not in this run."
-        return Section("today", title, short, [Missing(text)])
+        return Section("today", title, short, [lacking(run, "profile")])
     level, low, high = columns
     blocks: list[Block] = []
     spot, store = finite(run.get("today.spot")), finite(run.get("today.inventory"))
@@ -33,7 +33,7 @@ def today(run: Run) -> Section:
         ("Inject below", run.price),
         ("Withdraw above", run.price),
     ]
-    blocks.append(Table(head, rows, "What today's spot price asks for, by inventory", 2))
+    blocks.append(Table(head, rows, "The decision at today's spot price, by inventory", 2))
     return Section("today", title, short, blocks)
 
 

@@ -1,9 +1,10 @@
-"""What the contract is worth: the value ladder and the distribution of the total cash flow."""
+"""The worth of the contract: the value ladder and the distribution of the total cash flow."""
 
 from snapo.report import charts
 from snapo.report.drawing import draw
-from snapo.report.page import Block, Chart, Facts, Missing, Section, Table, Text
+from snapo.report.page import Block, Chart, Facts, Section, Table, Text
 from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
+from snapo.report.sections.lacking import lacking
 
 from .run import Run
 
@@ -12,8 +13,7 @@ def value_ladder(run: Run) -> Section:
     """Every value of the same contract on the same curve, from the least to the best."""
     rungs = [each for each in run.get("value_ladder", []) if finite(each.get("value")) is not None]
     if not rungs:
-        text = "The value ladder (intrinsic, rule, policy, reference) is not in this run."
-        return Section("ladder", "Value ladder", "Value", [Missing(text)])
+        return Section("ladder", "Value ladder", "Value", [lacking(run, "value ladder")])
     places = decimals([each["value"] for each in rungs])
     worths = [run.worth(each["value"], each.get("standard_error"), places) for each in rungs]
     # The value of the headline is the bar to look at.
@@ -56,7 +56,7 @@ def _ladder_table(run: Run, rungs, strong, places: int) -> Table:
     ]
     chosen = frozenset(i for i, main in enumerate(strong) if main)
     currency = run.currency
-    head = [("", ""), ("What it is", ""), ("Value", currency), ("Standard error", currency)]
+    head = [("", ""), ("Meaning", ""), ("Value", currency), ("Standard error", currency)]
     return Table(head, rows, texts=2, strong=chosen)
 
 
@@ -65,8 +65,7 @@ def cash_flow(run: Run) -> Section:
     title, short = "Distribution of the total cash flow", "Cash flow"
     edges, counts = run.numbers("cash_flow.edges"), run.numbers("cash_flow.counts")
     if edges is None or counts is None or len(edges) != len(counts) + 1:
-        text = "The distribution of the total cash flow is not in this run."
-        return Section("cash-flow", title, short, [Missing(text)])
+        return Section("cash-flow", title, short, [lacking(run, "value ladder")])
     spread = finite(run.get("cash_flow.standard_deviation"))
     quantiles = run.get("cash_flow.quantiles", {})
     known = {float(q): v for q, each in quantiles.items() if (v := finite(each)) is not None}
@@ -90,8 +89,8 @@ def cash_flow(run: Run) -> Section:
     unit = f"Total discounted cash flow, {run.currency}" if run.currency else "Total cash flow"
     svg = draw("cash-flow-bins", alt, lambda a: charts.histogram(a, edges, counts, marks, unit))
     caption = (
-        "What the storage alone earns on one path, unhedged; the deltas above are what takes"
-        " most of this spread out."
+        "Earnings of the storage alone on one path, unhedged; trading the deltas above takes most"
+        " of this spread out."
     )
     blocks = [Chart(svg, caption), Facts(facts)]
     return Section("cash-flow", title, short, blocks)

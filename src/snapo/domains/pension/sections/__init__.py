@@ -1,1 +1,1 @@
-"""The sections of a pension report: each reads a `Run` and gives one `Section` of the page."""
+"""The sections of a pension report: each reads a `PensionRun` and gives one `Section`."""

@@ -1,4 +1,4 @@
-"""What the policy does: today's trades, its weights over time and funding ratio, its rivals."""
+"""The policy: today's trades, its weights over time and funding ratio, its rivals."""
 
 from itertools import pairwise
 
@@ -9,13 +9,13 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, plus_minus
 
-from .run import Run, points, share
+from .run import PensionRun, points, share
 
 BREACHES = (("collateral", "Collateral falls short"), ("weights", "Weights leave their bounds"))
 LAYERS = ("main", "inject", "withdraw", "limit", "good", "other")
 
 
-def trades(run: Run) -> Section:
+def trades(run: PensionRun) -> Section:
     """Today's list from the present weights to the policy's, and the swaps."""
     title, short = "Today's trades", "Trades"
     rows = run.get("trades.classes", [])
@@ -61,7 +61,7 @@ def _verb(value, scale: float) -> str:
     return "buy" if known > 0 else "sell"
 
 
-def policy(run: Run) -> Section:
+def policy(run: PensionRun) -> Section:
     """The policy drawn as weights over funding ratio and time, and its mean mix."""
     title, short = f"The policy ({run.measure})", "Policy"
     table, years = run.get("policy_map.growth"), run.get("policy_map.years")
@@ -117,7 +117,7 @@ def _ratios(edges: list) -> list[str]:
     return texts
 
 
-def _mix(run: Run) -> Chart | None:
+def _mix(run: PensionRun) -> Chart | None:
     weights, names = run.get("mix.weights"), run.get("mix.classes", [])
     years = run.numbers("mix.years")
     if not weights or years is None:
@@ -137,7 +137,7 @@ def _mix(run: Run) -> Chart | None:
     return Chart(svg, "Mean weights at the start of each year, over all paths.")
 
 
-def rivals(run: Run) -> Section:
+def rivals(run: PensionRun) -> Section:
     """The learned policy against the classical ones on the same fresh paths."""
     title, short = f"Learned and classical policies ({run.measure})", "Policies"
     rows = run.get("policies", [])
@@ -166,8 +166,8 @@ def rivals(run: Run) -> Section:
     return Section("policies", title, short, [table, Text(caption, True), _cloud(run, rows, unit)])
 
 
-def _cloud(run: Run, rows: list[dict], unit: str) -> Chart:
-    """What each policy asks for and what it leaves in bad times."""
+def _cloud(run: PensionRun, rows: list[dict], unit: str) -> Chart:
+    """Contributions of each policy against the funding ratio in bad times."""
     marks = [
         (
             str(each["name"]),
@@ -180,11 +180,11 @@ def _cloud(run: Run, rows: list[dict], unit: str) -> Chart:
     units = (f"Mean present value of contributions, {unit}", "5 % quantile of F, %")
     alt = "Policies by present value of contributions and 5 % quantile of the funding ratio."
     svg = draw("frontier", alt, lambda axes: scatter(axes, marks, units), 230)
-    text = "What each policy asks for and what it leaves in bad times; up and left is better."
+    text = "Contributions against the funding ratio in bad times; up and left is better."
     return Chart(svg, text)
 
 
-def _rival(run: Run, each: dict, sure: bool) -> tuple:
+def _rival(run: PensionRun, each: dict, sure: bool) -> tuple:
     learned = each["key"] == "learned"
     if sure:
         known = [points(each["equivalent"], 2)]
@@ -206,7 +206,7 @@ def _rival(run: Run, each: dict, sure: bool) -> tuple:
     )
 
 
-def limits(run: Run) -> Section:
+def limits(run: PensionRun) -> Section:
     """Collateral: headroom today; and by month, paths that break a limit."""
     title, short = f"Collateral and limits ({run.measure})", "Limits"
     now, after = run.get("collateral.now"), run.get("collateral.after")
@@ -232,7 +232,7 @@ def limits(run: Run) -> Section:
     return Section("collateral", title, short, blocks)
 
 
-def _months(run: Run, name: str, words: str, months: np.ndarray) -> Chart | Text:
+def _months(run: PensionRun, name: str, words: str, months: np.ndarray) -> Chart | Text:
     """Shares of the paths that break one limit, step by step."""
     if not np.any(months > 0):
         return Text(f"{words}: on no path in any month.")
@@ -244,7 +244,7 @@ def _months(run: Run, name: str, words: str, months: np.ndarray) -> Chart | Text
     return Chart(svg, f"{text} Shares of the paths by month.")
 
 
-def _headroom(run: Run, name: str, each: dict | None) -> tuple[str, str, str]:
+def _headroom(run: PensionRun, name: str, each: dict | None) -> tuple[str, str, str]:
     known = finite((each or {}).get("headroom"))
     if each is None or known is None:
         return name, "no swaps", "nothing to be collateralised"

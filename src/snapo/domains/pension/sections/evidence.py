@@ -1,34 +1,34 @@
-"""Why to believe the numbers: training history, certificate, assumptions and versions."""
+"""Evidence for the numbers: training history, certificate, assumptions and versions."""
 
 from snapo.report import evidence
 from snapo.report.page import Block, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number
 
-from ..units import name_of
-from .run import Run
+from .run import PensionRun
+from .words import name_of
 
 
-def checks(run: Run) -> list[tuple[str, bool]]:
-    """(what was checked, whether it held) for every check with a verdict."""
+def checks(run: PensionRun) -> list[tuple[str, bool]]:
+    """(name of a check, whether it held) for every check with a verdict."""
     found = [
         (str(each.get("name", "")).replace("_", " "), bool(each["ok"]))
-        for path in ("reconciliation.lines", "reconciliation.martingale")
+        for path in ("reconciliation.lines", "market_consistency")
         for each in run.get(path, [])
         if each.get("ok") is not None and each.get("given", 0.0) is not None
     ]
     return [*found, *evidence.checks(run)]
 
 
-def history(run: Run) -> Section:
+def history(run: PensionRun) -> Section:
     """The objective and the gradient norm over the steps of training."""
     return evidence.history(run, "objective")
 
 
-def certificate(run: Run) -> Section:
+def certificate(run: PensionRun) -> Section:
     """The adjoint against bumps, and every limit kept."""
-    title = "Certificate: why to believe the sensitivities"
+    title = "Certificate: evidence for the sensitivities"
     if not run.get("certificate"):
-        text = "This run was not certified: details.json has no `certificate`."
+        text = "This run was not certified."
         return Section("certificate", title, "Certificate", [Missing(text)])
     gap = number(run.get("certificate.smoothing_gap"))
     norm = number(run.get("certificate.policy_gradient_norm"))
@@ -51,10 +51,13 @@ def _step(step) -> str:
     return number((finite(step) or 0) + 1, 0)
 
 
-def assumptions(run: Run) -> Section:
-    """Model, notes, what is held, engine, seed and versions."""
+def assumptions(run: PensionRun) -> Section:
+    """Model, notes, kinds of assets, inputs held fixed, engine, seed and versions."""
     texts = [run.get("model"), *run.get("notes", [])]
     blocks: list[Block] = [Text(str(each)) for each in texts if each]
+    if kinds := run.get("kinds", {}):
+        rows = [(name.capitalize(), str(words)) for name, words in kinds.items()]
+        blocks.append(Table([("Kind", ""), ("Meaning", "")], rows, "Kinds of assets", 2))
     held = run.get("held", [])
     if held:
         names = ", ".join(name_of(each).lower() for each in held)

@@ -11,7 +11,7 @@ from snapo.report.page import Chart, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, plus_minus
 from snapo.report.theme import LIGHT
 
-from .run import Run, points, share
+from .run import PensionRun, points, share
 
 CAPTION = (
     "Every point is a policy of its own, trained on a mixture of both aims from the one before and"
@@ -21,7 +21,7 @@ CAPTION = (
 )
 
 
-def frontier(run: Run) -> Section:
+def frontier(run: PensionRun) -> Section:
     """The efficient frontier of contributions and CVaR."""
     title, short = f"Efficient frontier ({run.measure})", "Frontier"
     rows = run.get("frontier.points", [])

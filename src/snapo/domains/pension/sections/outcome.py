@@ -1,4 +1,4 @@
-"""What the fund goes through: funding ratio, contributions, indexation, by year."""
+"""The fund over time: funding ratio, contributions, indexation, by year."""
 
 from collections.abc import Sequence
 
@@ -9,14 +9,14 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import number
 
-from .run import Run, points, share
+from .run import PensionRun, points, share
 
 QUANTILES = ("p01", "p05", "p25", "p50", "p75", "p95", "p99")
 HEAD = ("1 %", "5 %", "25 %", "50 %", "75 %", "95 %", "99 %")
 SHOWN = 16  # rows of a table at most
 
 
-def _fan(run: Run, name: str) -> dict[str, np.ndarray] | None:
+def _fan(run: PensionRun, name: str) -> dict[str, np.ndarray] | None:
     found = run.get(f"by_year.{name}")
     if not found:
         return None
@@ -30,7 +30,7 @@ def _thin(count: int) -> list[int]:
     return kept if kept[-1] == count - 1 else [*kept, count - 1]
 
 
-def funding(run: Run) -> Section:
+def funding(run: PensionRun) -> Section:
     """The distribution of the funding ratio by year."""
     title, short = f"Funding ratio by year ({run.measure})", "Funding ratio"
     fan, years = _fan(run, "funding"), run.numbers("by_year.years")
@@ -62,9 +62,9 @@ def funding(run: Run) -> Section:
     return Section("funding", title, short, [Chart(svg, caption), Table(head, rows, text, 1)])
 
 
-def attribution(run: Run) -> Section:
-    """What moved the funding ratio from today to the horizon, adding up to its change."""
-    title, short = f"What moves the funding ratio ({run.measure})", "Attribution"
+def attribution(run: PensionRun) -> Section:
+    """The change of the funding ratio from today to the horizon, in parts that add up to it."""
+    title, short = f"Parts of the change of the funding ratio ({run.measure})", "Attribution"
     rows = run.get("attribution.rows", [])
     if not rows:
         text = "The change of the funding ratio was not attributed in this run."
@@ -86,8 +86,8 @@ def attribution(run: Run) -> Section:
         f"From {share(start)} today to the mean {run.horizon}: means over paths under the learned"
         " policy. In every month assets and liability are moved in both orders and the mean of the"
         " two is taken; the liability's own parts come in the order benefits, accrual, interest,"
-        " rates, mortality, indexation. Mortality is what departs from the table; indexation what"
-        " was not valued already. The parts add up to the change of F on every path."
+        " rates, mortality, indexation. Mortality: departures from the table; indexation: beyond"
+        " the part valued already. The parts add up to the change of F on every path."
     )
     table = Table(head, body, "", 1, strong=frozenset([len(body) - 2, len(body) - 1]))
     return Section("attribution", title, short, [Chart(svg, caption), table])
@@ -100,13 +100,13 @@ def _part(each: dict) -> tuple[str, ...]:
     return each["name"], *signed, "" if deviation is None else points(deviation, 2)
 
 
-def spread(run: Run) -> Section:
-    """The spread of the final funding ratio without each source of risk."""
-    title, short = f"Where the spread comes from ({run.measure})", "Spread"
-    rows = run.get("spread", [])
+def variance(run: PensionRun) -> Section:
+    """The variance of the final funding ratio without each source of risk."""
+    title, short = f"Sources of the variance ({run.measure})", "Variance"
+    rows = run.get("variance", [])
     if not rows:
-        text = "The spread of the funding ratio was not attributed in this run."
-        return Section("spread", title, short, [Missing(text)])
+        text = "The variance of the funding ratio was not divided by source in this run."
+        return Section("variance", title, short, [Missing(text)])
     body = [
         (
             str(each["source"]),
@@ -124,10 +124,10 @@ def spread(run: Run) -> Section:
         " each other. A negative share hedged the rest."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
-    return Section("spread", title, short, [table, Text(caption, caveat=True)])
+    return Section("variance", title, short, [table, Text(caption, caveat=True)])
 
 
-def money(run: Run) -> Section:
+def money(run: PensionRun) -> Section:
     """Contributions and benefits by year."""
     title, short = f"Contributions and benefits by year ({run.measure})", "Contributions"
     fans = [(name, _fan(run, name)) for name in ("contribution", "benefit")]
@@ -159,7 +159,7 @@ def money(run: Run) -> Section:
     return Section("contributions", title, short, blocks)
 
 
-def indexation(run: Run) -> Section:
+def indexation(run: PensionRun) -> Section:
     """Indexation granted, by year and cumulated."""
     title, short = f"Indexation by year ({run.measure})", "Indexation"
     fan, total = _fan(run, "indexation"), _fan(run, "cumulated")

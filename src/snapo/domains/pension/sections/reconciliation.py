@@ -8,13 +8,13 @@ from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Sect
 from snapo.report.quantity import finite, number, plus_minus, power
 
 from .evidence import checks
-from .run import Run, points, share
+from .run import PensionRun, points, share
 
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
 
 
-def headline(run: Run) -> Section:
-    """What the policy is worth, and what it does today."""
+def headline(run: PensionRun) -> Section:
+    """The value of the policy, and its trades today."""
     value = finite(run.result.get("value"))
     if value is None:
         status = run.result.get("status") or "unknown"
@@ -41,25 +41,25 @@ def headline(run: Run) -> Section:
         note=f"{note} exact simulator on fresh scenarios, ± one standard error.",
         action=_action(run),
         sentence=_sentence(run),
-        when="What to do today",
+        when="Today's decision",
         marks=marks,
     )
     blocks: list[Block] = [block, Facts(_facts(run))]
     return Section("headline", "Result", "", blocks)
 
 
-def _moves(run: Run) -> list[dict]:
+def _moves(run: PensionRun) -> list[dict]:
     rows = run.get("trades.classes", [])
     return sorted(rows, key=lambda each: -abs(finite(each.get("trade")) or 0.0))
 
 
-def _action(run: Run) -> str:
+def _action(run: PensionRun) -> str:
     moved = sum(abs(finite(each.get("trade")) or 0.0) for each in _moves(run)) / 2
     assets = finite(run.get("assets"))
     return f"Turn over {share(moved / assets)} of the assets" if assets else ""
 
 
-def _sentence(run: Run) -> str:
+def _sentence(run: PensionRun) -> str:
     rows = [each for each in _moves(run)[:4] if finite(each.get("trade"))]
     parts = [
         f"{each['name']} {share(each['now'], 0)} → {share(each['target'], 0)}" for each in rows
@@ -70,7 +70,7 @@ def _sentence(run: Run) -> str:
     return f"{text} Swaps: {run.large(whole)} receiver notional." if swaps else text
 
 
-def _facts(run: Run) -> list[tuple[str, str, str]]:
+def _facts(run: PensionRun) -> list[tuple[str, str, str]]:
     last = run.get("by_year", {})
     under = (last.get("underfunded") or [None])[-1]
     short = (last.get("shortfall") or [None])[-1]
@@ -83,12 +83,12 @@ def _facts(run: Run) -> list[tuple[str, str, str]]:
     ]
 
 
-def reconciliation(run: Run) -> Section:
+def reconciliation(run: PensionRun) -> Section:
     """Own figures against those given, and the tests that scenarios must pass."""
     title, short = "Reconciliation", "Reconciliation"
     data = run.get("reconciliation", {})
     if not data:
-        text = "This run has no reconciliation in details.json."
+        text = "The reconciliation is not in this run."
         return Section("reconciliation", title, short, [Missing(text)])
     rows = [_line(each) for each in data.get("lines", [])]
     head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
@@ -106,8 +106,8 @@ def reconciliation(run: Run) -> Section:
             ]
         )
     )
-    if tests := data.get("martingale"):
-        blocks.append(_martingale(run, tests))
+    if tests := run.get("market_consistency"):
+        blocks.append(_consistency(run, tests))
     if durations := data.get("key_rate_durations"):
         blocks.append(_durations(durations))
     flow = data.get("cash_flow")
@@ -134,7 +134,7 @@ def _word(ok) -> str:
     return "holds" if ok else "fails"
 
 
-def _martingale(run: Run, tests: list[dict]) -> Table:
+def _consistency(run: PensionRun, tests: list[dict]) -> Table:
     rows = [
         (
             str(each["name"]),
@@ -161,7 +161,7 @@ def _durations(found: dict) -> Table:
     return Table([("Node", ""), ("Years", "")], rows, caption, 1, strong=strong, folded=folded)
 
 
-def _cash_flow(run: Run, flow: np.ndarray) -> Chart | Text:
+def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
     paid = np.flatnonzero(flow > flow.max() * 1e-4)
     if not paid.size:
         return Text("No payments are expected.")
@@ -182,7 +182,7 @@ def _cash_flow(run: Run, flow: np.ndarray) -> Chart | Text:
     return Chart(svg, caption)
 
 
-def stress(run: Run) -> Section:
+def stress(run: PensionRun) -> Section:
     """The balance sheet at once after each shock of the case's file."""
     title, short = "Stress table", "Stress"
     rows = run.get("stresses", [])

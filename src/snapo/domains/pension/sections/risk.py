@@ -7,30 +7,30 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import decimals, finite, number, plus_minus
 
-from ..units import meaning, name_of
-from .run import Run
+from .run import PensionRun
+from .words import name_of
 
-CURVES = ("zero_rate", "forward_rate", "break_even")
+CURVE = "curve"  # the group of inputs that are nodes of a curve
 EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
 BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 HELD = (
     "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
     " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
-    " answers by its rule, not trained anew; the distance between the two shows what training"
-    " and smoothing left. Prices of risk, excess returns and today's market values are held while"
+    " answers by its rule, not trained anew; the distance between the two is left by training"
+    " and smoothing. Prices of risk, excess returns and today's market values are held while"
     " the curve moves."
 )
 TOP = 14
 
 
-def _scale(run: Run) -> tuple[float, str]:
-    """What effects are multiplied by, and their unit."""
+def _scale(run: PensionRun) -> tuple[float, str]:
+    """The factor of effects, and their unit."""
     if run.get("sensitivities.unit") == "ratio":
         return 1e4, "bp of the certainty equivalent"
     return 1.0, "objective"
 
 
-def sensitivities(run: Run) -> Section:
+def sensitivities(run: PensionRun) -> Section:
     """Every input moved by its usual step."""
     title, short = f"Sensitivities of the objective ({run.measure})", "Sensitivities"
     families = run.get("sensitivities.families", [])
@@ -42,11 +42,11 @@ def sensitivities(run: Run) -> Section:
     blocks: list[Block] = [_tornado(moves, scale, unit)]
     blocks.append(_families(moves, scale, unit))
     rows = run.get("sensitivities.rows", [])
-    for name in CURVES:
+    curves = dict.fromkeys(row["input"] for row in rows if row.get("group") == CURVE)
+    for name in curves:
         own = [row for row in rows if row["input"] == name]
-        if own:
-            blocks.append(_nodes(name, own, scale, unit))
-    others = [row for row in rows if row["input"] not in CURVES]
+        blocks.append(_nodes(name, own, scale, unit))
+    others = [row for row in rows if row["input"] not in curves]
     if others:
         blocks.append(_others(others, scale, unit))
     blocks += [Text(HELD, caveat=True), _definitions(moves)]
@@ -116,12 +116,12 @@ def _others(rows: list[dict], scale: float, unit: str) -> Table:
 
 def _definitions(families: list[dict]) -> Table:
     rows = [
-        (name_of(each["input"]), f"+ {each['move']}: {meaning(each['input'])}") for each in families
+        (name_of(each["input"]), f"+ {each['move']}: {each.get('words', '')}") for each in families
     ]
-    return Table([("Input", ""), ("What is moved", "")], rows, "Definitions", 2)
+    return Table([("Input", ""), ("The move", "")], rows, "Definitions", 2)
 
 
-def ladder(run: Run) -> Section:
+def ladder(run: PensionRun) -> Section:
     """Key-rate ladder of assets, swaps and liabilities today, with hedge ratios by bucket."""
     title, short = "Key-rate ladder and hedge ratios today", "Hedge ratios"
     now = run.get("ladder")

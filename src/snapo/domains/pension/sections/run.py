@@ -12,7 +12,7 @@ SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))
 
 
 @dataclass(frozen=True)
-class Run(Folder):
+class PensionRun(Folder):
     """A run folder with the units of the fund."""
 
     @property
@@ -26,7 +26,7 @@ class Run(Folder):
         return f"after {number(self.get('years'), 0)} years"
 
     def size(self, *values: Any) -> tuple[float, str]:
-        """What money is divided by so that the largest of `values` reads well, and the unit."""
+        """The divisor of money with which the largest of `values` reads well, and the unit."""
         sizes = [abs(v) for each in values for v in _each(each)]
         largest = max(sizes, default=0.0)
         scale, letters = next((pair for pair in SIZES if largest >= pair[0]), (1.0, ""))

@@ -1,0 +1,244 @@
+"""Can the contract be met at all? Which inventories can be in store, day by day, and where it ends.
+
+The set of inventories that can be in store at the start of a day is a few intervals; the rates
+are linear (or constant) between ratchet rows, so the set of the next day follows exactly, piece
+by piece. When it is empty, that day has the first constraint that no decision can keep.
+"""
+
+from bisect import bisect_right
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from snapo.case.error import CaseError
+
+from .records import StorageCase
+
+Interval = tuple[float, float]
+
+
+@dataclass(frozen=True)
+class Day:
+    """One day of the contract: ratchet rows (outages applied), forced flows, and loss."""
+
+    levels: list[float]
+    withdrawal: list[float]
+    injection: list[float]
+    linear: bool
+    min_withdrawal: float
+    min_injection: float
+    loss: float
+
+    def rates(self, level: float, row: int | None = None) -> tuple[float, float]:
+        """Most withdrawal and injection at an inventory, or those of a row of step ratchets."""
+        if row is None:
+            row = max(bisect_right(self.levels, level) - 1, 0)
+        if not self.linear or row == len(self.levels) - 1:
+            return self.withdrawal[row], self.injection[row]
+        width = self.levels[row + 1] - self.levels[row]
+        share = (level - self.levels[row]) / width
+        return (
+            self.withdrawal[row] + share * (self.withdrawal[row + 1] - self.withdrawal[row]),
+            self.injection[row] + share * (self.injection[row + 1] - self.injection[row]),
+        )
+
+
+@dataclass(frozen=True)
+class Corner:
+    """An inventory at the start of the day, and the most that may leave and enter there."""
+
+    level: float
+    withdrawal: float
+    injection: float
+
+
+def check_feasible(case: StorageCase) -> None:
+    """Raises `CaseError` with the first date and constraint that no decisions can keep."""
+    forced = case.contract.min_injection.used(), case.contract.min_withdrawal.used()
+    for t in np.flatnonzero((forced[0] > 0) & (forced[1] > 0))[:1]:
+        what = (
+            f"on {case.days[t]} an injection of {forced[0][t]:g} and a withdrawal of "
+            f"{forced[1][t]:g} are both forced, and a day has one or the other"
+        )
+        raise _error(case, "min_injection", float(forced[0][t]), what)
+    attainable(case)
+
+
+def attainable(case: StorageCase) -> list[list[Interval]]:
+    """The inventories that can be in store at the start of each day and on the end date, [T + 1].
+
+    Seen forward from the inventory given; the demand of the end is applied to the last only.
+    **Raises:** `CaseError` where there are none.
+    """
+    sets = [_start(case)]
+    tolerance = slack(case)
+    for t, day in enumerate(read_days(case)):
+        moved = [move for interval in sets[-1] for move in _moves(day, interval, tolerance)]
+        if not moved:
+            raise _forced_flow(case, t, day, sets[-1])
+        sets.append(_within_limits(case, t + 1, _merge(moved), tolerance))
+    owed = case.contract.at_end.owed
+    if owed is not None:
+        _check_level(case, owed, sets[-1], tolerance)
+    return sets
+
+
+def slack(case: StorageCase) -> float:
+    """The volume that rounding may take from a limit that is met exactly."""
+    return 1e-9 * max(1.0, float(case.contract.max_inventory.used().max()))
+
+
+def read_days(case: StorageCase) -> Iterator[Day]:
+    """The contract day by day, as plain numbers."""
+    contract = case.contract
+    ratchets = contract.ratchets
+    levels = ratchets.inventory.used()
+    withdrawal = ratchets.withdrawal.used() * contract.withdrawal_factor[:, None]
+    injection = ratchets.injection.used() * contract.injection_factor[:, None]
+    min_withdrawal = contract.min_withdrawal.used()
+    min_injection = contract.min_injection.used()
+    loss = contract.inventory_loss.used()
+    for t in range(len(case.days)):
+        yield Day(
+            levels[t].tolist(),
+            withdrawal[t].tolist(),
+            injection[t].tolist(),
+            ratchets.interpolation == "linear",
+            float(min_withdrawal[t]),
+            float(min_injection[t]),
+            float(loss[t]),
+        )
+
+
+def _pieces(day: Day, interval: Interval) -> Iterator[tuple[Corner, Corner]]:
+    """Cuts an interval at the ratchet rows: on each piece the rates are linear."""
+    low, high = interval
+    cuts = [low, *(level for level in day.levels if low < level < high), high]
+    for left, right in pairwise(cuts):
+        row = None if day.linear else max(bisect_right(day.levels, left) - 1, 0)
+        yield Corner(left, *day.rates(left, row)), Corner(right, *day.rates(right, row))
+    if not day.linear:
+        # At a row of step ratchets its own rates hold, not those of the piece below.
+        corner = Corner(high, *day.rates(high))
+        yield corner, corner
+
+
+def _moves(day: Day, interval: Interval, tolerance: float) -> Iterator[Interval]:
+    """Where the inventory can be at the end of the day, from anywhere in `interval`."""
+    for piece in _pieces(day, interval):
+        kept = _able(day, piece, tolerance)
+        if kept is None:
+            continue
+        ends = []
+        for corner in kept:
+            keep = corner.level * (1 - day.loss)
+            # Rates that fall short of a forced flow by rounding do not turn the interval round.
+            lowest = -max(corner.withdrawal, day.min_withdrawal)
+            highest = max(corner.injection, day.min_injection)
+            if day.min_injection > 0:
+                lowest = day.min_injection
+            if day.min_withdrawal > 0:
+                highest = -day.min_withdrawal
+            ends.append((keep + lowest, keep + highest))
+        yield min(end[0] for end in ends), max(end[1] for end in ends)
+
+
+def _able(day: Day, piece: tuple[Corner, Corner], tolerance: float):
+    """The part of a piece whose rates allow the day's forced flow; None where none does."""
+    left, right = piece
+    if day.min_injection > 0:
+        spare = [corner.injection - day.min_injection + tolerance for corner in piece]
+    else:
+        spare = [corner.withdrawal - day.min_withdrawal + tolerance for corner in piece]
+    if min(spare) >= 0:
+        return piece
+    if max(spare) < 0:
+        return None
+    share = spare[0] / (spare[0] - spare[1])
+    middle = Corner(
+        left.level + share * (right.level - left.level),
+        left.withdrawal + share * (right.withdrawal - left.withdrawal),
+        left.injection + share * (right.injection - left.injection),
+    )
+    return (left, middle) if spare[0] >= 0 else (middle, right)
+
+
+def _merge(intervals: list[Interval]) -> list[Interval]:
+    merged: list[Interval] = []
+    for low, high in sorted(intervals):
+        if merged and low <= merged[-1][1]:
+            merged[-1] = (merged[-1][0], max(merged[-1][1], high))
+        else:
+            merged.append((low, high))
+    return merged
+
+
+def _words(intervals: list[Interval]) -> str:
+    return " or ".join(
+        f"{low:.10g} to {high:.10g}" if low < high else f"{low:.10g}" for low, high in intervals
+    )
+
+
+def _date(case: StorageCase, t: int):
+    return case.days[t] if t < len(case.days) else case.end
+
+
+def _start(case: StorageCase) -> list[Interval]:
+    inventory = float(case.contract.inventory.used())
+    low = float(case.contract.min_inventory.used()[0])
+    high = float(case.contract.max_inventory.used()[0])
+    if not low <= inventory <= high:
+        what = f"on {_date(case, 0)} the limits allow {low:g} to {high:g}"
+        raise _error(case, "inventory", inventory, what)
+    return [(inventory, inventory)]
+
+
+def _within_limits(case: StorageCase, t: int, moved: list[Interval], tolerance: float):
+    low = float(case.contract.min_inventory.used()[t])
+    high = float(case.contract.max_inventory.used()[t])
+    kept = [
+        (min(max(left, low), high), max(min(right, high), low))
+        for left, right in moved
+        if right >= low - tolerance and left <= high + tolerance
+    ]
+    if kept:
+        return kept
+    most, least, date = moved[-1][1], moved[0][0], _date(case, t)
+    if most < low:
+        what = f"this cannot be met on {date}: by then at most {most:.10g} can be in store"
+        raise _error(case, "min_inventory", low, what)
+    if least > high:
+        what = f"this cannot be met on {date}: by then at least {least:.10g} is in store"
+        raise _error(case, "max_inventory", high, what)
+    words = _words(moved)
+    what = f"with min_inventory {low:g} this cannot be met on {date}: in store will be {words}"
+    raise _error(case, "max_inventory", high, what)
+
+
+def _check_level(case: StorageCase, level: float, last: list[Interval], tolerance: float) -> None:
+    if any(low - tolerance <= level <= high + tolerance for low, high in last):
+        return
+    limits = case.contract.min_inventory.used()[-1], case.contract.max_inventory.used()[-1]
+    if not limits[0] <= level <= limits[1]:
+        what = f"on {case.end} the limits allow {limits[0]:g} to {limits[1]:g}"
+    else:
+        what = f"this cannot be reached on {case.end}: in store will be {_words(last)}"
+    raise _error(case, "end_inventory", level, what)
+
+
+def _forced_flow(case: StorageCase, t: int, day: Day, before: list[Interval]) -> CaseError:
+    injecting = day.min_injection > 0
+    corners = [c for interval in before for piece in _pieces(day, interval) for c in piece]
+    most = max(corner.injection if injecting else corner.withdrawal for corner in corners)
+    factors = case.contract.injection_factor if injecting else case.contract.withdrawal_factor
+    cause = f" in the outage (factor {factors[t]:g})" if factors[t] < 1 else ""
+    what = f"this cannot be met on {case.days[t]}: at most {most:.10g} is possible then{cause}"
+    if injecting:
+        return _error(case, "min_injection", day.min_injection, what)
+    return _error(case, "min_withdrawal", day.min_withdrawal, what)
+
+
+def _error(case: StorageCase, key: str, value: float, allowed: str) -> CaseError:
+    return CaseError(str(case.file), f"contract.{key}", value, allowed)

@@ -1,0 +1,136 @@
+"""A gas-storage case as resolved data: frozen records of NumPy arrays, every date settled.
+
+T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
+without ratchets). Index T stands for the end date. Days are
+integers since the valuation date and may be negative for a payment that lies before it. A
+`Given` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
+"""
+
+import datetime
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
+from ..prices.process import PriceProcess
+from .end import EndRule
+
+
+@dataclass(frozen=True, eq=False)
+class Ratchets:
+    """How fast gas may move, by day and by inventory at the start of the day.
+
+    Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
+    "linear" the rates are interpolated between rows, with "step" the row at or below holds.
+    Plain `max_injection` and `max_withdrawal` are K = 1: one row, at inventory 0, for any level.
+
+    - `inventory`: levels in volume, index [T, K].
+    - `withdrawal`, `injection`: most volume per day, not negative, index [T, K]; before outages.
+    """
+
+    inventory: Given
+    withdrawal: Given
+    injection: Given
+    interpolation: Literal["linear", "step"]
+
+
+@dataclass(frozen=True, eq=False)
+class Contract:
+    """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
+
+    - `inventory`: in store at the start of the first decision day, index [].
+    - `min_inventory`, `max_inventory`: limits at the START of day t, and on the end date,
+      index [T + 1].
+    - `ratchets`: rates before outages.
+    - `injection_factor`, `withdrawal_factor`: [T] share of the rates left by outages, 0 to 1.
+    - `min_injection`, `min_withdrawal`: forced flows per day, index [T]; never both on one day.
+    - `injection_cost`, `withdrawal_cost`: currency per unit, index [T].
+    - `injection_cost_day`, `withdrawal_cost_day`: [T] day on which that cost is paid.
+    - `injection_fuel`, `withdrawal_fuel`: fraction of the volume, at spot, index [T].
+    - `inventory_loss`: fraction of the inventory per day, index [T].
+    - `inventory_cost`: currency per unit and day, paid on the day, index [T].
+    - `fixed_costs`: amounts in currency, index [n] those not before the valuation date;
+      `fixed_cost_day`: [n] day on which each of them is paid.
+    """
+
+    inventory: Given
+    min_inventory: Given
+    max_inventory: Given
+    ratchets: Ratchets
+    injection_factor: np.ndarray
+    withdrawal_factor: np.ndarray
+    min_injection: Given
+    min_withdrawal: Given
+    injection_cost: Given
+    withdrawal_cost: Given
+    injection_cost_day: np.ndarray
+    withdrawal_cost_day: np.ndarray
+    injection_fuel: Given
+    withdrawal_fuel: Given
+    inventory_loss: Given
+    inventory_cost: Given
+    at_end: EndRule
+    fixed_costs: Given
+    fixed_cost_day: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Market:
+    """Prices and discounting, seen from the valuation date.
+
+    - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index
+      [T]; where `StorageCase.has_end_price`, one more for the end date, index [T + 1].
+    - `zero_rate`: continuous, Act/365, index [n] all nodes; linear in days, flat outside.
+    - `zero_rate_day`: [n] integer days of the nodes, strictly rising (one 0 for a plain number).
+    - `gas_day`: [T] day on which the gas of day t is paid.
+
+    A payment on day d is discounted by exp(-r(d) d / 365), and not at all where d <= 0.
+    """
+
+    forward_curve: Given
+    zero_rate: Given
+    zero_rate_day: np.ndarray
+    gas_day: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class StorageCase:
+    """Everything that a gas-storage case says.
+
+    - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
+    - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
+      day before `end`; empty when the valuation leaves none.
+    - `day`: [T] the same as integer days since the valuation date; `end_day`: of the end date.
+    - `expired`: the valuation date lies after the end date; the value is zero.
+    - `notes`: remarks for the owner of the case, one sentence each.
+    """
+
+    file: Path
+    title: str
+    volume_unit: str
+    currency: str
+    valuation_date: datetime.date
+    start: datetime.date
+    end: datetime.date
+    days: tuple[datetime.date, ...]
+    day: np.ndarray
+    end_day: int
+    expired: bool
+    contract: Contract
+    market: Market
+    model: PriceProcess
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
+    notes: tuple[str, ...] = ()
+
+    kind = "gas-storage"
+
+    @property
+    def has_end_price(self) -> bool:
+        """Whether the value of the gas left depends on the spot price of the end date."""
+        return self.contract.at_end.needs_price

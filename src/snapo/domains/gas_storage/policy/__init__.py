@@ -1,0 +1,1 @@
+"""The decision rule: its guide, its observation, its network, and the decisions that follow."""

@@ -1,0 +1,76 @@
+"""The storage policy: a network that prices gas in store, and the flows that follow from it.
+
+The network corrects the guide's marginal value of gas at the end of the day, as a line in the
+inventory. Gas is injected as far as it is worth more in store than it costs, and withdrawn as
+far as it fetches more than it is worth in store: where the value crosses the price, clipped to
+the feasible. That is exact on fast storage too, gives the trigger prices for free, and loses
+almost nothing when it is made hard.
+"""
+
+import abc
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from snapo.problem.policy import Network, Policy
+
+from .observation import HEAD, Economics
+
+CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
+
+
+class MarginalValue(NamedTuple):
+    """Marginal values of gas at the end of the day, in units of the mean forward price: without
+    a free flow, and at the end of the most injection and of the most withdrawal."""
+
+    keep: Array
+    filled: Array
+    emptied: Array
+
+
+class PricingPolicy(Policy):
+    """A rule that prices gas in store; the action is (injected, withdrawn) fraction."""
+
+    @abc.abstractmethod
+    def marginal_value(self, observation) -> MarginalValue:
+        """The policy's value of a unit of gas at the end of the day."""
+
+    def __call__(self, observation, smooth):
+        return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
+
+
+class StoragePolicy(PricingPolicy):
+    """The guide's marginal value plus a network."""
+
+    network: Network
+
+    def __init__(
+        self, features: int, *, key, hidden: tuple[int, ...] = (32, 32), activation=jax.nn.tanh
+    ):
+        self.network = Network((features - HEAD, *hidden, 3), key=key, activation=activation)
+
+    def marginal_value(self, observation) -> MarginalValue:
+        seen = Economics(*observation[:HEAD])
+        level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
+        return MarginalValue(
+            seen.keep + level,
+            seen.filled + level + into * seen.room_in,
+            seen.emptied + level + out * seen.room_out,
+        )
+
+
+class GuidePolicy(PricingPolicy):
+    """The guide alone: the one-factor dynamic program's rule, or the intrinsic one's."""
+
+    def marginal_value(self, observation) -> MarginalValue:
+        seen = Economics(*observation[:HEAD])
+        return MarginalValue(seen.keep, seen.filled, seen.emptied)
+
+
+def _flows(seen: Economics, value: MarginalValue, smooth):
+    """Fractions of the free injection and withdrawal that pay."""
+    injected = smooth.share(value.keep - seen.buy, value.filled - seen.buy)
+    withdrawn = smooth.share(seen.sell - value.keep, seen.sell - value.emptied)
+    return jnp.stack([injected, withdrawn])

@@ -1,0 +1,103 @@
+"""The observation of the policy: the economics of today's flows, then features of order one.
+
+The first `HEAD` numbers are those of the decision rule (see `network.py`), the rest feeds the
+network. Prices are divided by the case's mean forward price, volumes by its largest daily rate.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..prices.process import YEAR, PriceProcess
+from .value_table import marginal_value
+
+
+class Economics(NamedTuple):
+    """Today's flows in money, prices in units of the mean forward price.
+
+    `keep`, `filled` and `emptied` are the guide's marginal values of gas, as of the day's gas
+    payment, at the end of the day: without a free flow, after the most injection and after the
+    most withdrawal. `buy` is the cost of a unit in store, `sell` the proceeds of one out of it.
+    `room_in` and `room_out` are the free flows in units of the largest rate, `level` the joint
+    level of the slow price factors.
+    """
+
+    keep: Array
+    filled: Array
+    emptied: Array
+    buy: Array
+    sell: Array
+    room_in: Array
+    room_out: Array
+    level: Array
+
+
+HEAD = len(Economics._fields)
+
+
+def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economics:
+    """The economics of a free flow on one day, at one state."""
+    scale, discount = terms.price_scale, now.gas_discount
+    level = process.slow_level(terms.price, now.price, state.price)
+    keep = flows.keep + flows.base
+    room_in, room_out = flows.most - flows.base, flows.base - flows.least
+    if now.guide is None:
+        values = [jnp.asarray(1.0)] * 3
+    else:
+        # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
+        guide, x = jax.lax.stop_gradient(now.guide), process.fast(state.price)
+        at = (keep, keep + room_in, keep - room_out)
+        values = [
+            marginal_value(guide, inventory, x) * level / discount / scale for inventory in at
+        ]
+    buy = spot * (1 + now.injection_fuel)
+    buy += now.injection_cost * now.injection_cost_discount / discount
+    sell = spot * (1 - now.withdrawal_fuel)
+    sell -= now.withdrawal_cost * now.withdrawal_cost_discount / discount
+    rate = terms.rate_scale
+    keep, filled, emptied = values
+    return Economics(
+        keep, filled, emptied, buy / scale, sell / scale, room_in / rate, room_out / rate, level
+    )
+
+
+def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
+    """Economics first, then the features of the network."""
+    seen = economics(process, terms, now, state, spot, flows)
+    year = 2 * jnp.pi * now.day / YEAR
+    left = (terms.last_day - now.day) / YEAR
+    span = jnp.maximum(now.high - now.low, 1e-6 * terms.rate_scale)
+    filling = (state.inventory - now.low) / span
+    to_full = (now.high - state.inventory) / (20 * terms.rate_scale)
+    to_empty = (state.inventory - now.low) / (20 * terms.rate_scale)
+    mid = (seen.buy + seen.sell) / 2
+    features = [
+        jnp.stack([jnp.sin(year), jnp.cos(year), jnp.sin(2 * year), jnp.cos(2 * year)]),
+        jnp.stack([jnp.tanh(left), jnp.tanh(20 * left), 2 * filling - 1, filling * filling]),
+        jnp.stack([jnp.tanh(to_full), jnp.tanh(to_empty)]),
+        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (seen.keep, seen.filled, seen.emptied)]),
+        process.observe(terms.price, now.price, state.price),
+        now.ahead,
+    ]
+    return jnp.concatenate([jnp.stack(seen), *features])
+
+
+def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
+    """How today's forward price stands against those ahead: mean of 30 and 120 days and of all,
+    highest and lowest, less today's, in units of half the mean price."""
+    t = forward.shape[0]
+    day, later = np.arange(t)[:, None], np.arange(t)[None, :]
+
+    def mean(days):
+        ahead = ((later > day) & (later <= day + days)).astype(float)
+        ahead[-1, -1] = 1.0
+        return ahead @ forward / ahead.sum(1)
+
+    future = later >= day
+    high = jnp.max(jnp.where(future, forward, -jnp.inf), axis=1)
+    low = jnp.min(jnp.where(future, forward, jnp.inf), axis=1)
+    columns = [mean(30), mean(120), mean(t), high, low]
+    return 2 * (jnp.stack(columns, axis=1) - forward[:, None]) / scale

@@ -1,0 +1,104 @@
+"""Decisions of a policy: trigger prices by day, and today's decision by inventory.
+
+All at the price state in which only the fastest factor moves: a spot price then says the state.
+Prices are undiscounted spot prices in currency per unit.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Exact
+
+from ..contract.schedule import State
+from ..contract.simulator import StorageSimulator, simulator_of
+from .network import PricingPolicy
+from .observation import HEAD, Economics
+
+SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
+
+
+class Triggers(NamedTuple):
+    """Inject where the spot is below `injection`, withdraw above `withdrawal`; NaN where no spot
+    between a third and three times the forward price would make the policy do so."""
+
+    injection: Float[np.ndarray, " n"]
+    withdrawal: Float[np.ndarray, " n"]
+
+
+class Decision(NamedTuple):
+    """Volumes injected and withdrawn on a day, at given inventories: [n] each."""
+
+    injection: np.ndarray
+    withdrawal: np.ndarray
+
+
+def triggers(
+    problem: Problem, policy: PricingPolicy, day: np.ndarray, inventory: np.ndarray
+) -> Triggers:
+    """Trigger prices on the days with these numbers, at these inventories, both [n]."""
+    with jax.enable_x64(True):
+        schedule = problem.schedule
+        now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
+        spots = np.exp(np.linspace(-1.0, 1.0, SPOTS)) * now.forward[:, None]
+        stock = np.asarray(inventory, float)
+        given = (simulator_of(problem), schedule.constants, policy, now, stock, spots)
+        buying, selling = (np.asarray(gain) for gain in _gains(*given))
+    return Triggers(
+        _crossing(spots, buying, falling=True), _crossing(spots, selling, falling=False)
+    )
+
+
+def decide(problem: Problem, policy: PricingPolicy, day: int, inventory: np.ndarray) -> Decision:
+    """The decision of a day at the forward price, at each inventory [n]."""
+    with jax.enable_x64(True):
+        schedule = problem.schedule
+        now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
+        stock = np.asarray(inventory, float)
+        given = (simulator_of(problem), schedule.constants, policy, now, stock)
+        return Decision(*(np.asarray(x) for x in _decided(*given)))
+
+
+@eqx.filter_jit
+def _decided(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories):
+    def one(inventory):
+        price = simulator.process.state_at(constants.price, now.price, now.forward)
+        state = State(inventory, price)
+        seen = simulator.observe(constants, now, state)
+        action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
+        _, outputs = simulator.step(constants, now, state, action, noise, Exact())
+        return outputs["injection"], outputs["withdrawal"]
+
+    return jax.vmap(one)(inventories)
+
+
+@eqx.filter_jit
+def _gains(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots):
+    """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
+
+    def one(now, inventory, spot) -> tuple[Array, Array]:
+        price = simulator.process.state_at(constants.price, now.price, spot)
+        state = State(inventory, price)
+        seen = simulator.observe(constants, now, state)
+        value, economics = policy.marginal_value(seen), Economics(*seen[:HEAD])
+        return value.keep - economics.buy, economics.sell - value.keep
+
+    return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)))(now, inventories, spots)
+
+
+def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:
+    """The spot price at which a gain changes sign, by linear interpolation, per row."""
+    found = np.full(len(spot), np.nan)
+    wanted = -1 if falling else 1
+    for row, (s, g) in enumerate(zip(spot, gain)):
+        change = np.flatnonzero(np.sign(g[1:]) - np.sign(g[:-1]) == 2 * wanted)
+        if change.size:
+            # The crossing nearest to the forward price.
+            i = change[np.argmin(np.abs(change - len(s) // 2))]
+            found[row] = s[i] - g[i] * (s[i + 1] - s[i]) / (g[i + 1] - g[i])
+    return found

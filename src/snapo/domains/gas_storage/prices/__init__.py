@@ -1,0 +1,1 @@
+"""Price processes of the spot: one file each, found by `registry`."""

@@ -1,0 +1,191 @@
+"""`[model]` of kind "one-factor-jumps": a mean-reverting factor, and spikes that die out faster."""
+
+import dataclasses
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.dates import dated, single
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+from snapo.problem.process import integral
+from snapo.problem.simulator import Schedule
+
+from ..read.tables import AMOUNT, FileName, NotNegative
+from .process import (
+    REVERSION,
+    VOLATILITY,
+    YEAR,
+    Delivery,
+    GaussianFactors,
+    PriceProcess,
+    register,
+    use,
+)
+
+
+class JumpTable(Table):
+    """`[model]` of kind "one-factor-jumps"."""
+
+    kind: Literal["one-factor-jumps"]
+    mean_reversion: NotNegative = Field(description="a number of at least 0")
+    volatility: NotNegative | FileName = Field(description=AMOUNT)
+    jump_intensity: float = Field(gt=0, lt=YEAR, description="jumps per year, up to 365")
+    jump_size: float = Field(gt=0, lt=1, description="a number between 0 and 1: the mean of ln S")
+    jump_mean_reversion: NotNegative = Field(description="a number of at least 0")
+
+
+class JumpConstants(NamedTuple):
+    """Of the first shock and of every day: decays, deviation of a day, jump chance and size."""
+
+    first_deviation: Array
+    decay: Array
+    deviation: Array
+    jump_decay: Array
+    threshold: Array
+    size: Array
+    feature: Array
+
+
+class JumpStep(NamedTuple):
+    """Forward price, volatility by delivery day, variance of the factor, ln E of the spikes."""
+
+    forward: Array
+    loading: Array
+    variance: Array
+    compensator: Array
+
+
+@register
+class OneFactorJumps(PriceProcess):
+    """S(T) = F(T) exp(s(T) f(T) - variance / 2 + y(T) - c(T)), c(T) = ln E[exp y(T)].
+
+    f is an Ornstein-Uhlenbeck factor as in "one-factor". y is a sum of upward spikes that decay
+    at `jump_mean_reversion` b: on each day after the valuation date one comes with probability
+    p = 1 - exp(-intensity / 365), of exponentially distributed size of mean eta in ln S. Spikes
+    of n days ago have shrunk by exp(-b n / 365), so c is a sum over days, and E[S(T)] = F(T):
+
+        c(d) = sum_{n=0}^{d-1} ln(1 - p + p / (1 - eta exp(-b n / 365))),   eta < 1.
+
+    A spike is eta x max(0, E - ln(1 / p)) with E = (z1^2 + z2^2) / 2 of two standard normals, which
+    is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. It is continuous in
+    p, so that pathwise derivatives by the intensity are those of the expectation. Source: the jump
+    sizes are those of Kou (2002), upward only, around a mean-reverting spot as in Merton (1976).
+    The state is (f, y).
+    """
+
+    kind = "one-factor-jumps"
+    table = JumpTable
+    martingale = True
+    proportional = True
+    delivery: Delivery = eqx.field(static=True)
+    mean_reversion: Given = eqx.field(static=True)
+    volatility: Given = eqx.field(static=True)
+    jump_intensity: Given = eqx.field(static=True)
+    jump_size: Given = eqx.field(static=True)
+    jump_mean_reversion: Given = eqx.field(static=True)
+    noise_size: int = eqx.field(static=True, default=3)
+
+    @classmethod
+    def read(cls, section: Section, table: JumpTable, delivery: Delivery):
+        def one(key: str, words: str, **said) -> Given:
+            plain = single(key, getattr(table, key), said.pop("unit"))
+            return dataclasses.replace(plain, words=words, **said)
+
+        unit, dates = VOLATILITY["unit"], delivery.dates
+        volatility = dated(section, "volatility", table.volatility, unit, dates, low=0.0)
+        spikes = {"group": "price model"}
+        return cls(  # pyright: ignore[reportCallIssue]
+            delivery,
+            one("mean_reversion", "speed at which the factor returns to zero", **REVERSION),
+            dataclasses.replace(volatility, words="of the factor, by delivery day", **VOLATILITY),
+            one("jump_intensity", "spikes per year", unit="1/year", move=1.0, **spikes),
+            one("jump_size", "mean spike of ln S", unit="1", move=0.01, **spikes),
+            one("jump_mean_reversion", "speed at which a spike dies out", **REVERSION),
+        )
+
+    @property
+    def gap(self) -> int:
+        """Days from the valuation date to the first price."""
+        return round(self.delivery.years[0] * YEAR)
+
+    @property
+    def initial_noise_size(self) -> int:
+        return 1 + 2 * self.gap
+
+    def prepare(self, inputs) -> Schedule:
+        reversion, eta = use(inputs, self.mean_reversion), use(inputs, self.jump_size)
+        days = np.round(np.asarray(self.delivery.years) * YEAR)
+        chance = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
+        # Sizes that a spike has left after 0, 1, … days, and the mean of its exponential.
+        ages = np.arange(max(int(days[-1]), 1))
+        left = eta * jnp.exp(-use(inputs, self.jump_mean_reversion) * ages / YEAR)
+        compensator = jnp.cumsum(jnp.log1p(chance * left / (1 - left)))
+        compensator = jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
+        loading = use(inputs, self.volatility)
+        variance = integral(2 * reversion, days / YEAR)
+        constants = JumpConstants(
+            jnp.sqrt(integral(2 * reversion, days[0] / YEAR)) if days[0] > 0 else jnp.zeros(()),
+            jnp.exp(-reversion / YEAR),
+            jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
+            jnp.exp(-use(inputs, self.jump_mean_reversion) / YEAR),
+            -jnp.log(chance),
+            eta,
+            1 / jnp.sqrt(integral(2 * reversion, 1.0)),
+        )
+        forward = use(inputs, self.delivery.curve)[self.delivery.places]
+        return Schedule(constants, JumpStep(forward, loading, loading**2 * variance, compensator))
+
+    def initial(self, constants, noise):
+        spikes = jnp.zeros(())
+        for day in range(self.gap):
+            one = noise[1 + 2 * day : 3 + 2 * day]
+            spikes = constants.jump_decay * spikes + _spike(constants, one)
+        return jnp.stack([constants.first_deviation * noise[0], spikes])
+
+    def step(self, constants, now, state, noise):
+        factor = constants.decay * state[0] + constants.deviation * noise[0]
+        return jnp.stack([factor, constants.jump_decay * state[1] + _spike(constants, noise[1:])])
+
+    def level(self, constants, now, state):
+        calm = now.loading * state[0] - now.variance / 2
+        return now.forward * jnp.exp(calm + state[1] - now.compensator)
+
+    def forward(self, constants, now):
+        return now.forward
+
+    def observe(self, constants, now, state):
+        return jnp.stack([constants.feature * state[0], state[1] / constants.size])
+
+    def state_at(self, constants, now, spot):
+        moved = jnp.log(spot / now.forward) + now.variance / 2 + now.compensator
+        moved = moved / jnp.where(now.loading > 0, now.loading, 1.0)
+        return jnp.stack([jnp.where(now.loading > 0, moved, 0.0), jnp.zeros_like(moved)])
+
+    def fast(self, state):
+        return state[0]
+
+    def slow_level(self, constants, now, state):
+        # A spike is gone soon: it moves today's price, and hardly the value of gas in store.
+        return jnp.asarray(1.0)
+
+    def factors(self, schedule):
+        """The calm factor alone, as a guide; a lattice in it is not exact."""
+        constants, steps = schedule.constants, schedule.steps
+        count = len(steps.forward)
+        shock = np.full((count, 1, 1), constants.deviation)
+        shock[0] = constants.first_deviation
+        decay = np.full((count, 1), constants.decay)
+        return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
+
+    def words(self) -> str:
+        return "One mean-reverting factor with upward spikes that die out, compensated"
+
+
+def _spike(constants: JumpConstants, noise):
+    excess = (noise[0] ** 2 + noise[1] ** 2) / 2 - constants.threshold
+    return constants.size * jnp.maximum(excess, 0.0)

@@ -1,0 +1,84 @@
+"""`[model]` of kind "multi-factor": correlated factors, each with a volatility by delivery day."""
+
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.table import Section, Table, parse
+
+from ..read.tables import AMOUNT, FileName, NotNegative
+from .given_factors import GivenFactors, read_factors
+from .process import Delivery, register
+
+
+class FactorTable(Table):
+    """One entry of `factors`: { mean_reversion = 12.0, volatility = 0.6 }"""
+
+    mean_reversion: NotNegative = Field(description="a number of at least 0")
+    volatility: NotNegative | FileName = Field(description=AMOUNT)
+
+
+class MultiFactorTable(Table):
+    """`[model]` of kind "multi-factor"; each of `factors` is a `FactorTable`."""
+
+    kind: Literal["multi-factor"]
+    factors: Annotated[list[Any], Field(min_length=1)] = Field(
+        description="a list like [{ mean_reversion = 12.0, volatility = 0.6 }]"
+    )
+    correlation: list[list[float]] | None = Field(
+        None, description="a square matrix of numbers, like [[1.0, 0.3], [0.3, 1.0]]"
+    )
+
+
+@register
+class MultiFactor(GivenFactors):
+    """S = F exp(sum_i s_i f_i - variance / 2), correlated Ornstein-Uhlenbeck factors."""
+
+    kind = "multi-factor"
+    table = MultiFactorTable
+
+    @classmethod
+    def read(cls, section: Section, table: MultiFactorTable, delivery: Delivery):
+        file = str(section.file)
+        factors = [
+            parse(FactorTable, entry, file, f"{section.name}.factors.{number}")
+            for number, entry in enumerate(table.factors, 1)
+        ]
+        correlation = _correlation(section, table.correlation, len(factors))
+        given = read_factors(section, factors, correlation, delivery, numbered=True)
+        return cls(delivery, *given)  # pyright: ignore[reportCallIssue]
+
+    def words(self) -> str:
+        return "Correlated mean-reverting factors"
+
+
+def _correlation(section: Section, given, size: int) -> list[float]:
+    """The strict lower triangle of a matrix that is checked to be a correlation matrix."""
+    if given is None and size == 1:
+        return []
+    if given is None:
+        what = f"{size} factors need a correlation matrix of {size} rows and {size} columns"
+        raise section.error("correlation", None, what)
+    if len(given) != size or any(len(row) != size for row in given):
+        what = f"{size} factors need {size} rows and {size} columns"
+        raise section.error("correlation", given, what)
+    matrix = np.array(given, np.float64)
+    for i in range(size):
+        if matrix[i, i] != 1:
+            raise section.error(f"correlation.{i + 1},{i + 1}", matrix[i, i], "allowed is 1")
+        for j in range(i):
+            if matrix[i, j] != matrix[j, i]:
+                what = f"the matrix must be symmetric, and {j + 1},{i + 1} is {matrix[j, i]:g}"
+                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], what)
+            if not -1 <= matrix[i, j] <= 1:
+                what = "allowed is a number from -1 to 1"
+                raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], what)
+    smallest = float(np.linalg.eigvalsh(matrix)[0])
+    if smallest <= 1e-12:
+        what = (
+            "a correlation matrix must be positive definite, and the least eigenvalue of this "
+            f"one is {smallest:.3g}; factors that move as one are one factor"
+        )
+        raise section.error("correlation", given, what)
+    return list(matrix[np.tril_indices(size, -1)])

@@ -1,0 +1,150 @@
+"""A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
+
+Everything that depends on the kind of price stands in its class: its table in the case file, its
+parameters, noise, dynamics, forward price, words. Nothing outside asks which kind it is.
+"""
+
+import abc
+import datetime
+from collections.abc import Sequence
+from typing import Any, NamedTuple, Self
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+from snapo.problem.process import Process
+from snapo.problem.scenarios import Sources
+
+YEAR = 365.0
+
+# All that is said about a volatility and about a mean reversion; see `Given`.
+VOLATILITY: dict[str, Any] = {
+    "unit": "1/sqrt(year)",
+    "move": 0.01,
+    "trade_unit": "volatility point",
+    "trade_factor": 100.0,
+    "group": "volatility",
+}
+REVERSION: dict[str, Any] = {"unit": "1/year", "move": 1.0, "group": "price model"}
+
+
+class Delivery(NamedTuple):
+    """The days that a process has prices for, and the market around it.
+
+    - `days`: the T decision days; `end`: the end date, which comes after them as number T.
+    - `price_days`: those that need a price: the end date only where gas left is paid by it.
+    - `valuation`: the day on which the curve is known.
+    - `curve`: the forward price of each of `price_days`.
+    """
+
+    days: Sequence[datetime.date]
+    price_days: Sequence[datetime.date]
+    end: datetime.date
+    valuation: datetime.date
+    curve: Given
+
+    @property
+    def dates(self) -> tuple[datetime.date, ...]:
+        """[T + 1] the decision days and the end date."""
+        return (*self.days, self.end)
+
+    @property
+    def years(self) -> tuple[float, ...]:
+        """[T + 1] time of each date from the valuation date, Act/365, not negative."""
+        return tuple(max((date - self.valuation).days, 0) / YEAR for date in self.dates)
+
+    @property
+    def places(self) -> np.ndarray:
+        """[T + 1] the entry of the curve of each date; an end date without a price has the last."""
+        return np.minimum(np.arange(len(self.days) + 1), max(len(self.price_days) - 1, 0))
+
+
+class GaussianFactors(NamedTuple):
+    """Factors of ln S as a dynamic program reads them, on the T days and the end date.
+
+    - `loading` [T + 1, F], `variance` [T + 1] of ln S.
+    - `decay` [T + 1, F] and `shock` [T + 1, F, F] (lower Cholesky factor) lead INTO each date, the
+      first from the valuation date, where all factors are 0.
+    - `fast`: the factor in which a one-factor dynamic program is written.
+    - `exact`: whether these factors are the whole process; a lattice then gives the exact value.
+    """
+
+    loading: np.ndarray
+    variance: np.ndarray
+    decay: np.ndarray
+    shock: np.ndarray
+    fast: int = 0
+    exact: bool = True
+
+
+class PriceProcess(Process):
+    """A price process of a store: its answers beyond the core's `Process`.
+
+    The level is the spot price in currency per unit; the state is that of the prices alone.
+    `prepare` gives T + 1 rows: the decision days, and the end date.
+
+    **Class attributes:** `kind`, the name in `[model]`; `table`, its keys.
+
+    **Attributes:** `proportional`: whether every price is the forward price times noise, so that
+    it scales with the curve (which must then be positive).
+    """
+
+    kind: eqx.AbstractClassVar[str]
+    table: eqx.AbstractClassVar[type[Table]]
+    proportional: eqx.AbstractVar[bool]
+
+    @classmethod
+    @abc.abstractmethod
+    def read(cls, section: Section, table: Any, delivery: Delivery) -> Self:
+        """The process from its table in the case file."""
+
+    @abc.abstractmethod
+    def state_at(self, constants, now, spot: Float[Array, ""]):
+        """The state in which the spot has this price: the fast factor moved, the others at rest."""
+
+    @abc.abstractmethod
+    def fast(self, state) -> Float[Array, ""]:
+        """The coordinate of the state in which the one-factor dynamic program is written."""
+
+    @abc.abstractmethod
+    def slow_level(self, constants, now, state) -> Float[Array, ""]:
+        """The price level without the fast factor, relative to the forward curve: about 1."""
+
+    @abc.abstractmethod
+    def factors(self, schedule) -> GaussianFactors | None:
+        """Factors for dynamic programs, from the process's own prepared schedule; None: none."""
+
+    def sources(self, seed: int) -> Sources | None:
+        """Scenarios of its own for every role, in place of drawn normals."""
+        return None
+
+
+def use(inputs: dict[str, Any], given: Given):
+    """The numbers of an input where they are used: its values at `given.index`."""
+    if not given.values.size:
+        return jnp.zeros(given.index.shape)
+    return jnp.asarray(inputs[given.name])[given.index]
+
+
+KINDS: dict[str, type[PriceProcess]] = {}
+
+
+def register(process: type[PriceProcess]) -> type[PriceProcess]:
+    """Makes a process known under its `kind`; one that lacks a part of its behaviour is refused."""
+    missing = lacks(process)
+    if missing:
+        raise TypeError(f"price process {process.__name__} lacks {', '.join(missing)}")
+    if process.kind in KINDS:
+        raise TypeError(f"price process {process.__name__}: {process.kind!r} is known already")
+    KINDS[process.kind] = process
+    return process
+
+
+def lacks(process: type[PriceProcess]) -> list[str]:
+    """Names of the methods and attributes of the contract that a class leaves open."""
+    marks = ("__abstractmethods__", "__abstractvars__", "__abstractclassvars__")
+    return sorted(name for mark in marks for name in getattr(process, mark, ()))

@@ -1,0 +1,44 @@
+"""Finds the price processes of this folder, and reads `[model]` with the one that it names."""
+
+import pkgutil
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.table import Section, parse
+
+from .process import KINDS, Delivery, PriceProcess
+
+for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
+    if _file.name != Path(__file__).stem:
+        import_module(f"{__package__}.{_file.name}")
+
+
+def kinds() -> dict[str, type[PriceProcess]]:
+    """Every known process under its name in `[model]`."""
+    return dict(KINDS)
+
+
+def read_prices(section: Section, data: Mapping[str, Any], delivery: Delivery) -> PriceProcess:
+    """The price process of the table `[model]`, here `data`."""
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        known = ", ".join(f'"{each}"' for each in sorted(KINDS))
+        raise section.error("kind", kind, f"allowed is one of {known}")
+    process = KINDS[kind]
+    table = parse(process.table, data, str(section.file), section.name)
+    return process.read(section, table, delivery)
+
+
+def check_curve(file: str, process: PriceProcess, delivery: Delivery) -> None:
+    """Raises `CaseError` where a price proportional to the forward curve meets one not above 0."""
+    curve = delivery.curve
+    if not process.proportional:
+        return
+    for t in np.flatnonzero(curve.values <= 0)[:1]:
+        what = f'model kind "{process.kind}" multiplies the forward price and needs it above 0'
+        raise CaseError(file, curve.labels[t], float(curve.values[t]), what)

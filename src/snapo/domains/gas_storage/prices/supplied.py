@@ -1,0 +1,155 @@
+"""`[model]` of kind "supplied": price paths of one's own, from two different files."""
+
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.csv import Mention, read_array
+from snapo.case.error import CaseError, Unquoted
+from snapo.case.table import Section, Table
+from snapo.problem.scenarios import Sources, Supplied
+from snapo.problem.simulator import Schedule
+
+from ..read.tables import FileName
+from .process import Delivery, PriceProcess, register, use
+
+
+class SuppliedTable(Table):
+    """`[model]` of kind "supplied"."""
+
+    kind: Literal["supplied"]
+    training_paths: FileName = Field(description="the name of a .npy or .parquet file")
+    evaluation_paths: FileName = Field(description="the name of a .npy or .parquet file")
+    rescale_to_curve: bool = Field(False, description="true or false")
+
+
+@dataclass(frozen=True, eq=False)
+class Paths:
+    """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] where
+    the end date needs a price."""
+
+    training: np.ndarray
+    evaluation: np.ndarray
+
+
+class SuppliedStep(NamedTuple):
+    """The forward price of the day."""
+
+    forward: Array
+
+
+@register
+class SuppliedPrices(PriceProcess):
+    """Prices as they stand in a file; its paths take the place of the noise.
+
+    With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
+    own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,
+    and the forward curve plays no part in them.
+    """
+
+    kind = "supplied"
+    table = SuppliedTable
+    martingale = False
+    delivery: Delivery = eqx.field(static=True)
+    of: Paths = eqx.field(static=True)
+    rescaled: bool = eqx.field(static=True)
+    noise_size: int = eqx.field(static=True, default=1)
+
+    @classmethod
+    def read(cls, section: Section, table: SuppliedTable, delivery: Delivery):
+        days = delivery.price_days
+        if not days:
+            # No decision is left: whatever the paths say is over.
+            none = Paths(np.zeros((2, 0)), np.zeros((2, 0)))
+            return cls(delivery, none, table.rescale_to_curve)  # pyright: ignore
+        span = f"one for each day from {days[0]} to {days[-1]}"
+        mentions = [
+            Mention(section, key, getattr(table, key))
+            for key in ("training_paths", "evaluation_paths")
+        ]
+        arrays = [read_array(mention, len(days), span) for mention in mentions]
+        if np.array_equal(arrays[0], arrays[1]):
+            what = "this holds the same paths as training_paths; evaluation needs paths of its own"
+            raise mentions[1].error(what)
+        if table.rescale_to_curve:
+            arrays = [
+                _noise(mention.name, array, days)
+                for mention, array in zip(mentions, arrays, strict=True)
+            ]
+        return cls(delivery, Paths(*arrays), table.rescale_to_curve)  # pyright: ignore[reportCallIssue]
+
+    @property
+    def proportional(self) -> bool:
+        return self.rescaled
+
+    @property
+    def initial_noise_size(self) -> int:
+        return 1
+
+    def prepare(self, inputs) -> Schedule:
+        curve = use(inputs, self.delivery.curve)[self.delivery.places]
+        scale = float(np.mean(np.abs(self.delivery.curve.used()))) or 1.0
+        return Schedule(jnp.asarray(1.0 if self.rescaled else scale), SuppliedStep(curve))
+
+    def initial(self, constants, noise):
+        return noise
+
+    def step(self, constants, now, state, noise):
+        return noise
+
+    def level(self, constants, now, state):
+        return now.forward * state[0] if self.rescaled else state[0]
+
+    def forward(self, constants, now):
+        return now.forward
+
+    def observe(self, constants, now, state):
+        return state / constants
+
+    def state_at(self, constants, now, spot):
+        return jnp.atleast_1d(spot / now.forward if self.rescaled else spot)
+
+    def fast(self, state):
+        return jnp.zeros(())
+
+    def slow_level(self, constants, now, state):
+        return jnp.asarray(1.0)
+
+    def factors(self, schedule):
+        return None
+
+    def sources(self, seed: int) -> Sources:
+        """Three quarters of the training paths train, the others validate; evaluation has its own.
+
+        The first day's price starts a path; the days after it are its noise.
+        """
+        training = self._scenarios(self.of.training, seed)
+        first = max(1, 3 * training.size // 4)
+        validation = training.part(min(first, training.size - 1), training.size)
+        evaluation = self._scenarios(self.of.evaluation, seed)
+        return Sources(training.part(0, first), validation, evaluation)
+
+    def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:
+        days = len(self.delivery.days)
+        later = np.zeros((days, len(paths), 1))
+        following = paths[:, 1 : days + 1].T
+        later[: len(following), :, 0] = following
+        return Supplied(later, paths[:, :1], seed)
+
+    def words(self) -> str:
+        return "Supplied price paths" + (", rescaled to the forward curve" * self.rescaled)
+
+
+def _noise(name: str, array: np.ndarray, days) -> np.ndarray:
+    """The paths over their mean of the day, so that the expected spot is the forward price."""
+    mean = array.mean(axis=0)
+    for column in np.flatnonzero(mean <= 0)[:1]:
+        got = Unquoted(f"a mean price of {mean[column]:g}")
+        what = "rescale_to_curve needs a mean above 0 on every day"
+        raise CaseError(name, f"day {days[column]}", got, what)
+    return array / mean

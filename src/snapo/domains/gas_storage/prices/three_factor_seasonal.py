@@ -1,0 +1,98 @@
+"""`[model]` of kind "three-factor-seasonal": independent spot, long-term and seasonal factors."""
+
+import dataclasses
+import datetime
+import math
+from collections.abc import Sequence
+from typing import Literal
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from pydantic import Field
+
+from snapo.case.dates import single
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+from snapo.problem.process import Factors
+
+from ..read.tables import NotNegative
+from .factor_prices import FactorPrices
+from .process import REVERSION, VOLATILITY, Delivery, register, use
+
+
+class SeasonalTable(Table):
+    """`[model]` of kind "three-factor-seasonal"."""
+
+    kind: Literal["three-factor-seasonal"]
+    spot_mean_reversion: NotNegative = Field(description="a number of at least 0")
+    spot_volatility: NotNegative = Field(description="a number of at least 0")
+    long_term_volatility: NotNegative = Field(description="a number of at least 0")
+    seasonal_volatility: NotNegative = Field(description="a number of at least 0")
+
+
+@register
+class ThreeFactorSeasonal(FactorPrices):
+    """Loadings: s_spot (mean reversion a), s_long (none), s_seas(T) = `seasonal_volatility` / 2 x
+    `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
+
+    - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
+      `seasonal_volatility` (1/sqrt(year)): one number each, index [].
+    - `season`: [T + 1] cos(2 pi d / 365.25), d = days from 1 February of the valuation year.
+    """
+
+    kind = "three-factor-seasonal"
+    table = SeasonalTable
+    delivery: Delivery = eqx.field(static=True)
+    spot_mean_reversion: Given = eqx.field(static=True)
+    spot_volatility: Given = eqx.field(static=True)
+    long_term_volatility: Given = eqx.field(static=True)
+    seasonal_volatility: Given = eqx.field(static=True)
+    noise_size: int = eqx.field(static=True, default=3)
+
+    @classmethod
+    def read(cls, section: Section, table: SeasonalTable, delivery: Delivery):
+        def given(key: str, said: dict, words: str) -> Given:
+            plain = single(key, getattr(table, key), said["unit"])
+            return dataclasses.replace(plain, words=words, **said)
+
+        return cls(  # pyright: ignore[reportCallIssue]
+            delivery,
+            given("spot_mean_reversion", REVERSION, "speed at which the spot returns to the curve"),
+            given("spot_volatility", VOLATILITY, "of the fast factor, which reverts"),
+            given("long_term_volatility", VOLATILITY, "of the whole curve, in parallel"),
+            given("seasonal_volatility", VOLATILITY, "of the summer-winter spread"),
+        )
+
+    @property
+    def season(self) -> np.ndarray:
+        return season(self.delivery.dates, self.delivery.valuation)
+
+    @property
+    def fast_factor(self) -> int:
+        return 0
+
+    def parameters(self, inputs) -> Factors:
+        reversion = use(inputs, self.spot_mean_reversion)
+        zero, flat = jnp.zeros_like(reversion), jnp.ones(len(self.times))
+        loading = (
+            use(inputs, self.spot_volatility) * flat,
+            use(inputs, self.long_term_volatility) * flat,
+            use(inputs, self.seasonal_volatility) / 2 * self.season,
+        )
+        return Factors(
+            use(inputs, self.delivery.curve)[self.delivery.places],
+            jnp.stack([reversion, zero, zero]),
+            jnp.stack(loading, axis=1),
+            jnp.eye(3),
+        )
+
+    def words(self) -> str:
+        return "Three factors: spot (mean-reverting), long-term, seasonal"
+
+
+def season(dates: Sequence[datetime.date], valuation: datetime.date) -> np.ndarray:
+    """cos(2 pi d / 365.25), d = days from 1 February of the valuation year to each date."""
+    peak = datetime.date(valuation.year, 2, 1)
+    days = np.array([(date - peak).days for date in dates], np.float64)
+    return np.cos(2 * math.pi * days / 365.25)

@@ -1,0 +1,117 @@
+"""Reads the bounds of the flows: inventory limits, rates by inventory, and outages."""
+
+import dataclasses
+import datetime
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from snapo.case.csv import DAY, Mention, read_rows
+from snapo.case.dates import dated, ordinals
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..contract.records import Ratchets
+from .ratchets import GROUP, LIMIT, read_ratchets
+from .tables import ContractTable
+
+
+@dataclass(frozen=True, eq=False)
+class Limits:
+    """The fields of `Contract` with the same names."""
+
+    min_inventory: Given
+    max_inventory: Given
+    ratchets: Ratchets
+    injection_factor: np.ndarray
+    withdrawal_factor: np.ndarray
+
+    def moving(self) -> np.ndarray:
+        """[T] whether gas can move on the day at any inventory."""
+        injection = self.ratchets.injection.used().max(axis=1) * self.injection_factor
+        withdrawal = self.ratchets.withdrawal.used().max(axis=1) * self.withdrawal_factor
+        return (injection > 0) | (withdrawal > 0)
+
+
+def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.date]) -> Limits:
+    """The limits on the decision days [T], those of inventory also on the end date."""
+    dates = (*days, table.end)
+
+    def inventory(key: str, before: float | None) -> Given:
+        given, unit = getattr(table, key), table.volume_unit
+        return dated(section, key, given, unit, dates, low=0.0, before=before)
+
+    minimum = inventory("min_inventory", 0.0)
+    maximum = inventory("max_inventory", None)
+    _check_limits(section, dates, minimum, maximum)
+    ratchets = read_ratchets(section, table, days, minimum.used(), maximum.used())
+    return Limits(
+        dataclasses.replace(
+            minimum, words="least gas in store", group=GROUP, move=little(ratchets)
+        ),
+        dataclasses.replace(maximum, words="most gas in store", **LIMIT),
+        ratchets,
+        *read_outages(section, table, days),
+    )
+
+
+def little(ratchets: Ratchets) -> float:
+    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
+    rates = (ratchets.injection.used(), ratchets.withdrawal.used())
+    largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
+    return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
+
+
+def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> None:
+    crossed = np.flatnonzero(minimum.used() > maximum.used())
+    if len(crossed):
+        t = crossed[0]
+        what = f"on {dates[t]} it lies above max_inventory, {maximum.used()[t]:g}"
+        raise section.error("min_inventory", minimum.used()[t], what)
+
+
+def read_outages(
+    section: Section, table: ContractTable, days: Sequence[datetime.date]
+) -> tuple[np.ndarray, np.ndarray]:
+    """[T] shares of the injection and the withdrawal rates that outages leave; the least counts."""
+    factors = np.ones((2, len(days)))
+    day_numbers = ordinals(days)
+    for first, last, *left in _outages(section, table.outages):
+        during = (day_numbers >= first.toordinal()) & (day_numbers <= last.toordinal())
+        for factor, share in zip(factors, left, strict=True):
+            factor[during] = np.minimum(factor[during], share)
+    return factors[0], factors[1]
+
+
+Outage = tuple[datetime.date, datetime.date, float, float]
+
+
+def _outages(section: Section, given: list[str] | str) -> list[Outage]:
+    if isinstance(given, str):
+        columns = ("from", "to", "injection_factor", "withdrawal_factor")
+        found = []
+        for row in read_rows(Mention(section, "outages", given), columns):
+            first, last = row.day("from"), row.day("to")
+            if last < first:
+                raise row.error("to", f"its last day cannot lie before its first, {first}")
+            found.append((first, last, *(row.number(column, 0.0, 1.0) for column in columns[2:])))
+        return found
+    found = []
+    for text in given:
+        try:
+            first, last = map(_day, text.split("/"))
+        except ValueError:
+            what = 'an outage is written "2021-07-01/2021-07-14", first day and last day'
+            raise section.error("outages", text, what) from None
+        if last < first:
+            raise section.error("outages", text, "the last day cannot be before the first")
+        found.append((first, last, 0.0, 0.0))
+    return found
+
+
+def _day(text: str) -> datetime.date:
+    if not DAY.fullmatch(text.strip()):
+        raise ValueError(text)
+    return datetime.date.fromisoformat(text.strip())

@@ -1,0 +1,147 @@
+"""Reads how fast gas may move: dated ratchet blocks, or one rate for every inventory."""
+
+import dataclasses
+import datetime
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.dates import dated, ordinals, single
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..contract.records import Ratchets
+from .tables import ContractTable
+
+COLUMNS = ("date", "inventory", "max_withdrawal", "max_injection")
+GROUP = "contract"
+LIMIT: dict[str, Any] = {"group": GROUP, "move": 1.0}
+WORDS = {
+    "max_injection": "most injection per day",
+    "max_withdrawal": "most withdrawal per day",
+    "ratchet_inventory": "inventories of the ratchet rows",
+    "ratchet_injection": "most injection per day, by inventory",
+    "ratchet_withdrawal": "most withdrawal per day, by inventory",
+}
+
+
+def read_ratchets(
+    section: Section,
+    table: ContractTable,
+    days: Sequence[datetime.date],
+    minimum: np.ndarray,
+    maximum: np.ndarray,
+) -> Ratchets:
+    """The rates of `days` [T]; `minimum`, `maximum`: the inventory limits that rows must span."""
+    plain = [key for key in ("max_injection", "max_withdrawal") if getattr(table, key) is not None]
+    if table.ratchets is None:
+        return _plain_rates(section, table, plain, days)
+    if plain:
+        what = f"give either {plain[0]} or ratchets, not both"
+        raise section.error(plain[0], getattr(table, plain[0]), what)
+    rows = read_rows(Mention(section, "ratchets", table.ratchets), COLUMNS)
+    blocks = read_blocks(rows)
+    index = _rows_by_day(table.ratchets, blocks, days)
+    ratchets = _ratchets(rows, blocks, index, table)
+    _check_span(table, ratchets, days, minimum, maximum)
+    return ratchets
+
+
+def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
+    for key in ("max_injection", "max_withdrawal"):
+        if key not in plain:
+            raise section.error(key, None, "this key is missing; give both max rates, or ratchets")
+
+    def rate(key: str) -> Given:
+        unit = f"{table.volume_unit}/day"
+        given = dated(section, key, getattr(table, key), unit, days, low=0.0)
+        return dataclasses.replace(given, index=given.index[:, None], words=WORDS[key], **LIMIT)
+
+    zero = single("ratchet_inventory", 0.0, table.volume_unit)
+    everywhere = np.zeros((len(days), 1), np.int64)
+    said = {"index": everywhere, "words": WORDS[zero.name]}
+    inventory = dataclasses.replace(zero, **said, **LIMIT)
+    return Ratchets(inventory, rate("max_withdrawal"), rate("max_injection"), "step")
+
+
+Block = tuple[datetime.date, list[int]]
+
+
+def read_blocks(rows: Sequence[Row]) -> list[Block]:
+    """Groups rows by date: each block with its date and its row numbers, inventories rising.
+
+    A row continues the block when its date is empty, or the same again.
+    """
+    blocks: list[Block] = []
+    for number, row in enumerate(rows):
+        date = row.day("date") if row.cells["date"] else None
+        if date is None and not blocks:
+            raise row.error("date", "the first row needs the date from which its block holds")
+        if date is None or (blocks and date == blocks[-1][0]):
+            _check_rises(rows[blocks[-1][1][-1]], row)
+            blocks[-1][1].append(number)
+        elif blocks and date < blocks[-1][0]:
+            what = f"blocks must be in order of date, and the one before is of {blocks[-1][0]}"
+            raise row.error("date", what)
+        else:
+            blocks.append((date, [number]))
+    return blocks
+
+
+def _check_rises(before: Row, row: Row) -> None:
+    level = before.number("inventory", 0.0)
+    if row.number("inventory", 0.0) <= level:
+        what = f"within a block inventories must rise, and the row before has {level:g}"
+        raise row.error("inventory", what)
+
+
+def _rows_by_day(name: str, blocks: Sequence[Block], days) -> np.ndarray:
+    """[T, K] row numbers of the block of each day; short blocks repeat their last row."""
+    most = max(len(numbers) for _, numbers in blocks)
+    padded = np.array([numbers + numbers[-1:] * (most - len(numbers)) for _, numbers in blocks])
+    starts = ordinals([date for date, _ in blocks])
+    if days and blocks[0][0] > days[0]:
+        what = f"ratchets are needed from {days[0]} on, and the first block holds from then"
+        raise CaseError(name, "date", blocks[0][0], what)
+    return padded[np.searchsorted(starts, ordinals(days), side="right") - 1]
+
+
+def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets:
+    dates = {number: date for date, numbers in blocks for number in numbers}
+    levels = [row.number("inventory", 0.0) for row in rows]
+    labels = tuple(f"{dates[number]} at {level:g}" for number, level in enumerate(levels))
+
+    def column(name: str, values, unit: str) -> Given:
+        numbers = np.array(values, np.float64)
+        return Given(name, numbers, labels, unit, index, words=WORDS[name], **LIMIT)
+
+    rate = f"{table.volume_unit}/day"
+    withdrawal = [row.number("max_withdrawal", 0.0) for row in rows]
+    injection = [row.number("max_injection", 0.0) for row in rows]
+    return Ratchets(
+        column("ratchet_inventory", levels, table.volume_unit),
+        column("ratchet_withdrawal", withdrawal, rate),
+        column("ratchet_injection", injection, rate),
+        table.ratchet_interpolation,
+    )
+
+
+def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum) -> None:
+    """Every inventory within the limits of a day needs rates: no extrapolation."""
+    levels = ratchets.inventory.used()
+    low, high = levels[:, 0], levels[:, -1]
+    linear = ratchets.interpolation == "linear"
+    short = (low > minimum[:-1]) | (linear & (high < maximum[:-1]))
+    for t in np.flatnonzero(short)[:1]:
+        block = ratchets.inventory.labels[ratchets.inventory.index[t, 0]].split(" ")[0]
+        below = low[t] > minimum[t]
+        key, limit = ("min_inventory", minimum[t]) if below else ("max_inventory", maximum[t])
+        level = low[t] if below else high[t]
+        what = (
+            f"the {'first' if below else 'last'} row of this block must reach {key}, "
+            f"{limit:g} on {days[t]}"
+        )
+        raise CaseError(str(table.ratchets), f"block of {block}", float(level), what)

@@ -1,0 +1,137 @@
+"""One decision day seen by a dynamic program: feasible volumes and their cost.
+
+Everything here is plain NumPy in float64 and reads the prepared schedule with NumPy leaves. All
+money is a present value on the valuation date, all volumes are in the contract's unit. Columns
+(the last axis) are nodes of the price factors, or price paths.
+"""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+import scipy.sparse as sparse
+
+Interpolation = Literal["linear", "step"]
+
+# Widths below this fraction of the largest inventory count as one point.
+POINT = 1e-9
+
+
+class Rates(NamedTuple):
+    """Daily rate limits of one day, linear between rising inventory levels, flat outside. [K]"""
+
+    levels: np.ndarray
+    withdrawal: np.ndarray
+    injection: np.ndarray
+
+
+class Moves(NamedTuple):
+    """Inventory at the end of the day that each inventory at its start can reach. [n]
+
+    `keep` is the rest of it without any flow (after losses), `down` and `up` the least and
+    the greatest that the contract allows, `hold` the allowed one that is nearest to `keep`.
+    """
+
+    keep: np.ndarray
+    down: np.ndarray
+    hold: np.ndarray
+    up: np.ndarray
+
+
+class UnitPrices(NamedTuple):
+    """Present value that one unit injected costs, and that one unit withdrawn earns. [columns]"""
+
+    pay: np.ndarray
+    earn: np.ndarray
+
+
+def volume_scale(schedule) -> float:
+    """The largest inventory that any day allows: the unit of volume tolerances."""
+    steps = schedule.steps
+    return float(max(np.max(steps.high, initial=0.0), np.max(steps.next_high, initial=0.0), 1e-300))
+
+
+def rates(schedule, interpolation: Interpolation, t: int) -> Rates:
+    """The day's ratchets as continuous piecewise-linear functions of the inventory.
+
+    With step ratchets (the row at or below holds) a jump at a level becomes a ramp that ends at
+    the level and is 1e-9 of the largest inventory wide: a dynamic program then needs one
+    kind of function only, and can gain no more than that volume by it.
+    """
+    steps = schedule.steps
+    levels, first = np.unique(steps.levels[t], return_index=True)
+    withdrawal, injection = steps.withdrawal_rate[t][first], steps.injection_rate[t][first]
+    if interpolation == "linear" or len(levels) == 1:
+        return Rates(levels, withdrawal, injection)
+    ramp = POINT * volume_scale(schedule)
+    knots = np.append(levels[0], np.stack([levels[1:] - ramp, levels[1:]], axis=1))
+    row = np.arange(len(knots)) // 2
+    return Rates(knots, withdrawal[row], injection[row])
+
+
+def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
+    """The inventories at the end of day t that those at its start [n] can become.
+
+    Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
+    """
+    steps = schedule.steps
+    keep = inventory * (1 - steps.inventory_loss[t])
+    most_out = np.interp(inventory, day_rates.levels, day_rates.withdrawal)
+    most_in = np.interp(inventory, day_rates.levels, day_rates.injection)
+    least = steps.min_injection[t] if steps.min_injection[t] > 0 else -most_out
+    most = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else most_in
+    down = np.clip(keep + least, steps.next_low[t], steps.next_high[t])
+    up = np.clip(keep + most, steps.next_low[t], steps.next_high[t])
+    up = np.maximum(up, down)
+    return Moves(keep, down, np.clip(keep, down, up), up)
+
+
+def unit_prices(schedule, t: int, spot: np.ndarray) -> UnitPrices:
+    """A withdrawal earns q (1 - fuel) S, an injection pays q (1 + fuel) S; both pay their cost."""
+    steps = schedule.steps
+    gas = spot * steps.gas_discount[t]
+    pay = gas * (1 + steps.injection_fuel[t])
+    earn = gas * (1 - steps.withdrawal_fuel[t])
+    return UnitPrices(
+        pay + steps.injection_cost[t] * steps.injection_cost_discount[t],
+        earn - steps.withdrawal_cost[t] * steps.withdrawal_cost_discount[t],
+    )
+
+
+def holding_cost(schedule, t: int, inventory: np.ndarray) -> np.ndarray:
+    """Present value of keeping the inventory [n] at the start of day t for that day. [n]"""
+    steps = schedule.steps
+    return steps.inventory_cost[t] * steps.flow_discount[t] * inventory
+
+
+def end_value(schedule, inventory: np.ndarray, spot) -> np.ndarray:
+    """Present value of the gas left on the end date, at that day's spot price.
+
+    The shape is that of `inventory` and `spot` together; both parts of the contract's rule are
+    paid on the end date.
+    """
+    constants = schedule.constants
+    levels, first = np.unique(constants.end_levels, return_index=True)
+    table = np.interp(inventory, levels, constants.end_values[first])
+    return (table + constants.end_fraction * inventory * spot) * constants.end_discount
+
+
+def cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
+    """Present value earned by net injections [n] (withdrawals negative). [n, columns]"""
+    injected, withdrawn = np.maximum(net, 0.0), np.maximum(-net, 0.0)
+    return withdrawn[:, None] * prices.earn - injected[:, None] * prices.pay
+
+
+def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> sparse.csr_array:
+    """Linear interpolation from rising nodes [m] to points [n], flat outside. [n, m], sparse
+
+    Linear on purpose: it keeps the order of values, and on a concave value it can only lose.
+    """
+    count, size = len(points), len(nodes)
+    if size == 1:
+        return sparse.csr_array(np.ones((count, 1)))
+    points = np.clip(points, nodes[0], nodes[-1])
+    left = np.clip(np.searchsorted(nodes, points, side="right") - 1, 0, size - 2)
+    share = (points - nodes[left]) / (nodes[left + 1] - nodes[left])
+    weights = np.stack([1 - share, share], axis=1).ravel()
+    columns = np.stack([left, left + 1], axis=1).ravel()
+    return sparse.csr_array((weights, columns, np.arange(0, 2 * count + 1, 2)), (count, size))

@@ -1,0 +1,76 @@
+"""The intrinsic value: the best plan of trades against today's forward curve, without any noise."""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .day_terms import Interpolation, UnitPrices, end_value, unit_prices
+from .piecewise import Line, best_move, day_value, visited
+
+
+class Plan(NamedTuple):
+    """A plan of trades, fixed today.
+
+    - `value`: present value on the valuation date, in the contract's currency.
+    - `net`: net volume put into store on each day, withdrawals negative, [T].
+    - `inventory`: in store at the start of each day, and on the end date, [T + 1].
+    """
+
+    value: float
+    net: np.ndarray
+    inventory: np.ndarray
+
+
+def intrinsic(schedule, interpolation: Interpolation) -> Plan:
+    """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
+
+    Exact to rounding for every contract: ratchets of any shape, linear or step, any end value. It
+    needs no grid, see `piecewise`. For concave contracts `intrinsic_by_linear_program` checks it.
+    """
+    low, high = visited(schedule, interpolation)
+    after = values_after(schedule, interpolation, low, high)
+    inventory = np.empty(len(after) + 1)
+    inventory[0] = schedule.constants.inventory
+    for t, line in enumerate(after):
+        prices = forward_prices(schedule, t)
+        inventory[t + 1] = best_move(schedule, interpolation, t, prices, line, inventory[t])
+    return plan(schedule, inventory)
+
+
+def values_after(schedule, interpolation: Interpolation, low, high) -> list[Line]:
+    """The value of gas at the END of each day, when all prices are today's forward prices.
+
+    Exact on [low[t + 1], high[t + 1]], the T + 1 intervals being given; present values.
+    """
+    horizon = len(schedule.steps.forward)
+    line = _end_line(schedule, low[horizon], high[horizon])
+    after = [line] * horizon
+    for t in reversed(range(horizon)):
+        after[t] = line
+        prices = forward_prices(schedule, t)
+        line = day_value(schedule, interpolation, t, prices, line, low[t], high[t])
+    return after
+
+
+def forward_prices(schedule, t: int) -> UnitPrices:
+    """Cost and proceeds of a unit on day t at the forward price."""
+    return unit_prices(schedule, t, schedule.steps.forward[t])
+
+
+def _end_line(schedule, low: float, high: float) -> Line:
+    levels = schedule.constants.end_levels
+    inside = levels[(levels > low) & (levels < high)]
+    at = np.unique(np.concatenate([[low], inside, [high]]))
+    return Line(at, end_value(schedule, at, schedule.constants.end_forward))
+
+
+def plan(schedule, inventory: np.ndarray) -> Plan:
+    """Prices a plan [T + 1] at the forward curve: value and net volumes follow from the stock."""
+    steps = schedule.steps
+    net = inventory[1:] - inventory[:-1] * (1 - steps.inventory_loss)
+    value = end_value(schedule, inventory[-1:], schedule.constants.end_forward)[0]
+    for t, volume in enumerate(net):
+        prices = forward_prices(schedule, t)
+        value -= volume * (prices.pay if volume > 0 else prices.earn)
+        value -= steps.inventory_cost[t] * steps.flow_discount[t] * inventory[t]
+    return Plan(float(value), net, inventory)

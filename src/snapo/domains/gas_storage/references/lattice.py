@@ -1,0 +1,153 @@
+"""Dynamic programming in time, inventory and one or two price factors.
+
+Each day has a grid of inventories: the multiples of one spacing that the starting inventory can
+lead to, with both ends of the interval and the ratchet levels. Values are linear in the inventory
+between them and decisions are feasible to rounding, so on a concave contract that grid can only
+make the result low. `factor_grid` says how the factors are integrated.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..prices.process import GaussianFactors
+from .day_terms import Interpolation, end_value, rates, unit_prices, volume_scale
+from .factor_grid import FactorGrid, factor_grid
+from .lattice_day import Decisions, Volumes, decide, follow, free_volumes, inventory_nodes
+from .piecewise import visited
+
+
+@dataclass(frozen=True, eq=False)
+class LatticeResult:
+    """Result of the dynamic program. Money is a present value on the valuation date.
+
+    - `value`: of the contract, before fixed costs.
+    - `deltas`: [T] derivative of the value by each day's forward price, in discounted volume
+      (positive: gas sold), by the envelope theorem; `end_delta` that by the end date's.
+    - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
+    - `kept`: indices of the price factors on the grid, fast one first; `dropped`: those left out.
+    """
+
+    value: float
+    deltas: np.ndarray
+    end_delta: float
+    net: np.ndarray
+    inventory: np.ndarray
+    kept: tuple[int, ...]
+    dropped: tuple[int, ...]
+
+
+def lattice(
+    schedule,
+    factors: GaussianFactors,
+    interpolation: Interpolation,
+    keep: tuple[int, ...] | None = None,
+    *,
+    inventories: int = 201,
+    spacing: float | None = None,
+    slow_nodes: int = 17,
+    volumes: Volumes = "free",
+) -> LatticeResult:
+    """The value of the contract by dynamic programming, with deltas from one sweep forward.
+
+    **Arguments:**
+
+    - `factors`: of the price process, which must be Gaussian for the value to be exact.
+    - `keep`: indices of the one or two to keep; by default `relevant_factors`.
+    - `inventories`: grid points from 0 to the largest inventory.
+    - `spacing`: of the fast factor's nodes, in standard deviations of its daily shock; by default
+      0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more than
+      values do.
+    - `slow_nodes`: nodes of the second factor.
+    - `volumes`: "extremes" allows the most, the least and the smallest flow of each day;
+      "free" also to stop where the value of more gas falls below its price; "every" to stop on
+      every grid point, which "free" means with step ratchets.
+    """
+    every = range(factors.loading.shape[1])
+    kept = relevant_factors(schedule, factors) if keep is None else tuple(keep)
+    if not 1 <= len(kept) <= 2:
+        what = f"a lattice holds one or two price factors, and {kept} would be kept"
+        raise ValueError(f"lattice: {what}; name the two to keep (`keep`).")
+    dropped = tuple(i for i in every if i not in kept)
+    if len(schedule.steps.forward) == 0:
+        return _at_the_end(schedule, kept, dropped)
+    if volumes == "free":
+        volumes = free_volumes(schedule, interpolation)
+    spacing = spacing or (0.15 if len(kept) == 1 else 0.3)
+    grid = factor_grid(factors, kept, spacing, slow_nodes)
+    days, value = _backward(schedule, interpolation, grid, inventories, volumes)
+    return LatticeResult(value, *_forward(schedule, grid, days), kept, dropped)
+
+
+def _at_the_end(schedule, kept, dropped) -> LatticeResult:
+    """No decision left: the value of the gas in store."""
+    constants = schedule.constants
+    stock = np.array([constants.inventory])
+    value = float(end_value(schedule, stock, constants.end_forward)[0])
+    delta = float(constants.end_fraction * constants.end_discount * constants.inventory)
+    return LatticeResult(value, np.zeros(0), delta, np.zeros(0), stock, kept, dropped)
+
+
+def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
+    """The factors that move the value, the fastest first.
+
+    A non-reverting factor with the same loading on all days, independent of the others, scales
+    all prices alike; without proportional costs it leaves the value as it is (a change of
+    numeraire), and almost so with small costs (a fixed payment for the gas left counts as one).
+    It is dropped unless it is the only factor.
+    """
+    if len(schedule.steps.forward) == 0:
+        return (0,)
+    # The end date counts where the gas left has a price.
+    loading = factors.loading if schedule.constants.end_fraction != 0 else factors.loading[:-1]
+    decay, shock = factors.decay, factors.shock
+    increments = np.max(np.abs(shock @ np.swapaxes(shock, 1, 2)), axis=0)
+    alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
+    common = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
+    neutral = alone & common & np.all(decay == 1, axis=0)
+    # A factor that never moves any price is dropped as well.
+    silent = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
+    speed = np.argsort(decay.mean(axis=0), kind="stable")
+    kept = tuple(int(i) for i in speed if not neutral[i] and not silent[i])
+    return kept or (int(speed[0]),)
+
+
+def _backward(schedule, interpolation, grid: FactorGrid, inventories, volumes):
+    """All days' decisions and the value today."""
+    steps, constants = schedule.steps, schedule.constants
+    horizon = len(steps.forward)
+    low, high = visited(schedule, interpolation)
+    spacing = volume_scale(schedule) / (inventories - 1)
+    nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
+    spots = constants.end_forward * grid.noise(horizon)
+    value = end_value(schedule, nodes[:, None], spots)
+    days: list[Decisions] = []
+    for t in reversed(range(horizon)):
+        after = grid.after(t).expect(value)
+        day_rates = rates(schedule, interpolation, t)
+        inventory = inventory_nodes(low[t], high[t], spacing, day_rates.levels)
+        prices = unit_prices(schedule, t, steps.forward[t] * grid.noise(t))
+        day, value = decide(schedule, day_rates, t, prices, inventory, nodes, after, volumes)
+        days.append(day)
+        nodes = inventory
+    return days[::-1], float(grid.start().expect(value)[0, 0])
+
+
+def _forward(schedule, grid: FactorGrid, days: list[Decisions]):
+    """Follows the decisions from today: deltas, end delta, expected net flows and inventories."""
+    steps, constants = schedule.steps, schedule.constants
+    horizon = len(days)
+    deltas, net, stock = np.zeros(horizon), np.zeros(horizon), np.zeros(horizon + 1)
+    weight, nodes = grid.start().spread(np.ones((1, 1))), np.array([constants.inventory])
+    for t, day in enumerate(days):
+        flow = follow(day, weight)
+        stock[t] = weight.sum(axis=1) @ day.inventory
+        net[t] = flow.injected.sum() - flow.withdrawn.sum()
+        sold = (1 - steps.withdrawal_fuel[t]) * flow.withdrawn
+        sold -= (1 + steps.injection_fuel[t]) * flow.injected
+        deltas[t] = steps.gas_discount[t] * (grid.noise(t) @ sold)
+        weight, nodes = grid.after(t).spread(flow.weight), day.nodes
+    left = nodes @ weight
+    stock[horizon] = left.sum()
+    end_delta = constants.end_fraction * constants.end_discount * (grid.noise(horizon) @ left)
+    return deltas, float(end_delta), net, stock

@@ -1,0 +1,154 @@
+"""One day of the inventory lattice: its grid, the best decisions on it, and following them."""
+
+from typing import Literal, NamedTuple
+
+import numpy as np
+
+from .day_terms import (
+    Interpolation,
+    Moves,
+    Rates,
+    UnitPrices,
+    cash,
+    holding_cost,
+    interpolation_matrix,
+    moves,
+)
+
+# Which flows of a day are tried: the extremes (most, least, smallest), also the node where the
+# value less the price is greatest ("free"), or also every node ("every").
+Volumes = Literal["extremes", "free", "every"]
+HOLD, UP, DOWN, BUY_TO, SELL_TO, MOVE_TO = range(6)
+
+
+def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
+    """The search for free volumes: with step ratchets the value jumps, and every node is tried."""
+    return "every" if interpolation == "step" and schedule.steps.levels.shape[-1] > 1 else "free"
+
+
+class Decisions(NamedTuple):
+    """One day's best decisions, and the nodes that following them needs.
+
+    - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
+    - `choice`: [n, columns] HOLD, UP, DOWN (smallest, greatest and least net flow), BUY_TO or
+      SELL_TO (a node of the column), MOVE_TO (a node of its own).
+    - `today`: the end-of-day inventory of the first three; `buy_to`, `sell_to` [columns] and
+      `move_to` [n, columns]: node indices of the others.
+    """
+
+    inventory: np.ndarray
+    nodes: np.ndarray
+    choice: np.ndarray
+    today: Moves
+    buy_to: np.ndarray
+    sell_to: np.ndarray
+    move_to: np.ndarray | None
+
+
+class Flow(NamedTuple):
+    """Expected volumes of one day by column [columns], and the weights after it [m, columns]."""
+
+    injected: np.ndarray
+    withdrawn: np.ndarray
+    weight: np.ndarray
+
+
+def inventory_nodes(low: float, high: float, spacing: float, levels: np.ndarray) -> np.ndarray:
+    """Multiples of the spacing inside [low, high], with both ends and the levels between them."""
+    if high - low <= 1e-9 * spacing:
+        return np.array([low])
+    inner = np.arange(np.ceil(low / spacing), np.floor(high / spacing) + 1) * spacing
+    inner = inner[(inner > low + spacing / 3) & (inner < high - spacing / 3)]
+    levels = levels[(levels > low + 1e-9 * spacing) & (levels < high - 1e-9 * spacing)]
+    nodes = np.unique(np.concatenate([[low], inner, levels, [high]]))
+    apart = np.append(True, np.diff(nodes) > 1e-9 * spacing)
+    return nodes[apart]
+
+
+def decide(
+    schedule,
+    day_rates: Rates,
+    t: int,
+    prices: UnitPrices,
+    inventory: np.ndarray,
+    nodes: np.ndarray,
+    after: np.ndarray,
+    volumes: Volumes,
+) -> tuple[Decisions, np.ndarray]:
+    """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
+
+    `after` [m, columns] is the value at the end of the day on `nodes` [m]. Free volumes: the node
+    where value less price is greatest is a target wherever it lies within reach, which is all
+    there is to try where `after` is concave in the inventory.
+    """
+    today = moves(schedule, day_rates, t, inventory)
+    best = np.full((len(inventory), after.shape[1]), -np.inf)
+    choice = np.zeros(best.shape, np.int8)
+
+    def offer(code: int, worth: np.ndarray):
+        better = worth > best
+        np.copyto(best, worth, where=better)
+        choice[better] = code
+
+    for code, target in ((HOLD, today.hold), (UP, today.up), (DOWN, today.down)):
+        net = target - today.keep
+        offer(code, interpolation_matrix(nodes, target) @ after + cash(prices, net))
+    peaks = []
+    for code, price in ((BUY_TO, prices.pay), (SELL_TO, prices.earn)):
+        net_value = after - nodes[:, None] * price
+        node = np.argmax(net_value, axis=0)
+        peaks.append(node)
+        if volumes != "extremes":
+            floor, ceiling = (today.hold, today.up) if code == BUY_TO else (today.down, today.hold)
+            target = nodes[node]
+            within = (target > floor[:, None]) & (target < ceiling[:, None])
+            worth = np.max(net_value, axis=0) + today.keep[:, None] * price
+            offer(code, np.where(within, worth, -np.inf))
+    move_to = None
+    if volumes == "every":
+        move_to = _try_every_node(today, prices, nodes, after, best, choice)
+    value = best - holding_cost(schedule, t, inventory)[:, None]
+    return Decisions(inventory, nodes, choice, today, peaks[0], peaks[1], move_to), value
+
+
+def _try_every_node(today: Moves, prices: UnitPrices, nodes, after, best, choice) -> np.ndarray:
+    """Improves `best` and `choice` [n, columns] in place; returns the node of each MOVE_TO."""
+    move_to = np.zeros(best.shape, np.int16)
+    for j, node in enumerate(nodes):
+        rows = np.flatnonzero((today.down < node) & (node < today.up))
+        if len(rows):
+            worth = after[j] + cash(prices, node - today.keep[rows])
+            better = worth > best[rows]
+            best[rows] = np.where(better, worth, best[rows])
+            choice[rows] = np.where(better, MOVE_TO, choice[rows])
+            move_to[rows] = np.where(better, j, move_to[rows])
+    return move_to
+
+
+def follow(day: Decisions, weight: np.ndarray) -> Flow:
+    """Moves probabilities [n, columns] from the start of the day to its end."""
+    after = np.zeros((len(day.nodes), weight.shape[1]))
+    injected, withdrawn = np.zeros((2, weight.shape[1]))
+    today, columns = day.today, np.arange(weight.shape[1])
+    for code, target in ((HOLD, today.hold), (UP, today.up), (DOWN, today.down)):
+        moved = np.where(day.choice == code, weight, 0.0)
+        net = target - today.keep
+        injected += np.maximum(net, 0.0) @ moved
+        withdrawn += np.maximum(-net, 0.0) @ moved
+        after += interpolation_matrix(day.nodes, target).T @ moved
+    for code, node in ((BUY_TO, day.buy_to), (SELL_TO, day.sell_to)):
+        moved = np.where(day.choice == code, weight, 0.0)
+        arrived = moved.sum(axis=0)
+        net = day.nodes[node] * arrived - today.keep @ moved
+        injected, withdrawn = (
+            (injected + net, withdrawn) if code == BUY_TO else (injected, withdrawn - net)
+        )
+        after[node, columns] += arrived
+    if day.move_to is not None:
+        row, column = np.nonzero((day.choice == MOVE_TO) & (weight != 0))
+        node, moved = day.move_to[row, column], weight[row, column]
+        net = (day.nodes[node] - today.keep[row]) * moved
+        injected += np.bincount(column, np.maximum(net, 0.0), weight.shape[1])
+        withdrawn += np.bincount(column, np.maximum(-net, 0.0), weight.shape[1])
+        np.add.at(after, (node, column), moved)
+    return Flow(injected, withdrawn, after)

@@ -1,0 +1,141 @@
+"""The intrinsic value as one linear program: an independent check on concave contracts."""
+
+import numpy as np
+import scipy.sparse as sparse
+from scipy.optimize import linprog
+
+from .day_terms import Interpolation, rates, volume_scale
+from .intrinsic import Plan, forward_prices, plan
+
+
+def intrinsic_by_linear_program(schedule, interpolation: Interpolation) -> Plan | None:
+    """The intrinsic value by HiGHS, or None where a linear program would overstate it.
+
+    Variables: each day's injection, withdrawal and inventory at its end, and the end value. Every
+    linear piece of a concave rate limit is a tangent cut, and so is every piece of a concave end
+    value. Injecting and withdrawing on one day must not pay.
+    """
+    horizon = len(schedule.steps.forward)
+    if horizon == 0 or not _concave(schedule, interpolation):
+        return None
+    cuts, limits = _cuts(schedule, interpolation)
+    balance, kept = _balance(schedule)
+    answer = linprog(
+        -_earned(schedule), cuts, limits, balance, kept, _bounds(schedule), method="highs"
+    )
+    if answer.status != 0:
+        raise RuntimeError(f"The linear program of the intrinsic value failed: {answer.message}")
+    inventory = np.append(schedule.constants.inventory, answer.x[2 * horizon : 3 * horizon])
+    return plan(schedule, inventory)
+
+
+def _concave(schedule, interpolation: Interpolation) -> bool:
+    steps = schedule.steps
+    low = np.append(steps.low, steps.next_low[-1])
+    high = np.append(steps.high, steps.next_high[-1])
+    for t in range(len(steps.forward)):
+        prices, day = forward_prices(schedule, t), rates(schedule, interpolation, t)
+        if prices.pay < prices.earn:
+            return False
+        for rate in (day.injection, day.withdrawal):
+            if not _falls(_pieces(day.levels, rate, low[t], high[t])):
+                return False
+    return _falls(_end_pieces(schedule))
+
+
+def _pieces(levels, values, low, high) -> list[tuple[float, float]]:
+    """(slope, value at inventory 0) of every linear piece of a function within [low, high]."""
+    inside = levels[(levels > low) & (levels < high)]
+    ends = np.concatenate([[low], inside, [max(high, low + 1.0)]])
+    at = np.interp(ends, levels, values)
+    slopes = np.diff(at) / np.diff(ends)
+    return list(zip(slopes, at[:-1] - slopes * ends[:-1], strict=True))
+
+
+def _end_pieces(schedule) -> list[tuple[float, float]]:
+    constants, steps = schedule.constants, schedule.steps
+    levels, first = np.unique(constants.end_levels, return_index=True)
+    at = constants.end_values[first]
+    price = constants.end_fraction * constants.end_forward
+    pieces = _pieces(levels, at, steps.next_low[-1], steps.next_high[-1])
+    discount = constants.end_discount
+    return [((slope + price) * discount, level * discount) for slope, level in pieces]
+
+
+def _falls(pieces) -> bool:
+    slopes = np.array([slope for slope, _ in pieces])
+    return bool(np.all(np.diff(slopes) <= 1e-12 * max(1.0, np.abs(slopes).max())))
+
+
+def _cuts(schedule, interpolation: Interpolation) -> tuple[sparse.csr_array, np.ndarray]:
+    """A and b of A x <= b: rate limits that depend on the inventory, and the end value."""
+    steps, horizon = schedule.steps, len(schedule.steps.forward)
+    row, column, entry, limit = [], [], [], []
+
+    def cut(variable: int, stock: int | None, slope: float, level: float):
+        row.append(len(limit))
+        column.append(variable)
+        entry.append(1.0)
+        if stock is not None:
+            row.append(len(limit))
+            column.append(stock)
+            entry.append(-slope)
+        limit.append(level)
+
+    for t in range(horizon):
+        day = rates(schedule, interpolation, t)
+        stock = None if t == 0 else 2 * horizon + t - 1
+        for variable, rate in ((t, day.injection), (horizon + t, day.withdrawal)):
+            for slope, level in _pieces(day.levels, rate, steps.low[t], steps.high[t]):
+                known = slope * schedule.constants.inventory if t == 0 else 0.0
+                cut(variable, stock, slope, level + known)
+    for slope, level in _end_pieces(schedule):
+        cut(3 * horizon, 3 * horizon - 1, slope, level)
+    shape = (len(limit), 3 * horizon + 1)
+    found = np.array(entry), (np.array(row, np.int64), np.array(column, np.int64))
+    return sparse.csr_array(found, shape), np.array(limit)
+
+
+def _balance(schedule) -> tuple[sparse.csr_array, np.ndarray]:
+    """End of day - in + out - (1 - loss) x start of day = 0."""
+    horizon = len(schedule.steps.forward)
+    keep = 1 - schedule.steps.inventory_loss
+    one = sparse.eye_array(horizon)
+    stock = one - sparse.diags_array(keep[1:], offsets=-1, shape=(horizon, horizon))
+    blocks = [-one, one, stock, sparse.csr_array((horizon, 1))]
+    kept = np.append(keep[0] * schedule.constants.inventory, np.zeros(horizon - 1))
+    return sparse.hstack(blocks, format="csr"), kept  # pyright: ignore[reportReturnType]
+
+
+def _earned(schedule) -> np.ndarray:
+    """Present value of one unit of each variable (the cost of day 0's inventory is not one)."""
+    steps = schedule.steps
+    prices = [forward_prices(schedule, t) for t in range(len(steps.forward))]
+    holding = steps.inventory_cost * steps.flow_discount
+    return np.concatenate(
+        [
+            [-price.pay for price in prices],
+            [price.earn for price in prices],
+            -np.append(holding[1:], 0.0),
+            [1.0],
+        ]
+    )
+
+
+def _bounds(schedule) -> list[tuple[float | None, float | None]]:
+    """Forced flows from below, and nothing the other way on their days; inventory limits."""
+    steps = schedule.steps
+    most = volume_scale(schedule)
+
+    def flow(forced, other):
+        return [
+            (low, max(low, 0.0 if against > 0 else most))
+            for low, against in zip(forced, other, strict=True)
+        ]
+
+    return [
+        *flow(steps.min_injection, steps.min_withdrawal),
+        *flow(steps.min_withdrawal, steps.min_injection),
+        *zip(steps.next_low, steps.next_high, strict=True),
+        (None, None),
+    ]

@@ -1,0 +1,186 @@
+"""Dynamic programming with exact piecewise-linear value functions, for prices known in advance.
+
+Between breakpoints the value of inventory, the rate limits and the cash of a move are linear, so
+one day's maximum is the upper envelope of a few lines on each interval: no grid, no interpolation
+error, whatever the shape of the ratchets.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from .day_terms import (
+    Interpolation,
+    Rates,
+    UnitPrices,
+    holding_cost,
+    moves,
+    rates,
+    volume_scale,
+)
+
+# A breakpoint goes when that moves the value by less than this fraction of the largest value.
+COLLINEAR = 1e-12
+# Breakpoints nearer than this fraction of the largest inventory are one.
+SAME = 1e-13
+
+
+class Line(NamedTuple):
+    """A continuous piecewise-linear function: rising breakpoints and its values there. [n]"""
+
+    at: np.ndarray
+    value: np.ndarray
+
+    def __call__(self, points: np.ndarray) -> np.ndarray:
+        return np.interp(points, self.at, self.value)
+
+
+def day_value(
+    schedule,
+    interpolation: Interpolation,
+    t: int,
+    prices: UnitPrices,
+    after: Line,
+    low: float,
+    high: float,
+) -> Line:
+    """The value at the start of day t of every inventory in [low, high], given that at its end.
+
+    `prices` are the day's two known unit prices, `after` spans all that [low, high] can reach.
+    """
+    day_rates = rates(schedule, interpolation, t)
+    scale = volume_scale(schedule)
+    points = _breakpoints(schedule, day_rates, t, after.at, low, high, scale)
+    today = moves(schedule, day_rates, t, points)
+    lines = [after(target) + _cash(prices, target - today.keep) for target in today[1:]]
+    start, finish = np.stack(lines)[:, :-1], np.stack(lines)[:, 1:]
+
+    # Free volumes: where the value after the day, less the cost of getting there, peaks.
+    middle = moves(schedule, day_rates, t, 0.5 * (points[1:] + points[:-1]))
+    for price, inject in ((prices.pay, True), (prices.earn, False)):
+        for peak in _peaks(after, price):
+            target, worth = after.at[peak], after.value[peak]
+            floor = np.maximum(middle.down, middle.keep) if inject else middle.down
+            ceiling = middle.up if inject else np.minimum(middle.up, middle.keep)
+            within = (floor <= target) & (target <= ceiling)
+            if within.any():
+                line = worth - price * (target - today.keep)
+                start = np.vstack([start, np.where(within, line[:-1], -np.inf)])
+                finish = np.vstack([finish, np.where(within, line[1:], -np.inf)])
+
+    value = _upper_envelope(points, start, finish)
+    value = Line(value.at, value.value - holding_cost(schedule, t, value.at))
+    return _without_collinear(value)
+
+
+def best_move(
+    schedule,
+    interpolation: Interpolation,
+    t: int,
+    prices: UnitPrices,
+    after: Line,
+    inventory: float,
+) -> float:
+    """The inventory at the end of day t that earns most; among equals the smallest flow."""
+    today = moves(schedule, rates(schedule, interpolation, t), t, np.array([inventory]))
+    down, up = today.down[0], today.up[0]
+    inside = after.at[(after.at > down) & (after.at < up)]
+    targets = np.concatenate([today.hold, today.down, today.up, inside])
+    worth = after(targets) + _cash(prices, targets - today.keep[0])
+    flow = np.abs(targets - today.keep[0])
+    as_good = worth >= worth.max() - COLLINEAR * np.abs(after.value).max()
+    return float(targets[as_good][np.argmin(flow[as_good])])
+
+
+def visited(schedule, interpolation: Interpolation) -> tuple[np.ndarray, np.ndarray]:
+    """Least and greatest inventory that the starting one can lead to, [T + 1] each.
+
+    Narrower than the schedule's own interval (from which the contract can still be met) early on.
+    """
+    horizon = len(schedule.steps.forward)
+    low, high = np.empty(horizon + 1), np.empty(horizon + 1)
+    low[0] = high[0] = schedule.constants.inventory
+    for t in range(horizon):
+        day_rates = rates(schedule, interpolation, t)
+        knots = day_rates.levels
+        knots = np.concatenate([[low[t], high[t]], knots[(knots > low[t]) & (knots < high[t])]])
+        today = moves(schedule, day_rates, t, knots)
+        low[t + 1], high[t + 1] = today.down.min(), today.up.max()
+    return low, high
+
+
+def _cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
+    return np.where(net > 0, -net * prices.pay, -net * prices.earn)
+
+
+def _breakpoints(schedule, day_rates: Rates, t, targets, low, high, scale) -> np.ndarray:
+    """Where today's value may bend: at a ratchet level, or where a move meets a bend of `after`."""
+    levels = day_rates.levels
+    knots = np.concatenate([[low], levels[(levels > low) & (levels < high)], [high]])
+    keep = knots * (1 - schedule.steps.inventory_loss[t])
+    most_in = np.interp(knots, levels, day_rates.injection)
+    most_out = np.interp(knots, levels, day_rates.withdrawal)
+    forced_in, forced_out = schedule.steps.min_injection[t], schedule.steps.min_withdrawal[t]
+    reached = [keep, keep + most_in, keep - most_out]
+    reached += [keep + forced_in] if forced_in > 0 else []
+    reached += [keep - forced_out] if forced_out > 0 else []
+    found = [knots]
+    for ends in reached:
+        for i in range(len(knots) - 1):
+            rise = ends[i + 1] - ends[i]
+            if rise != 0:
+                share = (targets - ends[i]) / rise
+                share = share[(share > 0) & (share < 1)]
+                found.append(knots[i] + share * (knots[i + 1] - knots[i]))
+    points = np.unique(np.concatenate(found))
+    points = points[np.append(True, np.diff(points) > SAME * scale)]
+    points[-1] = max(high, points[-1])
+    return points if len(points) > 1 else np.array([low, low])
+
+
+def _peaks(line: Line, price) -> np.ndarray:
+    """Indices of the local maxima of value - price x inventory (the right end of a plateau)."""
+    net = line.value - price * line.at
+    left = np.append(-np.inf, net[:-1])
+    right = np.append(net[1:], -np.inf)
+    return np.flatnonzero((net >= left) & (net > right))
+
+
+def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -> Line:
+    """The greatest of C lines on each of n intervals, given at its two ends, [C, n] each."""
+    value = np.maximum(
+        np.append(start.max(axis=0), -np.inf), np.append(-np.inf, finish.max(axis=0))
+    )
+    best = start.argmax(axis=0)
+    column = np.arange(start.shape[1])
+    crossed = np.flatnonzero(finish[best, column] < finish.max(axis=0))
+    at, worth = [points], [value]
+    begin, end = start[:, crossed], finish[:, crossed]
+    width = np.diff(points)[crossed]
+    for i in range(len(start) - 1):
+        with np.errstate(invalid="ignore", divide="ignore"):
+            before, after = begin[i] - begin[i + 1 :], end[i] - end[i + 1 :]
+            share = before / (before - after)
+            inside = np.isfinite(share) & (before * after < 0)
+        other, k = np.nonzero(inside)
+        theta = share[other, k]
+        at.append(points[crossed[k]] + theta * width[k])
+        worth.append(np.max(begin[:, k] * (1 - theta) + end[:, k] * theta, axis=0))
+    at, worth = np.concatenate(at), np.concatenate(worth)
+    at, order = np.unique(at, return_index=True)
+    return Line(at, worth[order])
+
+
+def _without_collinear(line: Line) -> Line:
+    """Drops breakpoints that lie on the chord of their neighbours, never two neighbours at once."""
+    at, value = line
+    tolerance = COLLINEAR * max(np.abs(value).max(), 1e-300)
+    parity, unchanged = 0, 0
+    while len(at) > 2 and unchanged < 2:
+        share = (at[1:-1] - at[:-2]) / (at[2:] - at[:-2])
+        chord = value[:-2] * (1 - share) + value[2:] * share
+        straight = np.concatenate([[False], np.abs(value[1:-1] - chord) < tolerance, [False]])
+        straight[parity::2] = False
+        at, value = at[~straight], value[~straight]
+        parity, unchanged = 1 - parity, 0 if straight.any() else unchanged + 1
+    return Line(at, value)

@@ -1,0 +1,1 @@
+"""The figures of a run, as plain data: each file one part of the report."""

@@ -1,0 +1,69 @@
+"""Why to believe the number: the adjoint against bumps, limits kept, homogeneity in the curve."""
+
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.solver.certificate import bump_check, feasibility, nudged
+from snapo.solver.solution import Solution
+from snapo.study.study import Part, Setup, StudyRun
+
+from ..setup import OUTPUT, beside, case_of, policy_of
+
+BUMP_PATHS, LIMIT_PATHS = 512, 4096
+TRIES = 16  # at finding inputs nearby that still can be met
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """The adjoint against bumps, limits kept, the smoothing gap, and homogeneity in the curve."""
+    setup, solution = run.setup, run.solution
+    problem, engine = beside(setup), setup.engines.evaluate
+    bumps = bump_check(off_ties(problem), policy_of(solution), BUMP_PATHS, engine=engine)
+    limits = feasibility(problem, policy_of(solution), LIMIT_PATHS, engine=engine)
+    slack = 1e-6 * float(problem.schedule.constants.rate_scale)
+    return {
+        "certificate": {
+            "bump_check": [bump.row() for bump in bumps],
+            "feasibility": [limit.row(slack) for limit in limits],
+            "smoothing_gap": solution.smoothing_gap,
+            "policy_gradient_norm": solution.policy_gradient_norm,
+            "homogeneity": homogeneity(setup, solution),
+            "control_variate": {"explained": solution.control},
+        }
+    }
+
+
+CERTIFICATE = Part("certificate", work, needs=("training",))
+
+
+def off_ties(problem: Problem) -> Problem:
+    """The problem a hair away, where the contract still can be met, for a check by differences.
+
+    With round numbers a store fills or empties on the very day that its rates allow, and a full
+    one without losses stays exactly full: kinks on every path.
+    """
+    for seed in range(TRIES):
+        moved = nudged(problem, seed)
+        steps, inventory = moved.schedule.steps, moved.schedule.constants.inventory
+        if np.all(steps.low <= steps.high) and steps.low[0] <= inventory <= steps.high[0]:
+            return moved
+    return problem
+
+
+def homogeneity(setup: Setup, solution: Solution) -> dict[str, float] | None:
+    """Sum of F x delta = value + present value of costs, decisions held, on the same paths.
+
+    It holds path by path for any policy, where prices are the forward curve times noise and all
+    of the value is paid in gas and proportional costs.
+    """
+    table, case = solution.sensitivities, case_of(setup)
+    if table is None or not case.model.proportional:
+        return None
+    evaluation, curve = setup.evaluation, case.market.forward_curve
+    source = setup.problem.sources.evaluation
+    paths = source.available(min(evaluation.sensitivity_paths, evaluation.paths))
+    left = float(np.sum(curve.values * table.held[curve.name].value))
+    earned = np.asarray(solution.totals[OUTPUT]) + np.asarray(solution.totals["costs"])
+    right = float(np.mean([earned[block].mean() for block in source.blocks(paths)]))
+    return {"left": left, "right": right, "error": left - right, "paths": paths}

@@ -1,0 +1,100 @@
+"""A case made ready to solve: the problem with guide and hedge, its policy and its engines."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.settings import make_objective
+from snapo.engine import Engines, choose
+from snapo.problem.objective import Mean
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
+from snapo.solver.sensitivity import sensitivities
+from snapo.solver.solution import Solution
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.study import Setup
+
+from .contract.inputs import storage_inputs
+from .contract.records import StorageCase
+from .contract.schedule import of_prices
+from .contract.simulator import StorageSimulator, simulator_of
+from .policy.network import GuidePolicy, PricingPolicy, StoragePolicy
+from .policy.value_table import ValueTable
+from .prices.process import GaussianFactors
+from .references.marginal import marginal_values
+
+OUTPUT = "cash_flow"
+HEDGE_PATHS = 2048
+BESIDE, HEDGE = 1, 2  # streams of the evaluation: of what stands beside the value, of the hedge
+
+
+def bare_problem(case: StorageCase) -> Problem:
+    """The contract without a guide and without a hedge."""
+    simulator = StorageSimulator(case)  # pyright: ignore[reportCallIssue]
+    return Problem(simulator, storage_inputs(case), make_objective(case.objective, OUTPUT))
+
+
+def make_setup(case: StorageCase, engine: str = "auto") -> Setup:
+    """Simulator with its guide and its hedge, scenarios, policy and engines."""
+    training = Training(**case.training.model_dump())
+    evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
+    problem = bare_problem(case)
+    kind = case.contract.ratchets.interpolation
+    found = marginal_values(problem.schedule, factors(problem), kind)
+    # No hedge yet, but its place: the compiled `prepare` serves before and after.
+    simulator = StorageSimulator(  # pyright: ignore[reportCallIssue]
+        case, ValueTable.of(found), np.zeros(len(case.days))
+    )
+    sources = case.model.sources(seed) or evaluation.sources(seed)
+    problem = replace(problem, simulator=simulator, sources=sources)
+    policy = StoragePolicy(problem.features, key=jax.random.key(seed))
+    try:
+        engines = choose(engine, problem, policy)
+    except ValueError as error:
+        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    if case.model.martingale:
+        hedged = replace(simulator, hedge=_hedge(problem, engines, seed))
+        problem = replace(problem, simulator=hedged)
+    return Setup(problem, policy, training, evaluation, engines)
+
+
+def case_of(setup: Setup) -> StorageCase:
+    """The case that was made ready."""
+    return simulator_of(setup.problem).case
+
+
+def policy_of(solution: Solution) -> PricingPolicy:
+    """The trained policy."""
+    assert isinstance(solution.policy, PricingPolicy)
+    return solution.policy
+
+
+def factors(problem: Problem) -> GaussianFactors | None:
+    """The price factors that a dynamic program can use."""
+    return simulator_of(problem).process.factors(of_prices(problem.schedule))
+
+
+def beside(setup: Setup) -> Problem:
+    """The same problem on other scenarios than those of the value, where there are any."""
+    seed = setup.training.seed
+    if case_of(setup).model.sources(seed):
+        return setup.problem
+    return _measured_on(setup.problem, Pseudo(seed, stream=stream(EVALUATE, BESIDE)))
+
+
+def _measured_on(problem: Problem, source: Pseudo) -> Problem:
+    old = problem.sources
+    return replace(problem, sources=Sources(old.training, old.validation, source))
+
+
+def _hedge(problem: Problem, engines: Engines, seed: int) -> np.ndarray:
+    """Forward volumes [T] for the control variate: the deltas of the guide's rule."""
+    plain = replace(problem, objective=Mean(OUTPUT))
+    on = _measured_on(plain, Pseudo(seed, stream=stream(EVALUATE, HEDGE)))
+    found = sensitivities(on, GuidePolicy(), HEDGE_PATHS, engine=engines.evaluate)
+    simulator = simulator_of(problem)
+    curve = simulator.case.market.forward_curve.name
+    return found.held[curve].value[: simulator.horizon] / problem.schedule.steps.gas_discount

@@ -1,0 +1,141 @@
+"""The study of a storage case: the parts of a run, and the headline of its result."""
+
+from functools import cached_property
+from typing import Any
+
+from snapo.problem.problem import Problem
+from snapo.study.domain import Options
+from snapo.study.study import Part, Setup, Study, StudyRun
+from snapo.study.training import TRAINING, trained
+
+from .contract.expiry import fixed_costs_value, value_without_decisions
+from .contract.records import StorageCase
+from .references.intrinsic import intrinsic
+from .references.lattice import lattice
+from .results.certificate import CERTIFICATE
+from .results.deltas import DELTAS
+from .results.profile import PROFILE
+from .results.shadow_prices import SHADOW_PRICES
+from .results.values import VALUES
+from .setup import bare_problem, case_of, factors, make_setup
+
+KIND = "gas-storage"
+
+
+def lines(case: StorageCase) -> list[str]:
+    """The case in a few lines: nothing is trained."""
+    if not case.days:
+        value = value_without_decisions(case)
+        return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]
+    problem = bare_problem(case)
+    plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
+    numbers = sum(entry.value.size for entry in problem.named.values())
+    return [
+        f"{case.title}: {len(case.days)} decision days, {case.days[0]} to {case.days[-1]}",
+        f"{len(problem.named)} inputs with {numbers} numbers, each with a sensitivity",
+        f"intrinsic value {plan.value:,.2f} {case.currency}",
+        "the contract can be met",
+    ]
+
+
+def study(case: StorageCase, options: Options) -> Study:
+    """All parts of a run; of a contract without a decision left, its value alone."""
+    if not case.days:
+        return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
+    ready, bare = _Ready(case, options.engine), bare_problem(case)
+    parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
+    if options.reference:
+        parts.append(DYNAMIC_PROGRAMMING)
+    parts.append(VALUES)
+    about = _about(case, bare)
+    return Study(KIND, about, tuple(parts), _result, lambda: ready.setup)
+
+
+class _Ready:
+    """The case made ready once, when the first part asks for it."""
+
+    def __init__(self, case: StorageCase, engine: str):
+        self.case, self.engine = case, engine
+
+    @cached_property
+    def setup(self) -> Setup:
+        return make_setup(self.case, self.engine)
+
+
+def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
+    """Known before any work: title, units, dates, notes, curve, and what the inputs say."""
+    notes = ["No decision day is left."] if problem is None else []
+    about = {
+        "title": case.title,
+        "currency": case.currency,
+        "volume_unit": case.volume_unit,
+        "valuation_date": case.valuation_date.isoformat(),
+        "start": case.start.isoformat(),
+        "end": case.end.isoformat(),
+        "days": [day.isoformat() for day in case.days],
+        "model": case.model.words(),
+        "objective": case.objective.kind,
+        "notes": [*notes, *case.notes],
+        "fixed_costs": fixed_costs_value(case),
+    }
+    if problem is None:
+        return about
+    inputs = {
+        name: {
+            "words": each.words,
+            "group": each.group,
+            "unit": each.unit,
+            "move": each.move,
+            "trade_unit": each.trade_unit,
+            "trade_factor": each.trade_factor,
+        }
+        for name, each in problem.named.items()
+    }
+    forward = case.market.forward_curve.used()[: len(case.days)]
+    return about | {"forward": forward, "inputs": inputs}
+
+
+def _intrinsic(problem: Problem, case: StorageCase) -> Part:
+    """ "intrinsic": value and net injections [T] of the best plan against today's curve."""
+
+    def work(run: StudyRun) -> dict[str, Any]:
+        plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
+        return {"intrinsic": {"value": plan.value, "net": plan.net}}
+
+    return Part("intrinsic value", work)
+
+
+def _dynamic_programming(run: StudyRun) -> dict[str, Any]:
+    """ "dynamic_programming": the exact value, None where the price process has no lattice."""
+    setup = run.setup
+    found = factors(setup.problem)
+    if found is None or not found.exact:
+        return {"dynamic_programming": None}
+    kind = case_of(setup).contract.ratchets.interpolation
+    return {"dynamic_programming": lattice(setup.problem.schedule, found, kind).value}
+
+
+DYNAMIC_PROGRAMMING = Part("dynamic programming", _dynamic_programming)
+
+
+def _result(run: StudyRun) -> dict[str, Any]:
+    references = {
+        "intrinsic": run.get("intrinsic.value"),
+        "dynamic_programming": run.get("dynamic_programming"),
+    }
+    return trained(run, references)
+
+
+def _expired(case: StorageCase):
+    """The part of a case without a decision left: it has a value, and nothing to train."""
+    return lambda run: {"value_at_the_end": value_without_decisions(case)}
+
+
+def _expired_result(run: StudyRun) -> dict[str, Any]:
+    value = run.get("value_at_the_end")
+    return {
+        "value": value,
+        "standard_error": 0.0,
+        "references": {"intrinsic": value, "dynamic_programming": value},
+        "status": "ok",
+    }

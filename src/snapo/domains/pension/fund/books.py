@@ -1,0 +1,84 @@
+"""The fund's books on one path: its state, and its liability at the market of that state."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..market.state import Market, log_factor
+from ..records.case import PensionCase
+from .schedule import Terms
+
+LEAST = 1e-6  # of the assets now: the liability counts as at least this much in ratios
+
+
+class State(NamedTuple):
+    """The fund at the start of a step.
+
+    `assets` money; `weights` [n] as drifted; `overlay` [b] notionals over assets, or None; `theta`
+    cumulated indexation; `fresh` the ratio a of rights accrued since time 0 to their baseline;
+    `deaths` y, the log of the rights that mortality took beyond the baseline; `log_price_last` at
+    the last indexation; `ratio_sum` towards the policy ratio; `jump` ln of the last indexation
+    beyond the share that was valued already.
+    """
+
+    market: Market
+    assets: Array
+    weights: Array
+    overlay: Array | None
+    theta: Array
+    fresh: Array
+    deaths: Array
+    log_price_last: Array
+    ratio_sum: Array
+    jump: Array
+
+
+class Balance(NamedTuple):
+    """Value of the liability, its payment nodes [J], of the step's accrual; the funding ratio F."""
+
+    liability: Array
+    by_node: Array
+    accrual: Array
+    ratio: Array
+
+
+def opening(terms: Terms) -> State:
+    """The state before the first decision."""
+    zero, one = jnp.zeros_like(terms.assets), jnp.ones_like(terms.assets)
+    return State(
+        market=terms.market.start,
+        assets=terms.assets,
+        weights=terms.weight,
+        overlay=None if terms.swaps is None else terms.swaps.notional / terms.assets,
+        theta=one,
+        fresh=one,
+        deaths=zero,
+        log_price_last=zero,
+        ratio_sum=zero,
+        jump=zero,
+    )
+
+
+def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State) -> Balance:
+    """Values on the case's basis, at the market of `state`."""
+    market = state.market
+    factor = log_factor(terms.market, shape, market)
+    if case.lee_carter is not None:
+        factor = factor - people.outlook * market.mortality
+    scale = jnp.log(state.theta) - state.deaths
+    if case.liability.future_indexation == "full":
+        # Increases are due that prices have called for and no indexation has granted yet.
+        scale = scale + market.log_price - state.log_price_last
+    factor, scale = jnp.exp(factor), jnp.exp(scale)
+    by_node = scale * (people.accrued + state.fresh * people.fresh) * factor
+    liability = jnp.sum(by_node)
+    wage = jnp.exp(market.log_wage) / state.theta
+    accrual = scale * wage * jnp.sum(people.accrual * factor)
+    return Balance(liability, by_node, accrual, _ratio(terms, state, liability))
+
+
+def _ratio(terms: Terms, state: State, liability: Array) -> Array:
+    """Assets over liability; a fund without liabilities has a large one."""
+    least = LEAST * terms.assets
+    return state.assets / jnp.where(liability > least, liability, least)

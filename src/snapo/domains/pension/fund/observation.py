@@ -1,0 +1,177 @@
+"""The policy's view of a pension fund: named parts of order one, in the order of the case.
+
+Logs of ratios are divided by `RATIO`, rates by `RATE`, the generator's factors by their standard
+deviation over ten years.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+
+if TYPE_CHECKING:
+    from .books import State
+    from .schedule import Period, Terms
+
+RATIO = 0.2  # of ln F: a number of order one is a fifth of the funding ratio
+RATE = 0.02
+LEAST_RATIO = 1e-3  # the logarithm's argument stays above this where assets are gone
+
+
+class View(NamedTuple):
+    """One path at the start of a step; `ratio` is the funding ratio F."""
+
+    case: PensionCase
+    terms: "Terms"
+    now: "Period"
+    state: "State"
+    ratio: Array
+
+
+def _one(case: PensionCase) -> int:
+    return 1
+
+
+def _yes(case: PensionCase) -> bool:
+    return True
+
+
+def _no(case: PensionCase) -> bool:
+    return False
+
+
+@dataclass(frozen=True)
+class Feature:
+    """A part of the observation: the numbers of one name.
+
+    - `see`: its numbers from a `View`. `size`: how many they are in a case.
+    - `usual`: whether a policy sees it where the case does not say.
+    """
+
+    see: Callable[[View], Any]
+    size: Callable[[PensionCase], int] = _one
+    usual: Callable[[PensionCase], bool] = _yes
+
+
+def _generated(case: PensionCase) -> bool:
+    return case.scenarios is None
+
+
+def _ready_made(case: PensionCase) -> bool:
+    return case.scenarios is not None
+
+
+def _rate_count(case: PensionCase) -> int:
+    return case.rates.count() if case.scenarios is None else len(case.scenarios.tenor)
+
+
+def _rates(view: View) -> Array:
+    factors = view.state.market.factors
+    if view.case.scenarios is not None:
+        return factors / RATE
+    return factors[:-1] / scales(view.case)[:-1]
+
+
+def _level(place: int) -> Callable[[View], Array]:
+    """The long (0) or short (1) rate."""
+
+    def see(view: View) -> Array:
+        market = view.terms.market
+        slopes = market.rate_slope @ view.state.market.factors
+        return ((view.now.market.rate_level + slopes) / RATE)[place]
+
+    return see
+
+
+def _ratio(view: View) -> Array:
+    return jnp.where(view.ratio > LEAST_RATIO, view.ratio, LEAST_RATIO)
+
+
+def _relative(view: View) -> Array:
+    return jnp.log(_ratio(view) / (view.terms.assets / view.terms.liability)) / RATIO
+
+
+FEATURES: dict[str, Feature] = {
+    "time": Feature(lambda view: 2 * view.now.time - 1),
+    "funding_ratio": Feature(lambda view: jnp.log(_ratio(view)) / RATIO),
+    # The funding ratio itself is there already.
+    "relative_funding": Feature(_relative, usual=_no),
+    "rates": Feature(_rates, _rate_count, _generated),
+    "long_rate": Feature(_level(0), usual=_ready_made),
+    "short_rate": Feature(_level(1), usual=_ready_made),
+    "inflation": Feature(
+        lambda view: view.state.market.factors[-1] / scales(view.case)[-1],
+        lambda case: int(_generated(case)),
+        _generated,
+    ),
+    "realised_inflation": Feature(
+        lambda view: (view.state.market.log_price - view.state.log_price_last) / RATE
+    ),
+    "spreads": Feature(
+        lambda view: view.state.market.spread / spread_scales(view.case),
+        lambda case: len(case.credit.names) if _generated(case) else 0,
+        lambda case: bool(case.credit.names) and _generated(case),
+    ),
+    "mortality": Feature(
+        lambda view: view.state.market.mortality / mortality_scale(view.case),
+        usual=lambda case: case.lee_carter is not None,
+    ),
+    "weights": Feature(lambda view: view.state.weights, lambda case: len(case.assets.classes)),
+    "overlay": Feature(
+        lambda view: view.state.overlay,
+        lambda case: case.buckets,
+        lambda case: case.overlay is not None,
+    ),
+    "accrued": Feature(lambda view: jnp.log(view.state.theta) / RATIO, usual=_no),
+}
+
+
+def slots(case: PensionCase) -> dict[str, slice]:
+    """Where each observed name stands in the observation."""
+    found, start = {}, 0
+    for name in case.observation:
+        stop = start + FEATURES[name].size(case)
+        found[name] = slice(start, stop)
+        start = stop
+    return found
+
+
+def observe(
+    case: PensionCase, terms: "Terms", now: "Period", state: "State", ratio: Array
+) -> Float[Array, " features"]:
+    """The observation of one path at the start of a step; `ratio` is the funding ratio F."""
+    view = View(case, terms, now, state, ratio)
+    seen = [FEATURES[name] for name in case.observation if FEATURES[name].size(case)]
+    return jnp.concatenate([jnp.reshape(feature.see(view), (-1,)) for feature in seen])
+
+
+def scales(case: PensionCase) -> np.ndarray:
+    """[g] standard deviation of each factor after ten years, from the case's own numbers."""
+    rates, inflation = case.rates, case.inflation
+    a = np.append(rates.mean_reversion.used(), inflation.mean_reversion.used())
+    used = np.column_stack([rates.volatility.used(), inflation.volatility.used()]).mean(axis=0)
+    return _after_ten_years(used, a)
+
+
+def spread_scales(case: PensionCase) -> np.ndarray:
+    """[R] the same of ln(s / mean)."""
+    a, given = case.credit.mean_reversion.used(), case.credit.volatility
+    return _after_ten_years(given.used() if given.values.size else np.zeros(len(a)), a)
+
+
+def _after_ten_years(volatility: np.ndarray, mean_reversion: np.ndarray) -> np.ndarray:
+    """Standard deviation of mean-reverting factors; 1 where they stand still."""
+    deviation = volatility * np.sqrt(-np.expm1(-20 * mean_reversion) / (2 * mean_reversion))
+    return np.where(deviation > 0, deviation, 1.0)
+
+
+def mortality_scale(case: PensionCase) -> float:
+    """The same of Lee-Carter's k."""
+    if case.lee_carter is None:
+        return 1.0
+    return max(float(case.lee_carter.volatility.used()) * 10**0.5, 1e-9)

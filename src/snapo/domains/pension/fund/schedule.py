@@ -1,0 +1,136 @@
+"""From the inputs of a pension case to the numbers that all its paths share."""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.simulator import Schedule
+
+from ..market.curve import log_bond
+from ..market.dynamics import market_schedule
+from ..market.state import MarketSteps, MarketTerms
+from ..people.liability import People, nodes, people
+from ..records.case import PensionCase
+from ..records.inputs import use
+from ..records.people import PAYMENT_YEARS
+from .plan import PlanTerms, indexation_flags, plan_terms
+
+
+class Swaps(NamedTuple):
+    """The overlay: present `notional`, `low`, `high`, `cost` [b], `leverage`, `stress`, and
+    `duration` [b] in years. `nearest` [b, J]: 1 at the payment nodes nearest to the bucket."""
+
+    notional: Array
+    low: Array
+    high: Array
+    cost: Array
+    leverage: Array
+    stress: Array
+    duration: Array
+    nearest: Array
+
+
+class Terms(NamedTuple):
+    """The numbers of the whole horizon. `assets` now (money), `weight`, `cost`, `fee` [n]; `last`
+    the people and `last_shape` [J] the curve at the horizon; `liability` its value now."""
+
+    market: MarketTerms
+    plan: PlanTerms
+    assets: Array
+    liability: Array
+    weight: Array
+    cost: Array
+    fee: Array
+    swaps: Swaps | None
+    last: People
+    last_shape: Array
+
+
+class Period(NamedTuple):
+    """One step, the same for all paths: people at its start, the curve's `shape` [J] at the
+    payment nodes, flags of indexation, `time` as a share of the horizon."""
+
+    market: MarketSteps
+    people: People
+    shape: Array
+    due: Array
+    averaging: Array
+    time: Array
+
+
+def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
+    """All numbers that do not depend on the path."""
+    payment_nodes = nodes(case.step)
+    found = people(case, inputs, basis_log_bond(case, inputs))
+    terms, steps, shape = market_schedule(case, inputs, payment_nodes)
+    due, averaging = indexation_flags(case)
+    assets = case.assets
+    constants = Terms(
+        market=terms,
+        plan=plan_terms(case, inputs),
+        assets=use(inputs, assets.amount),
+        liability=jnp.sum(found.accrued[0] * jnp.exp(shape[0] - terms.slope @ terms.start.factors)),
+        weight=use(inputs, assets.weight),
+        cost=use(inputs, assets.cost),
+        fee=use(inputs, assets.fee) * case.step,
+        swaps=_swaps(case, inputs, payment_nodes),
+        last=jax.tree.map(lambda leaf: leaf[-1], found),
+        last_shape=shape[-1],
+    )
+    return Schedule(
+        _without_empty(constants),
+        Period(
+            market=_without_empty(steps),
+            people=jax.tree.map(lambda leaf: leaf[:-1], found),
+            shape=shape[:-1],
+            due=jnp.asarray(due, float),
+            averaging=jnp.asarray(averaging, float),
+            time=jnp.arange(case.steps) / case.steps,
+        ),
+    )
+
+
+def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray) -> Swaps | None:
+    overlay = case.overlay
+    if overlay is None:
+        return None
+    far = np.abs(payment_nodes - overlay.maturity[:, None])
+    return Swaps(
+        notional=use(inputs, overlay.notional),
+        # Copies: JAX remembers an array of the case in the type it met first, and policies hold it.
+        low=jnp.asarray(overlay.low.copy()),
+        high=jnp.asarray(overlay.high.copy()),
+        cost=use(inputs, overlay.cost),
+        leverage=use(inputs, overlay.leverage),
+        stress=use(inputs, overlay.collateral_stress),
+        duration=jnp.asarray(overlay.maturity * case.step),
+        nearest=jnp.asarray(np.arange(case.buckets)[:, None] == far.argmin(axis=0), float),
+    )
+
+
+def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
+    """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
+
+    H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability.basis`: payments that
+    follow prices are multiplied by the expected index; under ready-made scenarios the curve
+    comes with the path, and only the addition to it is left here.
+    """
+    basis, count = case.liability, case.steps + round(PAYMENT_YEARS / case.step)
+    years = np.arange(count + 1) * case.step
+    added = -use(inputs, basis.rate) * years
+    if basis.basis == "fixed":
+        return added
+    found = added if basis.basis == "spread" else 0 * added
+    if case.scenarios is None:
+        found = found + log_bond(case.curve, inputs, years)
+    if basis.future_indexation == "full":
+        found = found - log_bond(case.inflation.break_even, inputs, years)
+    return found
+
+
+def _without_empty(tree: Any) -> Any:
+    """The same without arrays of size zero, which stand for absent parts of a case."""
+    return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)

@@ -1,0 +1,270 @@
+"""One path of a pension fund: markets move, members are paid, the fund rebalances.
+
+Order within a step: the liability is valued and the contribution set; payments in advance; the
+fund trades; a step of the market; payments in arrears; indexation. Money counts when it is paid,
+and present values discount by the return of cash on the path until then.
+
+Signs: contributions are received, benefits, expenses and costs are paid; all are positive.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Box
+from snapo.problem.simulator import Schedule, Simulator
+
+from ..market.dynamics import move, noise_size
+from ..market.state import Move
+from ..records.case import PensionCase
+from .books import LEAST, Balance, State, balance, opening
+from .observation import observe
+from .plan import contribution, indexation
+from .schedule import Period, Terms, make_schedule
+from .trading import Holdings, trade
+
+# Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
+AT_END = (
+    "funding_ratio",
+    "log_relative",
+    "surplus",
+    "surplus_ratio",
+    "assets",
+    "liability",
+    "pv_assets",
+    "pv_liability",
+    "discount",
+    "pv_shortfall",
+)
+# Sums over the steps; "pv_" discounts, "_square" is of 1 - F below 1 and per year, "normal_cost"
+# the value of the accrual, "granted" and "cut" the indexation; "funding" is F before each step,
+# "bound_excess" by how much weights leave their bounds.
+EACH_STEP = (
+    "contribution",
+    "benefit",
+    "expenses",
+    "cost",
+    "normal_cost",
+    "granted",
+    "cut",
+    "pv_contribution",
+    "pv_benefit",
+    "pv_expenses",
+    "pv_cost",
+    "pv_accrual",
+    "pv_indexation",
+    "shortfall_square",
+    "collateral_shortfall",
+    "funding",
+    "bound_excess",
+)
+OUTPUTS = AT_END + EACH_STEP
+
+
+class Flows(NamedTuple):
+    """Money of a step: contributions received, benefits and expenses paid."""
+
+    contribution: Array
+    benefit: Array
+    expenses: Array
+
+    @property
+    def net(self) -> Array:
+        return self.contribution - self.benefit - self.expenses
+
+
+class Happened(NamedTuple):
+    """A step: the books before it, the money, the sums `invested` and `held`, the market's move,
+    the state after it, and the indexation `granted` and `cut` at its end."""
+
+    books: Balance
+    flows: Flows
+    invested: Array
+    held: Holdings
+    moved: Move
+    after: State
+    granted: Array
+    cut: Array
+
+
+class PensionSimulator(Simulator):
+    """The fund of a case; see `snapo.domains.pension.records` for its terms."""
+
+    case: PensionCase = eqx.field(static=True)
+
+    @property
+    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.case.steps
+
+    @property
+    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Box(len(self.case.assets.classes) + self.case.buckets, 0.0, 1.0)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return noise_size(self.case)
+
+    def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        return make_schedule(self.case, inputs)
+
+    def initial(self, constants: Terms, noise) -> State:
+        return opening(constants)
+
+    def observe(self, constants: Terms, now: Period, state: State) -> Float[Array, " features"]:
+        books = balance(self.case, constants, now.people, now.shape, state)
+        return observe(self.case, constants, now, state, books.ratio)
+
+    def step(self, constants: Terms, now: Period, state: State, action, noise, smooth):
+        done = self.happen(constants, now, state, action, noise, smooth)
+        return done.after, self._outputs(constants, state, done, smooth)
+
+    def happen(self, constants: Terms, now: Period, state: State, action, noise, smooth):
+        """One step in all its parts: a `Happened`."""
+        case = self.case
+        books = balance(case, constants, now.people, now.shape, state)
+        flows = self._flows(constants, now, state, books, smooth)
+        invested = state.assets + flows.net if self._in_advance else state.assets
+        buckets = None if constants.swaps is None else constants.swaps.nearest @ books.by_node
+        held = trade(case, constants, state, action, invested, buckets, smooth)
+        moved = move(case, constants.market, now.market, state.market, noise)
+        indexed = self._indexed(constants, now, state, books, moved.market, smooth)
+        after = self._settled(constants, indexed[0], flows, invested, held, moved)
+        return Happened(books, flows, invested, held, moved, after, *indexed[1:])
+
+    @property
+    def _in_advance(self) -> bool:
+        return self.case.plan.timing == "advance"
+
+    def _flows(self, constants: Terms, now: Period, state: State, books, smooth) -> Flows:
+        """Money received and paid; the rules look at the books before the step."""
+        people, market = now.people, state.market
+        received = contribution(
+            self.case.plan,
+            constants.plan,
+            assets=state.assets,
+            liability=books.liability,
+            normal_cost=books.accrual,
+            payroll=people.payroll,
+            wage=jnp.exp(market.log_wage),
+            step=self.case.step,
+            smooth=smooth,
+        )
+        alive = state.theta * jnp.exp(-state.deaths)
+        benefit = alive * (people.benefit + state.fresh * people.fresh_benefit)
+        return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))
+
+    def _settled(self, constants: Terms, after: State, flows, invested, held, moved) -> State:
+        """The state `after` with holdings and payments: assets, drifted weights, notionals."""
+        growth = jnp.sum(held.weights * moved.gross)
+        assets = (invested - held.cost) * growth
+        overlay = None
+        if held.notional is not None:
+            returned = jnp.exp(moved.cash) * jnp.expm1(moved.swaps)
+            assets = assets + jnp.sum(held.notional * returned)
+        assets = assets if self._in_advance else assets + flows.net
+        if held.notional is not None:
+            least = LEAST * constants.assets
+            rolled = held.notional * jnp.exp(moved.cash + moved.swaps)
+            overlay = rolled / jnp.where(assets > least, assets, constants.assets)
+        weights = held.weights * moved.gross / growth
+        return after._replace(assets=assets, weights=weights, overlay=overlay)
+
+    def _outputs(self, constants: Terms, state: State, done: Happened, smooth):
+        """The named scalars of a step, see `EACH_STEP`."""
+        books, flows, held = done.books, done.flows, done.held
+        before = jnp.exp(state.market.log_discount)
+        paid = before if self._in_advance else jnp.exp(done.moved.market.log_discount)
+        below = smooth.positive_part(1 - books.ratio, 0.1)
+        return {
+            "contribution": flows.contribution,
+            "benefit": flows.benefit,
+            "expenses": flows.expenses,
+            "cost": held.cost,
+            "normal_cost": books.accrual,
+            "granted": done.granted,
+            "cut": done.cut,
+            "pv_contribution": paid * flows.contribution,
+            "pv_benefit": paid * flows.benefit,
+            "pv_expenses": paid * flows.expenses,
+            "pv_cost": before * held.cost,
+            "pv_accrual": before * books.accrual,
+            "pv_indexation": self._indexation_value(before, books, state),
+            "shortfall_square": self.case.step * below**2,
+            "collateral_shortfall": self.case.step * held.collateral_shortfall / constants.assets,
+            "funding": books.ratio,
+            "bound_excess": held.bound_excess,
+        }
+
+    def _indexed(self, constants: Terms, now: Period, state: State, books, market, smooth):
+        """The state at the end of a step but for assets, and indexation granted and cut."""
+        case, people = self.case, now.people
+        rule = case.plan.indexation
+        theta, last = state.theta, state.log_price_last
+        granted = cut = jump = jnp.zeros_like(theta)
+        ratio_sum = state.ratio_sum + now.averaging * books.ratio
+        if rule.kind != "none" or rule.cut_years:
+            given = indexation(
+                case.plan,
+                constants.plan,
+                ratio=ratio_sum,
+                price_growth=jnp.expm1(market.log_price - last),
+                smooth=smooth,
+            )
+            granted, cut = (now.due * each for each in given)
+            theta = theta * (1 + granted - cut)
+            jump = jnp.log1p(granted - cut)
+            if case.liability.future_indexation == "full":
+                jump = jump - now.due * (market.log_price - last)
+            last = last + now.due * (market.log_price - last)
+        wage = jnp.exp(state.market.log_wage) / state.theta
+        fresh = state.fresh + people.mix * (wage / people.baseline - state.fresh)
+        deaths = state.deaths
+        if case.lee_carter is not None:
+            deaths = deaths + people.decline * state.market.mortality
+        after = state._replace(
+            market=market,
+            theta=theta,
+            fresh=fresh,
+            deaths=deaths,
+            log_price_last=last,
+            ratio_sum=ratio_sum * (1 - now.due),
+            jump=jump,
+        )
+        return after, granted, cut
+
+    @staticmethod
+    def _indexation_value(discount: Array, books: Balance, state: State) -> Array:
+        """Present value of the indexation that the last step ended with."""
+        return discount * books.liability * -jnp.expm1(-state.jump)
+
+    def terminal(self, constants: Terms, state: State, smooth):
+        books = balance(self.case, constants, constants.last, constants.last_shape, state)
+        discount = jnp.exp(state.market.log_discount)
+        surplus = state.assets - books.liability
+        ratio = jnp.where(books.ratio > 1e-3, books.ratio, 1e-3)
+        start = constants.assets / jnp.maximum(constants.liability, LEAST * constants.assets)
+        short = smooth.positive_part(-surplus, 0.1 * constants.assets)
+        return {
+            "funding_ratio": books.ratio,
+            "log_relative": jnp.log(ratio / start),
+            "surplus": surplus,
+            "surplus_ratio": -smooth.positive_part(1 - books.ratio, 0.1),
+            "assets": state.assets,
+            "liability": books.liability,
+            "pv_assets": discount * state.assets,
+            "pv_liability": discount * books.liability,
+            "discount": discount,
+            "pv_shortfall": discount * short,
+            "pv_indexation": self._indexation_value(discount, books, state),
+        }
+
+    def totals(self):
+        return {"funding": "last", "bound_excess": "max"}
+
+    def slack(self, constants: Terms, now: Period, state: State, outputs):
+        found = {"weights": -outputs["bound_excess"]}
+        if constants.swaps is not None:
+            found["collateral"] = -outputs["collateral_shortfall"]
+        return found

@@ -1,0 +1,78 @@
+"""Holdings of a step: weights, swaps, the cost of trading and the collateral needed.
+
+The action is n weights, then for each swap bucket where in its range the notional lies. Cash takes
+the remainder of the other weights, so that any policy finances itself.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.assets import Assets
+from ..records.case import PensionCase
+
+SHARE = 0.01  # width over which the cost of a trade is rounded while training
+
+
+class Holdings(NamedTuple):
+    """`weights` [n] of assets after trading; `notional` [b] money in swaps or None; `cost` money;
+    `bound_excess` by how much the weights leave their bounds (negative inside);
+    `collateral_shortfall` money."""
+
+    weights: Array
+    notional: Array | None
+    cost: Array
+    bound_excess: Array
+    collateral_shortfall: Array
+
+
+def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> Holdings:
+    """Moves from the holdings of `state` to the action's; `assets`: money to invest, `buckets` [b]
+    value of the liability payments nearest to each swap."""
+    count, cash = len(case.assets.classes), case.assets.cash
+    others = action[:count] * (np.arange(count) != cash)
+    weights = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
+    traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
+    cost = assets * (traded + jnp.sum(terms.fee * weights))
+    notional, short = None, jnp.zeros_like(assets)
+    swaps = terms.swaps
+    if swaps is not None:
+        notional = _notional(case, swaps, action[count:], assets, buckets, smooth)
+        # Holdings less targets: where nothing is traded, the derivative by the holding is then that
+        # of one more.
+        change = state.overlay * state.assets / terms.assets - notional / terms.assets
+        cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
+        required = jnp.sum(notional * swaps.duration) * swaps.stress
+        eligible = np.array([each.eligible for each in case.assets.classes])
+        gap = required - assets * jnp.sum(eligible * weights)
+        short = smooth.positive_part(gap, SHARE * terms.assets)
+    return Holdings(weights, notional, cost, excess(case.assets, weights), short)
+
+
+def _notional(case: PensionCase, swaps, action, assets, buckets, smooth) -> Float[Array, " b"]:
+    """Notionals within their ranges, scaled down together where leverage would exceed its limit."""
+    share = swaps.low + action * (swaps.high - swaps.low)
+    unit = assets
+    if case.overlay is not None and case.overlay.unit == "liability":
+        unit = buckets
+    notional = share * unit
+    # Leverage counts against the fund's assets; they are above zero wherever this matters.
+    total = jnp.sum(smooth.absolute(notional / _positive(assets, 1e-3), SHARE))
+    return notional * swaps.leverage / _positive(smooth.maximum(total, swaps.leverage), 1e-9)
+
+
+def _positive(x: Array, least: float) -> Array:
+    return jnp.where(x > least, x, least)
+
+
+def excess(assets: Assets, weights: Array) -> Array:
+    """The largest amount by which a weight or a group leaves its bounds."""
+    # In the type of the weights: JAX remembers an array of the case in the type it met first.
+    low, high = (jnp.asarray(each, weights.dtype) for each in (assets.low, assets.high))
+    largest = jnp.maximum(jnp.max(low - weights), jnp.max(weights - high))
+    for group in assets.groups:
+        total = sum(weights[i] for i in group.members)
+        largest = jnp.maximum(largest, jnp.maximum(group.low - total, total - group.high))
+    return largest

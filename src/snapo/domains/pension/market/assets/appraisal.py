@@ -1,0 +1,31 @@
+"""Appraised returns: the share of a return that is shown at once, the rest later.
+
+shown' = a r + (1 - a) shown, with a the share that an appraisal takes up in a step.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...records.case import PensionCase
+
+
+def shown_now(case: PensionCase) -> Array | None:
+    """[q] the last returns that appraisals have shown; None in a case without any."""
+    count = len(case.assets.smoothed)
+    return jnp.zeros(count) if count else None
+
+
+def appraised(
+    case: PensionCase, smoothing: Array, log: Float[Array, " n"], shown: Array | None
+) -> tuple[Float[Array, " n"], Array | None]:
+    """Log returns as shown, and the next `shown`; `smoothing` [q] is a."""
+    if shown is None:
+        return log, None
+    # A copy: JAX remembers an array of the case in the type it met first, and training is in
+    # 32 bits, evaluation in 64.
+    smoothed = np.array(case.assets.smoothed)
+    shown = smoothing * log[smoothed] + (1 - smoothing) * shown
+    order = np.arange(len(case.assets.classes))
+    order[smoothed] = len(order) + np.arange(len(smoothed))
+    return jnp.concatenate([log, shown])[order], shown

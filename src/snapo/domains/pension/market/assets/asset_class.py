@@ -1,0 +1,172 @@
+"""An asset class: a row of the asset table, and all that its kind means.
+
+A kind is a subclass in a file of its own in this folder: its columns and their reader, its
+returns, its price today by the curves and spreads, and its words. Classes of one kind are
+handled together: the class methods take the positions `places` [k] of a case's classes.
+"""
+
+import inspect
+from abc import ABC, abstractmethod
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar, Literal, NamedTuple, Self, TypeVar
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.case.csv import Row
+
+from ...read.cells import position
+from ...records.case import PensionCase
+from ..currencies import CurrencyTerms
+from ..factors import Factors
+
+AttributionPart = Literal["cash", "rates", "credit", "assets"]
+# Columns that not every kind has; `AssetClass.columns` says which of them a kind has.
+SPECIAL = ("mean", "volatility", "maturity", "rating", "smoothing")
+
+
+class Names(NamedTuple):
+    """The references of a row of the table: the years of a step, ratings and currencies."""
+
+    step: float
+    ratings: Sequence[str]
+    currencies: Sequence[str]
+
+    def rating(self, row: Row) -> int:
+        """The position of the rating in a row, -1 for none."""
+        return position(row, "rating", self.ratings, "rating in [credit]")
+
+    def currency(self, row: Row) -> int:
+        """The position of the currency in a row, -1 for the fund's own."""
+        return position(row, "currency", self.currencies, "currency in [currencies]")
+
+
+class Scene(NamedTuple):
+    """The sources from which all kinds prepare their returns."""
+
+    case: PensionCase
+    inputs: dict[str, Any]
+    factors: Factors
+    covariance: Float[Array, "Z Z"]
+    currencies: CurrencyTerms
+
+
+class Now(NamedTuple):
+    """A step of the market, as a return sees it.
+
+    `shock` [Z] the Gaussian vector, `volatility` [g] of the factors, `index_volatility` of prices,
+    `cash` the log return of cash, `spread` [R] ln(s / mean) before the step, `foreign` [X] log
+    returns of the unhedged share of each currency, None without currencies.
+    """
+
+    shock: Array
+    volatility: Array
+    index_volatility: Array
+    cash: Array
+    spread: Array | None
+    foreign: Array | None
+
+
+@dataclass(frozen=True)
+class AssetClass(ABC):
+    """One row of the asset table. Exactly one class of a case is cash.
+
+    - `currency`: position in `PensionCase.currencies`, -1 for the fund's own.
+    - `group`: name of a group, or "". `eligible`: share that counts as collateral, 0 to 1.
+
+    A kind sets:
+
+    - `kind`: the word in the table; `words`: its meaning in one phrase, for the report.
+    - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
+    - `part`: the part of an attribution that its return over cash belongs to.
+    - `collateral`: the share that is eligible where the table is silent.
+    - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
+    """
+
+    kind: ClassVar[str]
+    words: ClassVar[str]
+    columns: ClassVar[tuple[str, ...]]
+    without: ClassVar[str]
+    part: ClassVar[AttributionPart]
+    collateral: ClassVar[float] = 0.0
+    own_shock: ClassVar[bool] = False
+    is_cash: ClassVar[bool] = False
+
+    name: str
+    currency: int = -1
+    group: str = ""
+    eligible: float = 0.0
+
+    @classmethod
+    @abstractmethod
+    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+        """The fields that this kind adds, from the row's own columns."""
+
+    @classmethod
+    @abstractmethod
+    def prepare(cls, scene: Scene, places: Sequence[int]) -> tuple[Any, Any]:
+        """The numbers of these classes that all paths share: throughout, and [T, …] per step."""
+
+    @classmethod
+    @abstractmethod
+    def log_return(
+        cls, case: PensionCase, places: Sequence[int], terms: Any, steps: Any, now: Now
+    ) -> Float[Array, " k"]:
+        """Log returns of these classes over a step; `terms`, `steps` are those of `prepare`."""
+
+    @classmethod
+    @abstractmethod
+    def log_price(
+        cls, case: PensionCase, inputs: dict[str, Any], places: Sequence[int]
+    ) -> Float[Array, " k"]:
+        """ln of today's prices up to a constant: its derivatives are the exposures to curves,
+        break-evens and spreads."""
+
+    @classmethod
+    def of(cls, case: PensionCase, places: Sequence[int]) -> list[Self]:
+        """The classes at these positions."""
+        return [case.assets.classes[i] for i in places]  # pyright: ignore[reportReturnType]
+
+    @classmethod
+    def currencies(cls, case: PensionCase, places: Sequence[int]) -> np.ndarray:
+        """[k] their currencies."""
+        return np.array([each.currency for each in cls.of(case, places)], int)
+
+
+KINDS: dict[str, type[AssetClass]] = {}
+AnyKind = TypeVar("AnyKind", bound=type[AssetClass])
+
+
+def register(kind: AnyKind) -> AnyKind:
+    """Makes a kind known by its word; one that is incomplete or known already is an error."""
+    missing = [n for n in ("kind", "words", "columns", "without", "part") if not hasattr(kind, n)]
+    missing += sorted(getattr(kind, "__abstractmethods__", ()))
+    if missing or inspect.isabstract(kind):
+        raise TypeError(f"{kind.__name__}: a kind of asset class needs {', '.join(missing)}.")
+    if unknown := set(kind.columns) - set(SPECIAL):
+        raise TypeError(f"{kind.__name__}: there are no columns {', '.join(sorted(unknown))}.")
+    if kind.kind in KINDS:
+        raise TypeError(f"{kind.__name__}: the kind {kind.kind!r} is {KINDS[kind.kind].__name__}.")
+    KINDS[kind.kind] = kind
+    return kind
+
+
+def by_kind(case: PensionCase) -> list[tuple[type[AssetClass], tuple[int, ...]]]:
+    """The kinds that a case holds, in the order of their first class, with the positions."""
+    found: dict[type[AssetClass], list[int]] = {}
+    for i, each in enumerate(case.assets.classes):
+        found.setdefault(type(each), []).append(i)
+    return [(kind, tuple(places)) for kind, places in found.items()]
+
+
+def in_order(case: PensionCase, parts: Sequence[Array]) -> Array:
+    """[n] one row per class from one array per kind, as `by_kind` divides them."""
+    places = np.concatenate([np.array(each, int) for _, each in by_kind(case)])
+    return jnp.concatenate(parts)[np.argsort(places)]
+
+
+def log_prices(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " n"]:
+    """ln of today's price of every class up to a constant (see `AssetClass.log_price`)."""
+    return in_order(case, [kind.log_price(case, inputs, at) for kind, at in by_kind(case)])

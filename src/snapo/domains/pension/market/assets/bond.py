@@ -1,0 +1,81 @@
+"""Bonds by their maturity, and government bonds: on the nominal curve, without default."""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.case.csv import Row
+
+from ...read.cells import whole_steps
+from ...records.case import PensionCase
+from ..curve import log_bond
+from . import constant_maturity
+from .asset_class import AssetClass, AttributionPart, Names, register
+
+
+class BondTerms(NamedTuple):
+    """`reach` [k, f], see `constant_maturity`."""
+
+    reach: Array
+
+
+class BondSteps(NamedTuple):
+    """`drift` [T, k] of log returns over cash."""
+
+    drift: Array
+
+
+@dataclass(frozen=True)
+class Maturing(AssetClass):
+    """Zero-coupon bonds of `maturity` whole steps, kept constant."""
+
+    maturity: int = 0
+
+    @classmethod
+    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+        row.cells.setdefault("maturity", "")
+        return {"maturity": whole_steps(row, "maturity", names.step)}
+
+    @classmethod
+    def maturities(cls, case: PensionCase, places) -> np.ndarray:
+        """[k] in steps."""
+        return np.array([each.maturity for each in cls.of(case, places)], int)
+
+    @classmethod
+    def log_price(cls, case: PensionCase, inputs: dict[str, Any], places) -> Float[Array, " k"]:
+        """By the nominal curve alone."""
+        return log_bond(case.curve, inputs, cls.maturities(case, places) * case.step)
+
+
+@register
+@dataclass(frozen=True)
+class Bond(Maturing):
+    """Zero-coupon bonds without default."""
+
+    kind: ClassVar[str] = "bond"
+    words: ClassVar[str] = "zero-coupon bonds of constant maturity on the nominal curve"
+    columns: ClassVar[tuple[str, ...]] = ("maturity",)
+    without: ClassVar[str] = "its return follows from the curve"
+    part: ClassVar[AttributionPart] = "rates"
+    collateral: ClassVar[float] = 1.0
+
+    @classmethod
+    def held(cls, case, places) -> constant_maturity.Held:
+        """The bonds at these positions."""
+        given = cls.maturities(case, places), cls.currencies(case, places)
+        return constant_maturity.nominal_bonds(case, *given)
+
+    @classmethod
+    def prepare(cls, scene, places):
+        held = cls.held(scene.case, places)
+        drift = constant_maturity.drift(scene, held, constant_maturity.load(scene, held))
+        reach = constant_maturity.reach(held, scene.factors, scene.case.step)
+        return BondTerms(reach), BondSteps(drift)
+
+    @classmethod
+    def log_return(cls, case, places, terms, steps, now):
+        held = cls.held(case, places)
+        over = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
+        return over + now.cash

@@ -1,0 +1,40 @@
+"""Cash: it earns the integral of the short rate, without a risk of its own."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import jax.numpy as jnp
+
+from .asset_class import AssetClass, AttributionPart, register
+
+
+@register
+@dataclass(frozen=True)
+class Cash(AssetClass):
+    """Cash in the fund's own currency."""
+
+    kind: ClassVar[str] = "cash"
+    words: ClassVar[str] = "earns the short rate"
+    columns: ClassVar[tuple[str, ...]] = ()
+    without: ClassVar[str] = "its return is the short rate, which follows from the curve"
+    part: ClassVar[AttributionPart] = "cash"
+    collateral: ClassVar[float] = 1.0
+    is_cash: ClassVar[bool] = True
+
+    @classmethod
+    def read(cls, row, names):
+        if row.cells.get("currency"):
+            raise row.error("currency", "cash is held in the fund's own currency")
+        return {}
+
+    @classmethod
+    def prepare(cls, scene, places):
+        return None, None
+
+    @classmethod
+    def log_return(cls, case, places, terms, steps, now):
+        return jnp.broadcast_to(now.cash, (len(places),))
+
+    @classmethod
+    def log_price(cls, case, inputs, places):
+        return jnp.zeros(len(places))

@@ -1,0 +1,126 @@
+"""Zero-coupon bonds that are sold after each step and bought again at their first maturity.
+
+A bond of m steps loads on the factors f through l (see `market.factors`: rates 1 each, and for
+index-linked bonds expected inflation -1). Over a step of length d its log return over cash is
+
+    drift - sum_i l_i s_i (B_i((m - 1) d) zeta_i + iota_i) + (index-linked) s_I dW_I + currency
+
+where minus half the variance of it all makes it a martingale under "Q". Under "P" each dW moves by
+lambda d, so that the drift has -sum_i l_i s_i lambda_i (B_i((m - 1) d) B_i(d) + int_0^d B_i) and,
+index-linked, s_I lambda_I d on top. Index-linked: of I(t) P_real(t, T), in money.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from ...records.case import PensionCase
+from ...records.inputs import use
+from ..currencies import of_currency
+from ..factors import Factors
+from ..shocks import slots
+from .asset_class import Now, Scene
+
+
+class Held(NamedTuple):
+    """k bonds, static: `maturity` in steps and `currency` [k]; `loads` [f] l of the first f
+    factors; whether they are `linked` to prices."""
+
+    maturity: np.ndarray
+    currency: np.ndarray
+    loads: np.ndarray
+    linked: bool
+
+
+def nominal_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> Held:
+    """Bonds that pay money."""
+    loads = np.ones(case.rates.count())
+    return Held(np.asarray(maturity, int), np.asarray(currency, int), loads, False)
+
+
+def linked_bonds(case: PensionCase, maturity: ArrayLike, currency: ArrayLike) -> Held:
+    """Bonds that pay the price index."""
+    loads = np.append(np.ones(case.rates.count()), -1.0)
+    return Held(np.asarray(maturity, int), np.asarray(currency, int), loads, True)
+
+
+class Load(NamedTuple):
+    """The loads of returns over cash: `size` [T, k, L] of the components `which` [k, L] of the
+    Gaussian vector."""
+
+    size: Array
+    which: np.ndarray
+
+    def variance(self, covariance: Array) -> Float[Array, "T k"]:
+        """Of a step's log return."""
+        among = covariance[self.which[:, :, None], self.which[:, None]]
+        return jnp.einsum("tki,kij,tkj->tk", self.size, among, self.size)
+
+    def with_component(self, covariance: Array, component: np.ndarray) -> Float[Array, "T k"]:
+        """Covariance with one `component` [k] of the vector for each bond."""
+        return jnp.sum(self.size * covariance[self.which, component[:, None]], axis=2)
+
+
+def reach(held: Held, factors: Factors, step: float) -> Float[Array, "k f"]:
+    """l B((m - 1) d) by the factors on which the bonds load."""
+    shorter = (held.maturity - 1)[:, None] * step
+    a = factors.mean_reversion[: len(held.loads)]
+    return jnp.asarray(-held.loads) * jnp.expm1(-a * shorter) / a
+
+
+def load(scene: Scene, held: Held) -> Load:
+    """The exposure of a step's return to the Gaussian vector, currency included."""
+    case, factors = scene.case, scene.factors
+    place, count = slots(case), len(held.loads)
+    steps, k = case.steps, len(held.maturity)
+    foreign = np.where(held.currency >= 0, place.currency.start + held.currency, 0)
+    which = [
+        np.broadcast_to(place.zeta[:count], (k, count)),
+        np.broadcast_to(place.iota[:count], (k, count)),
+        foreign[:, None],
+    ]
+    volatility = factors.volatility[:, None, :count]
+    whole = jnp.broadcast_to(-volatility * held.loads, (steps, k, count))
+    e = of_currency(scene.currencies.exposure, held.currency)
+    size = [
+        -volatility * reach(held, factors, case.step),
+        whole,
+        jnp.broadcast_to(e[:, None], (steps, k, 1)),
+    ]
+    if held.linked:
+        own = use(scene.inputs, case.inflation.index_volatility)
+        which.append(np.full((k, 1), place.index))
+        size.append(jnp.broadcast_to(own[:, None, None], (steps, k, 1)))
+    return Load(jnp.concatenate(size, axis=2), np.concatenate(which, axis=1))
+
+
+def drift(scene: Scene, held: Held, load: Load) -> Float[Array, "T k"]:
+    """Mean of a step's log return over cash, currency included."""
+    case, factors, count = scene.case, scene.factors, len(held.loads)
+    exposed = reach(held, factors, case.step) * factors.reach[:count]
+    exposed = exposed + held.loads * factors.reached[:count]
+    premium = (factors.volatility[:, :count] * factors.price_of_risk[:count]) @ exposed.T
+    found = -load.variance(scene.covariance) / 2 - premium
+    currencies = scene.currencies
+    earned = currencies.hedging + (0.0 if case.risk_neutral else 1.0) * currencies.premium
+    found = found + of_currency(earned, held.currency)
+    if held.linked and not case.risk_neutral:
+        own = use(scene.inputs, case.inflation.index_volatility)
+        price = use(scene.inputs, case.inflation.index_price_of_risk)
+        found = found + (own * price * case.step)[:, None]
+    return found
+
+
+def over_cash(case: PensionCase, held: Held, reach: Array, drift: Array, now: Now) -> Array:
+    """[k] log returns over cash; `reach` [k, f] and the step's `drift` [k]."""
+    place, count = slots(case), len(held.loads)
+    volatility = now.volatility[:count]
+    fall = reach @ (volatility * now.shock[place.zeta[:count]])
+    fall = fall + jnp.sum(held.loads * volatility * now.shock[place.iota[:count]])
+    if held.linked:
+        fall = fall - now.index_volatility * now.shock[place.index]
+    found = drift - fall
+    return found if now.foreign is None else found + of_currency(now.foreign, held.currency)

@@ -1,0 +1,119 @@
+"""Corporate bonds: the curve plus a rating's spread, less defaults.
+
+Over a bond of the same maturity the log return has minus duration times the change of the spread
+s = mean exp(u), with the spread's own noise made a martingale. In the real world it earns the
+spread less defaults, and less the fall of prices while u reverts to zero.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ...records.inputs import use
+from ..shocks import slots
+from ..spreads import spread_terms
+from . import constant_maturity
+from .asset_class import AttributionPart, register
+from .bond import Maturing
+
+
+class CreditTerms(NamedTuple):
+    """Of the k classes: `reach` [k, f] of the bond beneath; `duration` in years, `mean_spread`,
+    `volatility` and `variance` of the spread's zeta, `carry` per unit of spread and step,
+    `reverting` the share of u lost in a step."""
+
+    reach: Array
+    duration: Array
+    mean_spread: Array
+    volatility: Array
+    variance: Array
+    carry: Array
+    reverting: Array
+
+
+class CreditSteps(NamedTuple):
+    """[T, k]: `drift` of the bond beneath over cash, `cross` the covariance of its return with the
+    spread's zeta."""
+
+    drift: Array
+    cross: Array
+
+
+@register
+@dataclass(frozen=True)
+class CreditBond(Maturing):
+    """Zero-coupon corporate bonds; `rating`: position in the ratings of the case."""
+
+    kind: ClassVar[str] = "credit"
+    words: ClassVar[str] = (
+        "zero-coupon corporate bonds of constant maturity: the curve plus a rating's spread,"
+        " less defaults"
+    )
+    columns: ClassVar[tuple[str, ...]] = ("maturity", "rating")
+    without: ClassVar[str] = "its return follows from the curve and the spread of its rating"
+    part: ClassVar[AttributionPart] = "credit"
+
+    rating: int = -1
+
+    @classmethod
+    def read(cls, row, names):
+        if not row.cells.setdefault("rating", ""):
+            raise row.error("rating", "a class of kind credit needs a rating")
+        return super().read(row, names) | {"rating": names.rating(row)}
+
+    @classmethod
+    def ratings(cls, case, places) -> np.ndarray:
+        """[k] positions of the ratings."""
+        return np.array([each.rating for each in cls.of(case, places)], int)
+
+    @classmethod
+    def held(cls, case, places) -> constant_maturity.Held:
+        """The bonds without their spreads."""
+        given = cls.maturities(case, places), cls.currencies(case, places)
+        return constant_maturity.nominal_bonds(case, *given)
+
+    @classmethod
+    def prepare(cls, scene, places):
+        case, inputs, held = scene.case, scene.inputs, cls.held(scene.case, places)
+        load, rating = constant_maturity.load(scene, held), cls.ratings(case, places)
+        component = slots(case).spread.start + rating
+        credit, real_world = case.credit, 0.0 if case.risk_neutral else 1.0
+        mean = use(inputs, credit.mean_spread)
+        lost = use(inputs, credit.default_loss) / mean
+        spread = spread_terms(case, inputs)
+        terms = CreditTerms(
+            reach=constant_maturity.reach(held, scene.factors, case.step),
+            duration=jnp.asarray(held.maturity * case.step),
+            mean_spread=mean[rating],
+            volatility=spread.volatility[rating],
+            variance=jnp.diag(scene.covariance)[component],
+            carry=real_world * (1 - lost)[rating] * case.step,
+            reverting=real_world * (1 - spread.fading)[rating],
+        )
+        steps = CreditSteps(
+            drift=constant_maturity.drift(scene, held, load),
+            cross=load.with_component(scene.covariance, component),
+        )
+        return terms, steps
+
+    @classmethod
+    def log_return(cls, case, places, terms, steps, now):
+        held, rating = cls.held(case, places), cls.ratings(case, places)
+        bond = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
+        assert now.spread is not None
+        u, zeta = now.spread[rating], now.shock[slots(case).spread][rating]
+        level = terms.mean_spread * jnp.exp(u)
+        move = -terms.duration * level
+        shocked = move * terms.volatility
+        noise = zeta - steps.cross - shocked * terms.variance / 2
+        extra = shocked * noise + level * terms.carry - move * terms.reverting * u
+        return bond + extra + now.cash
+
+    @classmethod
+    def log_price(cls, case, inputs: dict[str, Any], places):
+        years = cls.maturities(case, places) * case.step
+        spread = use(inputs, case.credit.spread)[cls.ratings(case, places)]
+        return super().log_price(case, inputs, places) - years * spread

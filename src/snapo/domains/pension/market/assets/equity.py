@@ -1,0 +1,18 @@
+"""Equity: listed and private shares, infrastructure."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .asset_class import register
+from .priced import Priced
+
+
+@register
+@dataclass(frozen=True)
+class Equity(Priced):
+    """Shares, lognormal with a shock of their own."""
+
+    kind: ClassVar[str] = "equity"
+    words: ClassVar[str] = (
+        "shares, listed or private, and infrastructure; lognormal with a shock of their own"
+    )

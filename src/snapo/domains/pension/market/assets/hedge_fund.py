@@ -1,0 +1,16 @@
+"""Hedge funds and other alternatives."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .asset_class import register
+from .priced import Priced
+
+
+@register
+@dataclass(frozen=True)
+class HedgeFund(Priced):
+    """A strategy without a market index, lognormal with a shock of its own."""
+
+    kind: ClassVar[str] = "hedge-fund"
+    words: ClassVar[str] = "hedge funds and other alternatives; lognormal with a shock of their own"

@@ -1,0 +1,41 @@
+"""Index-linked bonds: zero-coupon bonds of constant maturity that pay the price index.
+
+A bond of u years is worth I(t) P_real(t, t + u) in money, where P_real discounts by the real rate
+(R. Jarrow, Y. Yildirim, JFQA 38, 2003, with Gaussian rates); its return over a step follows (see
+`constant_maturity`). Indexation is without a lag, the principal without a floor.
+"""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+import numpy as np
+
+from ..curve import log_bond
+from . import constant_maturity
+from .asset_class import AttributionPart, register
+from .bond import Bond
+
+
+@register
+@dataclass(frozen=True)
+class IndexLinked(Bond):
+    """Zero-coupon bonds on the real curve, without default."""
+
+    kind: ClassVar[str] = "index-linked"
+    words: ClassVar[str] = (
+        "zero-coupon bonds of constant maturity that pay the price index, discounted on the curve"
+        " less break-evens"
+    )
+    without: ClassVar[str] = "its return follows from the curve and the break-evens"
+    part: ClassVar[AttributionPart] = "rates"
+
+    @classmethod
+    def held(cls, case, places) -> constant_maturity.Held:
+        given = cls.maturities(case, places), cls.currencies(case, places)
+        return constant_maturity.linked_bonds(case, *given)
+
+    @classmethod
+    def log_price(cls, case, inputs, places):
+        years = np.asarray(cls.maturities(case, places) * case.step)
+        prices = log_bond(case.inflation.break_even, inputs, years)
+        return super().log_price(case, inputs, places) - prices

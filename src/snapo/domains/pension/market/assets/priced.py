@@ -1,0 +1,89 @@
+"""Classes with a shock of their own: lognormal around a mean and a volatility that the case gives.
+
+Under "Q" the drift over cash is minus half the variance, so that the class earns cash on average.
+Under "P" the mean is the case's (see `records.assets.Assets`).
+"""
+
+from typing import Any, ClassVar, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...records.case import PensionCase
+from ...records.inputs import use
+from ..currencies import of_currency
+from ..shocks import slots
+from .asset_class import AssetClass, AttributionPart, Scene
+
+
+class PricedSteps(NamedTuple):
+    """`drift` [T, k] of log returns before cash, `volatility` [T, k] in local currency."""
+
+    drift: Array
+    volatility: Array
+
+
+class Priced(AssetClass):
+    """A class with its own shock; equity, property and others are kinds of it."""
+
+    columns: ClassVar[tuple[str, ...]] = ("mean", "volatility", "smoothing")
+    without: ClassVar[str] = "its return has a mean and a volatility of its own"
+    part: ClassVar[AttributionPart] = "assets"
+    own_shock: ClassVar[bool] = True
+
+    @classmethod
+    def read(cls, row, names):
+        return {}
+
+    @classmethod
+    def prepare(cls, scene, places):
+        case, inputs, rank = scene.case, scene.inputs, _rank(scene.case, places)
+        currency = cls.currencies(case, places)
+        volatility = use(inputs, case.assets.volatility)[:, rank]
+        variance = _variance(scene, rank, volatility, currency)
+        drift = _drift(case, inputs, rank, variance)
+        if case.assets.return_kind == "excess" and not case.risk_neutral:
+            drift = drift + of_currency(scene.currencies.premium, currency)
+        drift = drift + of_currency(scene.currencies.hedging, currency)
+        return None, PricedSteps(drift, volatility)
+
+    @classmethod
+    def log_return(cls, case, places, terms, steps, now):
+        shock = now.shock[slots(case).asset][_rank(case, places)]
+        own = steps.drift + steps.volatility * shock
+        if now.foreign is not None:
+            own = own + of_currency(now.foreign, cls.currencies(case, places))
+        total = case.assets.return_kind == "total" and not case.risk_neutral
+        return own if total else own + now.cash
+
+    @classmethod
+    def log_price(cls, case, inputs, places):
+        return jnp.zeros(len(places))
+
+
+def _rank(case: PensionCase, places) -> np.ndarray:
+    """[k] positions among the classes with a shock of their own."""
+    return np.array([case.assets.shocks.index(i) for i in places], int)
+
+
+def _variance(scene: Scene, rank: np.ndarray, volatility: Array, currency) -> Float[Array, "T k"]:
+    """Variance of a step's return, currency included."""
+    place = slots(scene.case)
+    own = np.arange(place.size)[place.asset][rank]
+    foreign = np.where(currency >= 0, place.currency.start + currency, 0)
+    e = of_currency(scene.currencies.exposure, currency)
+    both = 2 * volatility * e * scene.covariance[own, foreign]
+    alone = volatility**2 * scene.covariance[own, own]
+    return alone + both + e**2 * scene.covariance[foreign, foreign]
+
+
+def _drift(case: PensionCase, inputs: dict[str, Any], rank: np.ndarray, variance: Array) -> Array:
+    """Mean of a step's log return, before currencies."""
+    if case.risk_neutral:
+        return -variance / 2
+    mean = use(inputs, case.assets.mean)[rank]
+    if case.assets.mean_kind == "log":
+        return mean * case.step + 0 * variance
+    drift = jnp.log1p(mean) * case.step
+    return drift - variance / 2 if case.assets.mean_kind == "arithmetic" else drift + 0 * variance

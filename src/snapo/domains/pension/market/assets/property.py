@@ -1,0 +1,18 @@
+"""Property: buildings and land, often appraised."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .asset_class import register
+from .priced import Priced
+
+
+@register
+@dataclass(frozen=True)
+class Property(Priced):
+    """Property, lognormal with a shock of its own."""
+
+    kind: ClassVar[str] = "property"
+    words: ClassVar[str] = (
+        "buildings and land; lognormal with a shock of its own, where appraised shown with a lag"
+    )

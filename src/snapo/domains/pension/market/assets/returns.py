@@ -1,0 +1,69 @@
+"""Returns of all asset classes and swaps over a step: exact, and martingales under "Q"."""
+
+from typing import Any, NamedTuple
+
+from jaxtyping import Array, Float
+
+from ...records.case import PensionCase
+from ...records.inputs import use
+from ..currencies import currency_terms
+from ..factors import Factors
+from ..shocks import slots
+from .appraisal import appraised
+from .asset_class import Now, Scene, by_kind, in_order
+from .swaps import swap_returns, swap_schedule
+
+
+class AssetTerms(NamedTuple):
+    """`kinds` one entry per kind (see `AssetClass.prepare`), `swaps` or None; `exposure` [X] the
+    volatility of the unhedged share of a currency; `smoothing` [q]."""
+
+    kinds: tuple[Any, ...]
+    swaps: Any
+    exposure: Array
+    smoothing: Array
+
+
+class AssetSteps(NamedTuple):
+    """The same per step."""
+
+    kinds: tuple[Any, ...]
+    swaps: Any
+
+
+class Returns(NamedTuple):
+    """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `shown` [q]
+    of the next step."""
+
+    log: Array
+    swaps: Array | None
+    shown: Array | None
+
+
+def asset_schedule(
+    case: PensionCase, inputs: dict[str, Any], factors: Factors, covariance: Float[Array, "Z Z"]
+) -> tuple[AssetTerms, AssetSteps]:
+    """The numbers of all classes that paths share."""
+    currencies = currency_terms(case, inputs)
+    scene = Scene(case, inputs, factors, covariance, currencies)
+    kinds = [kind.prepare(scene, places) for kind, places in by_kind(case)]
+    swaps = (None, None) if case.overlay is None else swap_schedule(scene)
+    smoothing = use(inputs, case.assets.smoothing)
+    terms = AssetTerms(tuple(t for t, _ in kinds), swaps[0], currencies.exposure, smoothing)
+    return terms, AssetSteps(tuple(s for _, s in kinds), swaps[1])
+
+
+def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> Returns:
+    """Log returns of all classes; `now` the step's `MarketSteps`, `market` the state before it,
+    `shock` [Z] the Gaussian vector, `cash` the log return of cash."""
+    foreign = terms.exposure * shock[slots(case).currency] if case.currencies.names else None
+    seen = Now(shock, now.volatility, now.index_volatility, cash, market.spread, foreign)
+    parts = [
+        kind.log_return(case, places, term, step, seen)
+        for (kind, places), term, step in zip(by_kind(case), terms.kinds, now.assets.kinds)
+    ]
+    log, shown = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
+    swaps = None
+    if case.buckets:
+        swaps = swap_returns(case, terms.swaps, now.assets.swaps, seen)
+    return Returns(log, swaps, shown)

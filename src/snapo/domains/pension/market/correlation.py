@@ -1,0 +1,76 @@
+"""The correlation matrix of all Brownian motions of a case, and the repair of a given one.
+
+Brownian motions in order: factors of the short rate, expected inflation, price index, wage,
+mortality, ratings, currencies, asset classes with a shock of their own.
+"""
+
+from collections.abc import Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.assets import Assets
+from ..records.case import PensionCase
+from ..records.inputs import use
+
+SMALLEST = 1e-6  # eigenvalue of a repaired matrix
+ROUNDS = 500
+
+
+MORTALITY = ""  # the name of a motion that no case can correlate
+
+
+def brownians(case: PensionCase) -> tuple[str, ...]:
+    """The names of all Brownian motions, in order."""
+    return all_names(case.rates.factors, case.credit.names, case.currencies.names, case.assets)
+
+
+def all_names(
+    factors: Sequence[str], ratings: Sequence[str], currencies: Sequence[str], assets: Assets
+) -> tuple[str, ...]:
+    """The same from parts of a case."""
+    own = tuple(assets.classes[i].name for i in assets.shocks)
+    market = ("inflation", "price index", "wage", MORTALITY)
+    return (*factors, *market, *ratings, *currencies, *own)
+
+
+def matrix(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "B B"]:
+    """Instantaneous correlations; motions that the case does not name are independent."""
+    names = brownians(case)
+    place = [names.index(name) for name in case.correlation.names]
+    below = np.tril_indices(len(place), -1)
+    rows, columns = np.array(place, int)[below[0]], np.array(place, int)[below[1]]
+    given = use(inputs, case.correlation.lower)
+    lower = jnp.zeros((len(names), len(names))).at[rows, columns].set(given)
+    return jnp.eye(len(names)) + lower + lower.T
+
+
+def check_correlation(correlations: np.ndarray) -> float:
+    """The smallest eigenvalue: a correlation matrix has none at or below zero."""
+    return float(np.linalg.eigvalsh(correlations)[0])
+
+
+def nearest(correlations: np.ndarray) -> tuple[np.ndarray, float]:
+    """The nearest positive definite correlation matrix and the largest change of an entry.
+
+    Alternating projections with Dykstra's correction (N. Higham, IMA J. Numer. Anal. 22, 2002),
+    onto eigenvalues of at least `SMALLEST` and onto a diagonal of ones.
+    """
+    current, correction = correlations.copy(), np.zeros_like(correlations)
+    for _ in range(ROUNDS):
+        shifted = current - correction
+        values, vectors = np.linalg.eigh(shifted)
+        raised = (vectors * np.maximum(values, SMALLEST)) @ vectors.T
+        correction = raised - shifted
+        before, current = current, raised.copy()
+        np.fill_diagonal(current, 1.0)
+        if np.max(np.abs(current - before)) < 1e-12:
+            break
+    # The last projection may leave an eigenvalue a hair below; scaling keeps the diagonal.
+    values, vectors = np.linalg.eigh(current)
+    current = (vectors * np.maximum(values, SMALLEST)) @ vectors.T
+    scale = 1 / np.sqrt(np.diag(current))
+    current = current * np.outer(scale, scale)
+    return current, float(np.max(np.abs(current - correlations)))

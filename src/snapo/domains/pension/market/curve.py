@@ -1,0 +1,45 @@
+"""Zero-coupon prices from a curve as its owner quotes it; break-evens have the same form."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.inputs import use
+from ..records.market import Curve
+
+
+def log_bond(curve: Curve, inputs: dict[str, Any], years: np.ndarray) -> Float[Array, " n"]:
+    """ln P(0, t) at times `years` [n] >= 0; of break-evens, minus the log of the expected index.
+
+    Zero rates: -z(t) t, z linear between nodes and flat before the first. Forward rates: minus
+    their integral. Beyond the last node as `Curve.extrapolation` says.
+    """
+    years, nodes = np.asarray(years, float), curve.tenor
+    rate = use(inputs, curve.rate)
+    if curve.quote == "zero":
+        at_nodes = -rate * nodes
+        inside = -_between(nodes, rate, years) * np.minimum(years, nodes[-1])
+    else:
+        at_nodes = -jnp.cumsum(rate * np.diff(nodes, prepend=0.0))
+        from_zero = jnp.concatenate([jnp.zeros(1), at_nodes])
+        inside = _between(np.concatenate([[0.0], nodes]), from_zero, years)
+    beyond = np.maximum(years - nodes[-1], 0.0)
+    forward = rate[0]
+    if len(nodes) > 1:
+        forward = (at_nodes[-2] - at_nodes[-1]) / (nodes[-1] - nodes[-2])
+    if curve.extrapolation == "flat-forward":
+        return inside - forward * beyond
+    # The forward rate moves from the last one to the ultimate one by exp(-speed * beyond).
+    fading = -np.expm1(-curve.speed * beyond) / curve.speed
+    return inside - forward * fading - use(inputs, curve.ultimate) * (beyond - fading)
+
+
+def _between(nodes: np.ndarray, values: Array, at: np.ndarray) -> Array:
+    """Linear interpolation, flat outside; every value at a node is that of the node alone."""
+    upper = np.clip(np.searchsorted(nodes, at), 0, len(nodes) - 1)
+    lower = np.maximum(upper - 1, 0)
+    width = np.where(upper > lower, nodes[upper] - nodes[lower], 1.0)
+    share = np.clip((nodes[upper] - at) / width, 0.0, 1.0) * (upper > lower)
+    return jnp.asarray(share) * values[lower] + (1 - share) * values[upper]

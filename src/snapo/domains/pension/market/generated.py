@@ -1,0 +1,104 @@
+"""A market from the models: Gaussian rates, inflation, spreads, currencies and asset returns."""
+
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+from .assets.appraisal import shown_now
+from .assets.returns import asset_schedule, returns
+from .curve import log_bond
+from .factors import factors, moments, nominal, real, shape, shift, slope
+from .inflation import grow, growth
+from .shocks import covariance, factor, slots
+from .spreads import next_spread, spread_now, spread_terms
+from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
+
+
+def generated_schedule(
+    case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray
+) -> tuple[MarketTerms, MarketSteps, Array]:
+    """Terms, steps and the nodes' `shape` [T+1, J]; see `dynamics.market_schedule`."""
+    together, both = covariance(case, inputs), factors(case, inputs)
+    kinds = nominal(case), real(case, inputs)
+    found = [moments(case, both, bond, together) for bond in kinds]
+    steps, d = case.steps, case.step
+    times = np.arange(steps + 1) * d
+    price = log_bond(case.curve, inputs, times)
+    real_price = price - log_bond(case.inflation.break_even, inputs, times)
+    nominal_shift, real_shift = shift(price, found[0]), shift(real_price, found[1])
+    indices = growth(case, inputs, both, nominal_shift - real_shift)
+    rates = slice(0, case.rates.count())
+    risk = both.volatility * both.price_of_risk
+    terms, asset_steps = asset_schedule(case, inputs, both, together)
+    node_slope, node_shape = _nodes(case, both, kinds, found, nodes * d)
+    long_slope = slope(both, kinds[0], np.array([LONG]))
+    onward = log_bond(case.curve, inputs, times[:-1] + LONG) - price[:-1]
+    long = -(onward + shape(long_slope, found[0])[:-1, 0]) / LONG
+    market = MarketTerms(
+        start=at_start(jnp.zeros(len(both.decay)), spread_now(case, inputs), shown_now(case)),
+        slope=node_slope,
+        rate_slope=jnp.stack([long_slope[0] / LONG, jnp.asarray(kinds[0].loads)]),
+        shock=factor(together),
+        decay=both.decay,
+        reach=both.reach,
+        wage_growth=indices.wage,
+        wage_volatility=indices.wage_volatility,
+        mortality_volatility=_mortality_volatility(case, inputs),
+        spreads=spread_terms(case, inputs),
+        assets=terms,
+    )
+    each = MarketSteps(
+        rate_level=jnp.stack([long, nominal_shift / d], axis=1),
+        cash_shift=nominal_shift + risk[:, rates] @ both.reached[rates],
+        price_shift=indices.price,
+        index_volatility=indices.index_volatility,
+        volatility=both.volatility,
+        drift=risk * both.reach,
+        assets=asset_steps,
+    )
+    return market, each, node_shape
+
+
+def _nodes(case: PensionCase, both, kinds, found, years: np.ndarray):
+    """`slope` [J, g] and `shape` [T+1, J] of the basis on which liabilities are valued."""
+    which = 1 if case.liability.future_indexation == "full" else 0
+    if case.liability.basis == "fixed":
+        return jnp.zeros((len(years), len(both.decay))), jnp.zeros((case.steps + 1, len(years)))
+    slopes = slope(both, kinds[which], years)
+    return slopes, shape(slopes, found[which])
+
+
+def _mortality_volatility(case: PensionCase, inputs: dict[str, Any]) -> Array:
+    lee_carter = case.lee_carter
+    return jnp.zeros(()) if lee_carter is None else use(inputs, lee_carter.volatility)
+
+
+def generated_move(
+    case: PensionCase, terms: MarketTerms, now: MarketSteps, market: Market, noise: Array
+) -> Move:
+    """The market over one step; `noise` [Z] independent normals."""
+    place = slots(case)
+    shock = terms.shock @ noise
+    count = case.rates.count()
+    # The factors' integrals over the step.
+    whole = terms.reach * market.factors + now.volatility * shock[place.iota]
+    cash = now.cash_shift + jnp.sum(whole[:count])
+    grown = grow(market.log_price, market.log_wage, whole[count], now, terms, place, shock)
+    moved = returns(case, terms.assets, now, market, shock, cash)
+    mortality = market.mortality
+    if case.lee_carter is not None:
+        mortality = mortality + terms.mortality_volatility * shock[place.mortality]
+    after = Market(
+        factors=terms.decay * market.factors + now.volatility * shock[place.zeta] + now.drift,
+        log_price=grown.price,
+        log_wage=grown.wage,
+        mortality=mortality,
+        spread=next_spread(terms.spreads, market.spread, shock[place.spread]),
+        shown=moved.shown,
+        log_discount=market.log_discount - cash,
+    )
+    return Move(cash, jnp.exp(moved.log), moved.swaps, after)

@@ -1,0 +1,16 @@
+"""Hull-White: Vasicek's model with a drift that fits the curve (RFS 3, 1990)."""
+
+from dataclasses import dataclass
+from typing import ClassVar
+
+from .short_rate import ShortRate, register
+
+
+@register
+@dataclass(frozen=True, eq=False)
+class HullWhite(ShortRate):
+    """One factor."""
+
+    kind: ClassVar[str] = "hull-white"
+    factors: ClassVar[tuple[str, ...]] = ("rate",)
+    words: ClassVar[str] = "Hull-White, one factor"

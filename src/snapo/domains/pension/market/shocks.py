@@ -1,0 +1,90 @@
+"""The Gaussian vector of a step: exact integrals of Brownian motions, and their covariance.
+
+With v the time left in the step: zeta = int exp(-a v) dW moves a factor of mean reversion a,
+iota = int B(v) dW, B(v) = (1 - exp(-a v)) / a, moves that factor's time integral, and dW is the
+plain increment. No volatility enters, so a volatility of zero is allowed.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+from .correlation import brownians, matrix
+
+
+class Slots(NamedTuple):
+    """Where each part of the vector stands; F rate factors, one of inflation (g = F + 1).
+
+    `zeta`, `iota`: [g] of rates, then expected inflation. The others are slices; the vector is
+    zeta and iota of rates, zeta and iota of inflation, price index, wage, mortality, ratings,
+    currencies, asset classes with a shock of their own.
+    """
+
+    zeta: np.ndarray
+    iota: np.ndarray
+    index: int
+    wage: int
+    mortality: int
+    spread: slice
+    currency: slice
+    asset: slice
+    size: int
+
+
+def slots(case: PensionCase) -> Slots:
+    """The places of a case's vector."""
+    f = case.rates.count()
+    rates = np.arange(f)
+    spread = 2 * f + 5 + len(case.credit.names)
+    currency = spread + len(case.currencies.names)
+    size = currency + len(case.assets.shocks)
+    return Slots(
+        zeta=np.append(rates, 2 * f),
+        iota=np.append(rates + f, 2 * f + 1),
+        index=2 * f + 2,
+        wage=2 * f + 3,
+        mortality=2 * f + 4,
+        spread=slice(2 * f + 5, spread),
+        currency=slice(spread, currency),
+        asset=slice(currency, size),
+        size=size,
+    )
+
+
+def reach(mean_reversion, years):
+    """B(u) = (1 - exp(-a u)) / a."""
+    return -jnp.expm1(-mean_reversion * years) / mean_reversion
+
+
+def covariance(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "Z Z"]:
+    """Of the vector of one step, by Gauss-Legendre quadrature over the step."""
+    place, brownian = slots(case), _brownian(case)
+    nodes, weights = np.polynomial.legendre.leggauss(8 if case.step < 0.5 else 16)
+    left = case.step * (nodes + 1) / 2
+    reversion = jnp.append(
+        use(inputs, case.rates.mean_reversion), use(inputs, case.inflation.mean_reversion)
+    )
+    loads = jnp.ones((place.size, len(left)))
+    loads = loads.at[place.zeta].set(jnp.exp(-reversion[:, None] * left))
+    loads = loads.at[place.iota].set(reach(reversion[:, None], left))
+    fading = jnp.exp(-use(inputs, case.credit.mean_reversion)[:, None] * left)
+    loads = loads.at[place.spread].set(fading)
+    together = (loads * (weights * case.step / 2)) @ loads.T
+    return together * matrix(case, inputs)[brownian[:, None], brownian]
+
+
+def factor(covariance: Float[Array, "Z Z"]) -> Float[Array, "Z Z"]:
+    """The lower triangle that makes the vector from independent normals."""
+    scale = jnp.sqrt(jnp.diag(covariance))
+    return scale[:, None] * jnp.linalg.cholesky(covariance / scale / scale[:, None])
+
+
+def _brownian(case: PensionCase) -> np.ndarray:
+    """[Z] which Brownian motion drives each component."""
+    f = case.rates.count()
+    rest = np.arange(f + 1, len(brownians(case)))
+    return np.concatenate([np.arange(f), np.arange(f), [f, f], rest])

@@ -1,0 +1,35 @@
+"""Credit spreads: u = ln(s / mean) reverts to zero, one for each rating."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+
+
+class SpreadTerms(NamedTuple):
+    """R ratings: `fading` the share of u left after a step, `volatility` of its shock."""
+
+    fading: Array
+    volatility: Array
+
+
+def spread_terms(case: PensionCase, inputs: dict[str, Any]) -> SpreadTerms:
+    """The numbers of a case's ratings."""
+    credit = case.credit
+    fading = jnp.exp(-use(inputs, credit.mean_reversion) * case.step)
+    return SpreadTerms(fading, use(inputs, credit.volatility))
+
+
+def spread_now(case: PensionCase, inputs: dict[str, Any]) -> Array | None:
+    """[R] u today; None in a case without ratings."""
+    if not case.credit.names:
+        return None
+    return jnp.log(use(inputs, case.credit.spread) / use(inputs, case.credit.mean_spread))
+
+
+def next_spread(terms: SpreadTerms, spread: Array | None, shock: Array) -> Array | None:
+    """[R] u after a step; `shock` [R] of the Gaussian vector."""
+    return None if spread is None else terms.fading * spread + terms.volatility * shock

@@ -1,0 +1,77 @@
+"""The market of one path: its state, the numbers that all paths share, and a step's result."""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+LONG = 10.0  # years of the long rate that a policy may see
+
+
+class Market(NamedTuple):
+    """State of the market: `factors` [g] of rates and expected inflation (under ready-made
+    scenarios the zero rates of the file), ln of price index and wages, Lee-Carter's k, spreads
+    ln(s / mean) [R] or None, appraised returns [q] or None, ln of the discount factor of cash."""
+
+    factors: Array
+    log_price: Array
+    log_wage: Array
+    mortality: Array
+    spread: Array | None
+    shown: Array | None
+    log_discount: Array
+
+
+class MarketTerms(NamedTuple):
+    """The numbers of the whole horizon: `start` the market at time 0; ln P(t, t+u) = shape -
+    `slope` @ factors [J, g] at the payment nodes; `rate_slope` [2, g] of long and short
+    rate. Under ready-made scenarios `swap_slope` [2, b, k] before and after a step; else the
+    numbers of the models, with
+    `shock` [Z, Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
+
+    start: Market
+    slope: Array
+    rate_slope: Array
+    swap_slope: Any = None
+    shock: Any = None
+    decay: Any = None
+    reach: Any = None
+    wage_growth: Any = None
+    wage_volatility: Any = None
+    mortality_volatility: Any = None
+    spreads: Any = None
+    assets: Any = None
+
+
+class MarketSteps(NamedTuple):
+    """Per step t: `rate_level` [T, 2] long and short rate at factors of zero; the generator's
+    shifts of cash and prices, volatilities and drifts of the factors [T, g]."""
+
+    rate_level: Array
+    cash_shift: Any = None
+    price_shift: Any = None
+    index_volatility: Any = None
+    volatility: Any = None
+    drift: Any = None
+    assets: Any = None
+
+
+class Move(NamedTuple):
+    """Over one step: log return of cash, gross returns [n], swaps' log returns over cash [b] or
+    None, and the market after it."""
+
+    cash: Array
+    gross: Array
+    swaps: Any
+    market: Market
+
+
+def at_start(factors: Array, spread: Array | None = None, shown: Array | None = None) -> Market:
+    """The market at time 0."""
+    zero = jnp.zeros(())
+    return Market(factors, zero, zero, zero, spread, shown, zero)
+
+
+def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:
+    """[J] ln of the factor of a payment's forward value, at the market's factors."""
+    return shape - terms.slope @ market.factors

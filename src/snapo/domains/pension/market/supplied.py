@@ -1,0 +1,61 @@
+"""A market from a file of ready-made scenarios: returns, inflation, wages and zero rates."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..records.assets import Overlay
+from ..records.case import PensionCase
+from ..records.market import SuppliedScenarios
+from .curve import log_bond
+from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
+
+
+def supplied_schedule(
+    case: PensionCase, scenarios: SuppliedScenarios, inputs: dict[str, Any], nodes: np.ndarray
+) -> tuple[MarketTerms, MarketSteps, Array]:
+    """Zero rates of the file take the factors' place: ln P(t, t+u) = -u z(u), linear in them."""
+
+    def slopes(years: np.ndarray) -> np.ndarray:
+        linear = [np.interp(years, scenarios.tenor, row) for row in np.eye(len(scenarios.tenor))]
+        return years[:, None] * np.stack(linear, axis=1)
+
+    start = -log_bond(case.curve, inputs, scenarios.tenor) / scenarios.tenor
+    fixed = case.liability.basis == "fixed"
+    short = np.array([case.step])
+    terms = MarketTerms(
+        start=at_start(start),
+        slope=jnp.asarray(slopes(nodes * case.step) * (not fixed)),
+        rate_slope=jnp.asarray(
+            np.concatenate([slopes(np.array([LONG])) / LONG, slopes(short) / short])
+        ),
+        swap_slope=None if case.overlay is None else _swap_slope(case, case.overlay, slopes),
+    )
+    steps = MarketSteps(rate_level=jnp.zeros((case.steps, 2)))
+    return terms, steps, jnp.zeros((case.steps + 1, len(nodes)))
+
+
+def _swap_slope(case: PensionCase, overlay: Overlay, slopes: Callable) -> Array:
+    """[2, b, k] slopes of the swaps' bonds before and after a step."""
+    both = [slopes(steps * case.step) for steps in (overlay.maturity, overlay.maturity - 1)]
+    return jnp.asarray(np.stack(both))
+
+
+def supplied_move(case: PensionCase, terms: MarketTerms, market: Market, noise: Array) -> Move:
+    """A step of a scenario file: returns, inflation, wage growth, zero rates at its end."""
+    count = len(case.assets.classes)
+    gross, zeros = 1 + noise[:count], noise[count + 2 :]
+    cash = jnp.log(gross[case.assets.cash])
+    swaps = None
+    if terms.swap_slope is not None:
+        swaps = terms.swap_slope[0] @ market.factors - terms.swap_slope[1] @ zeros - cash
+    after = market._replace(
+        factors=zeros,
+        log_price=market.log_price + noise[count],
+        log_wage=market.log_wage + noise[count + 1],
+        log_discount=market.log_discount - cash,
+    )
+    return Move(cash, gross, swaps, after)

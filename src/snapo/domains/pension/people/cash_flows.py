@@ -1,0 +1,169 @@
+"""Expected payments by step: of rights accrued by now, and of the accrual of every later step.
+
+A stream is a payment profile that scales with rights: `unit` [K, N] money in each step per unit
+of yearly pension, times `held` [K] rights at time 0, or `accrual` [K, T] rights per step. With a
+spouse's pension each group of members has three: its own pension, the spouse's as if the member
+were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
+a step belongs to those alive then.
+
+Payments are one step's share of the yearly pension at the start ("advance") or end of a step to
+those alive at that time. Pensions of actives and deferred begin with the first step that starts at
+or after the retirement age; a spouse's at the member's death, whenever that is. A step accrues
+for those at work at its start, and its accrual is paid from the next step on.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, Members
+from .lives import TINY, Lives, entrants, joined, present, working
+from .mortality import log_survival, partner
+
+
+class Streams(NamedTuple):
+    """Payment profiles (module docstring), and the lives [K] on which each depends.
+
+    `member`, `spouse`: [K] 1 where it depends on the member's, the spouse's life, of the group
+    at position `group` [K] of `lives`.
+    """
+
+    unit: Array
+    held: Array
+    accrual: Array
+    lives: Lives
+    group: np.ndarray
+    member: np.ndarray
+    spouse: np.ndarray
+
+
+class Projection(NamedTuple):
+    """Expected payments; N is T plus the steps of `PAYMENT_YEARS`.
+
+    - `accrued`: [N] money paid in each step out of rights accrued by time 0.
+    - `fresh`: [T, N], row t: out of the accrual of step t, per unit of wages over indexation.
+    - `payroll`: [T+1] salaries of each step at wages of time 0.
+    - `streams`: their components; None where the case gives cash flows.
+    """
+
+    accrued: Array
+    fresh: Array
+    payroll: Array
+    streams: Streams | None
+
+
+def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> Projection:
+    """Expected payments of a case; `log_bond` as in `liability.people` (given flows only)."""
+    if case.cash_flows is not None:
+        return _given(case, inputs, case.cash_flows, log_bond)
+    if case.members is None:
+        raise ValueError("members: a case has either members or cash flows.")
+    count = horizon(case)
+    lives = present(case, inputs, case.members, count)
+    payroll = _payroll(case, inputs, case.members, lives)
+    if case.plan.open and case.plan.accruing and case.steps * case.step > 1:
+        lives = joined(lives, entrants(case, inputs, lives, count))
+    streams = _streams(case, inputs, lives, case.members.status)
+    # The accrual of step t is paid from step t + 1 on; nobody lives longer than `PAYMENT_YEARS`.
+    wait = np.arange(count) - np.arange(case.steps)[:, None]
+    within = count - case.steps
+    fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
+    accrued = jnp.where(np.arange(count) < within, streams.held @ streams.unit, 0.0)
+    return Projection(accrued, fresh, payroll, streams)
+
+
+def horizon(case: PensionCase) -> int:
+    """The number N of steps whose payments are projected."""
+    return case.steps + round(PAYMENT_YEARS / case.step)
+
+
+def _streams(
+    case: PensionCase, inputs: dict[str, Any], lives: Lives, status: np.ndarray
+) -> Streams:
+    plan, count, steps = case.plan, horizon(case), case.steps
+    time = np.arange(count)
+    age = lives.age[:, None] + time * case.step
+    drawn = ~lives.waiting[:, None] | (age >= plan.retirement_age - TINY)
+    drawn &= time >= lives.entry[:, None]
+    shift = int(plan.timing == "arrears")
+    alive = lives.alive[:, shift : count + shift]
+    own = jnp.where(drawn, alive, 0.0) * case.step
+    rights = _accrual(case, inputs, lives)
+    groups = np.arange(len(lives.age))
+    one, none = np.ones(len(groups)), np.zeros(len(groups))
+    if not (plan.spouse_share.values.size and plan.married_share.values.size):
+        return Streams(own, lives.pension, rights, lives, groups, one, none)
+    insured = np.ones(len(groups), bool)
+    insured[: len(status)] = status != SPOUSE
+    share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
+    widowed = _partner_alive(case, inputs, lives)[:, shift : count + shift]
+    widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * case.step
+    return Streams(
+        unit=jnp.concatenate([own, widowed, -widowed * alive]),
+        held=jnp.tile(lives.pension, 3),
+        accrual=jnp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
+        lives=lives,
+        group=np.tile(groups, 3),
+        member=np.concatenate([one, none, one]),
+        spouse=np.concatenate([none, one, one]),
+    )
+
+
+def _accrual(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Float[Array, "C T"]:
+    """Yearly pension that each step accrues per member of entry, who must be alive for it."""
+    plan, steps = case.plan, case.steps
+    if not plan.accruing:
+        return jnp.zeros((len(lives.age), steps))
+    since = (np.arange(steps) - lives.entry[:, None]) * case.step
+    counts = lives.service[:, None] + since < plan.max_service - TINY
+    rate = use(inputs, plan.accrual_rate) * case.step
+    return rate * lives.base[:, None] * (working(case, lives, steps) & counts)
+
+
+def _partner_alive(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
+    """Survival of the spouses from the entry of the members, as `Lives.alive`."""
+    count = horizon(case)
+    sex, age = partner(case.plan, lives.sex, lives.age)
+    path = log_survival(case, inputs, sex, age, count)
+    start = path[np.arange(len(age)), lives.entry][:, None]
+    since = np.arange(count + 1) >= lives.entry[:, None]
+    return jnp.exp(jnp.where(since, path - start, 0.0))
+
+
+def _payroll(
+    case: PensionCase, inputs: dict[str, Any], members: Members, lives: Lives
+) -> Float[Array, " T+1"]:
+    """Salaries per step at wages of time 0: as actives leave, or constant in an open plan."""
+    steps = case.steps + 1
+    each = use(inputs, members.number) * use(inputs, members.salary) * case.step
+    at_work = jnp.where(working(case, lives, steps), lives.alive[:, :steps], 0.0)
+    paid = each @ at_work
+    return jnp.full(steps, paid[0]) if case.plan.open else paid
+
+
+def _given(
+    case: PensionCase, inputs: dict[str, Any], flows: CashFlows, log_bond: Array
+) -> Projection:
+    """The actuary's vector. The accrual of a step is paid like that vector, seen one step earlier.
+
+    It is scaled such that the normal cost of step 0 is the given one on the initial curve.
+    """
+    count, steps = horizon(case), case.steps
+    amount = use(inputs, flows.amount)
+    accrued = jnp.zeros(count).at[flows.step].add(amount)
+    payroll = jnp.full(steps + 1, use(inputs, flows.salary) * case.step)
+    none = jnp.zeros((steps, count))
+    if not (case.plan.accruing and flows.normal_cost.values.size):
+        return Projection(accrued, none, payroll, None)
+    shift = int(case.plan.timing == "arrears")
+    discount = jnp.exp(log_bond[shift : count + shift])
+    profile = accrued.at[0].set(0.0)
+    value = profile @ discount
+    profile = profile * use(inputs, flows.normal_cost) / jnp.where(value > 0, value, 1.0)
+    later = np.arange(count) - np.arange(steps)[:, None]
+    fresh = jnp.where(later > 0, profile[np.maximum(later, 0)], 0.0)
+    return Projection(accrued, fresh, payroll, None)

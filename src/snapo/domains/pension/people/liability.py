@@ -1,0 +1,161 @@
+"""Payments by date become weights on a few nodes, at which each path values them with its curve.
+
+Seen from time t a payment is due u steps later, between two nodes u1 <= u < u2. Its forward value
+cf P0(t + u) / P0(t) is split over the two linearly in u. A path multiplies the nodes' weights by
+the change of its curve since (1 where it followed the forwards), so the liability depends on the
+initial curve payment by payment, and only the curve's surprise is interpolated.
+
+Liability at t: Theta exp(-y) sum_j (accrued_tj + a fresh_tj) X_tj exp(-outlook_tj k), Theta being
+cumulative indexation, y realised and k present mortality, X the path's factor of the node, and a
+the size of the rights accrued since time 0 over their size at baseline wages:
+a' = (1 - mix) a + mix w / baseline, w = wages / Theta. Their value is then exact on the initial
+curve, and their profile over time is that of baseline wages.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+from ..records.people import PAYMENT_YEARS
+from .cash_flows import Projection, project
+from .longevity import Longevity, longevity
+
+
+class People(NamedTuple):
+    """The members as every path sees them. Leading axis T + 1: at time t, before step t.
+
+    - `accrued`, `fresh` [T+1, J]: forward values on the nodes of rights accrued by time 0, and
+      in steps before t at baseline wages. `accrual` [T+1, J]: of the accrual of step t, per
+      unit of w (last row zeros). Money, at indexation 1.
+    - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
+    - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
+    - `baseline` [T+1]: the assumed w, exp(real wage growth).
+    - `mix` [T+1]: share of step t's accrual in the value of fresh rights after it.
+    - `decline` [T+1], `outlook` [T+1, J]: response of the logarithm of values to the mortality
+      factor, see `longevity`; zeros without one.
+    """
+
+    accrued: Array
+    fresh: Array
+    accrual: Array
+    benefit: Array
+    fresh_benefit: Array
+    payroll: Array
+    expenses: Array
+    baseline: Array
+    mix: Array
+    decline: Array
+    outlook: Array
+
+
+def nodes(step: float) -> np.ndarray:
+    """The payment nodes [J] in steps from now, up to `PAYMENT_YEARS`; the first is 0.
+
+    Months 0, 1, 3, 6, then 1, 1.5, 2 and every year to 30, every other to 50, every fifth after.
+    """
+    each = round(1 / step)
+    years = np.concatenate([np.arange(31), np.arange(32, 51, 2), np.arange(55, 101, 5)])
+    if each == 1:
+        return years
+    return np.union1d([1, 3, 6, 18], years * each)
+
+
+def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
+    """Cash flows as weights on nodes for every time.
+
+    **Arguments:**
+
+    - `log_bond`: ln of the discount factor at time 0 of a payment at time s * step, basis
+      included, s = 0 ... T + `PAYMENT_YEARS` / step.
+    """
+    steps, found = case.steps, project(case, inputs, log_bond)
+    growth = use(inputs, case.inflation.real_wage_growth) * case.step
+    baseline = jnp.exp(growth * jnp.arange(steps + 1))
+    # Row t: rights accrued in steps before t; payments already made are left out.
+    by_step = baseline[:steps, None] * found.fresh
+    fresh = jnp.concatenate([jnp.zeros((1, by_step.shape[1])), jnp.cumsum(by_step, axis=0)])
+    discount = forward_discount(case, log_bond)
+    accrued_value = on_nodes(case, found.accrued, discount)
+    fresh_value = on_nodes(case, fresh, discount)
+    deaths = longevity(case, inputs, found, log_bond)
+    here = np.arange(steps + 1)
+    return People(
+        accrued=accrued_value,
+        fresh=fresh_value,
+        accrual=_with_row(on_nodes(case, found.fresh, discount[:steps])),
+        benefit=found.accrued[: steps + 1],
+        fresh_benefit=fresh[here, here],
+        payroll=found.payroll,
+        expenses=jnp.full(steps + 1, use(inputs, case.plan.expenses) * case.step),
+        baseline=baseline,
+        mix=_with_row(_mix(case, by_step, fresh_value, discount)),
+        decline=jnp.zeros(steps + 1) if deaths is None else deaths.decline,
+        outlook=_outlook(case, deaths, found, fresh, discount),
+    )
+
+
+def ahead(case: PensionCase) -> np.ndarray:
+    """Position [T+1, S] of the payments of steps t, t + 1, ... in a vector by step."""
+    later = round(PAYMENT_YEARS / case.step)
+    return np.arange(case.steps + 1)[:, None] + np.arange(later)
+
+
+def paid_at(case: PensionCase, step: np.ndarray) -> np.ndarray:
+    """The time, in steps, at which the payment of a step is made."""
+    return step + (case.plan.timing == "arrears")
+
+
+def forward_discount(case: PensionCase, log_bond: Array) -> Float[Array, "times S"]:
+    """P0(payment) / P0(t) [T+1, S] of the payments of steps t, t + 1, ..."""
+    now = log_bond[: case.steps + 1, None]
+    return jnp.exp(log_bond[paid_at(case, ahead(case))] - now)
+
+
+def on_nodes(case: PensionCase, flow: Array, discount: Array) -> Float[Array, "times J"]:
+    """Forward values on the nodes at every time, of payments [T+S] or, by time, [times, T+S]."""
+    times = discount.shape[0]
+    position = ahead(case)[:times]
+    due = flow[position] if flow.ndim == 1 else flow[np.arange(times)[:, None], position]
+    return (due * discount) @ jnp.asarray(_split(case))
+
+
+def _split(case: PensionCase) -> np.ndarray:
+    """The share [S, J] of each payment ahead that goes to each node; rows add up to 1."""
+    grid = nodes(case.step)
+    due = paid_at(case, np.arange(round(PAYMENT_YEARS / case.step)))
+    upper = np.minimum(np.searchsorted(grid, due, side="right"), len(grid) - 1)
+    left = (grid[upper] - due) / (grid[upper] - grid[upper - 1])
+    share = np.zeros((len(due), len(grid)))
+    rows = np.arange(len(due))
+    share[rows, upper - 1] = left
+    share[rows, upper] = 1 - left
+    return share
+
+
+def _with_row(rows: Array) -> Array:
+    """Rows of T steps and one of zeros for the horizon."""
+    return jnp.concatenate([rows, jnp.zeros_like(rows[:1])])
+
+
+def _mix(case: PensionCase, by_step: Array, fresh: Array, discount: Array) -> Float[Array, " T"]:
+    """Value after step t of its accrual, over that of all fresh rights."""
+    steps, value = case.steps, fresh[1:].sum(1)
+    due = by_step[np.arange(steps)[:, None], ahead(case)[1:]]
+    own = jnp.sum(due * discount[1:], axis=1)
+    return jnp.where(value > 0, own / jnp.where(value > 0, value, 1.0), 0.0)
+
+
+def _outlook(
+    case: PensionCase, deaths: Longevity | None, found: Projection, fresh: Array, discount: Array
+) -> Float[Array, "times J"]:
+    """Mean response of each node's payments, weighted with their value; 0 where none is due."""
+    if deaths is None:
+        return jnp.zeros((case.steps + 1, len(nodes(case.step))))
+    flow = found.accrued + fresh
+    value = on_nodes(case, flow, discount)
+    weighted = on_nodes(case, deaths.flow, discount)
+    return jnp.where(value > 0, weighted / jnp.where(value > 0, value, 1.0), 0.0)

@@ -1,0 +1,158 @@
+"""Classical policies, with the numbers that tuning may move, and closed forms of known problems."""
+
+import math
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
+
+from ..fund.observation import RATIO, slots
+from ..records.case import PensionCase
+from .limits import Limits, present
+
+WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
+LEAST = 1e-3  # a class of less weight is tuned from this one, where it can still learn
+UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as large as logits
+
+
+class ConstantMix(Policy):
+    """The same weights and swaps always: `logits` [n + b] (see `policy.Limits`)."""
+
+    limits: Limits
+    logits: Array
+
+    def __init__(self, case: PensionCase, weights: np.ndarray | None = None):
+        self.limits = Limits(case)
+        start = present(case)
+        if weights is not None:
+            inside = np.clip(weights, 1e-3, 1 - 1e-3)
+            start[: len(weights)] = np.log(inside / (1 - inside))
+        self.logits = jnp.asarray(start, jnp.float32)
+
+    def __call__(self, observation, smooth):
+        return self.limits(self.logits.astype(observation.dtype), smooth)
+
+
+class GlidePath(Policy):
+    """From one mix to another, linear in the funding ratio between two bounds; swaps alike.
+
+    `logits` [2, n + b] of the mixes at and below the lower bound, at and above the upper one;
+    `bounds` [2] in `UNIT`. It starts at the same `mix` everywhere.
+    """
+
+    limits: Limits
+    logits: Array
+    bounds: Array
+    place: int = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, mix: ConstantMix, ratios: tuple[float, float]):
+        self.limits, self.place = mix.limits, _ratio_slot(case)
+        self.logits = jnp.stack([mix.logits] * 2)
+        self.bounds = jnp.asarray(ratios, jnp.float32) / UNIT
+
+    def __call__(self, observation, smooth):
+        low, high = UNIT * self.bounds.astype(observation.dtype)
+        width = jnp.maximum(high - low, 0.01)
+        ratio = jnp.exp(RATIO * observation[self.place])
+        share = smooth.clip((ratio - low) / width, 0.0, 1.0, WIDTH / width)
+        logits = self.logits.astype(observation.dtype)
+        below, above = (self.limits(each, smooth) for each in (logits[0], logits[1]))
+        return below + share * (above - below)
+
+
+class LiabilityDriven(Policy):
+    """A growth portfolio (classes with a shock of their own) and a hedge (bonds, credit, cash).
+
+    The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
+    are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
+    It starts at a constant `mix`.
+    """
+
+    limits: Limits
+    growth: Array
+    mix: Array
+    hedge: Array | None
+    own: tuple[bool, ...] = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, mix: ConstantMix):
+        count = len(case.assets.classes)
+        self.limits, self.place = mix.limits, _ratio_slot(case)
+        self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
+        held = np.asarray(self.limits.weights(mix.logits[:count], Exact()))
+        self.growth = jnp.asarray([held[np.array(self.own)].sum() / UNIT, 0.0], jnp.float32)
+        self.mix = jnp.asarray(np.log(np.maximum(held, LEAST)), jnp.float32)
+        self.hedge = mix.logits[count:] if case.buckets else None
+
+    def __call__(self, observation, smooth):
+        kind = observation.dtype
+        own = np.array(self.own)
+        growth = UNIT * self.growth.astype(kind)
+        ratio = jnp.exp(RATIO * observation[self.place])
+        share = smooth.clip(growth[0] + growth[1] * (ratio - 1), 0.0, 1.0, WIDTH)
+        size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
+        grown = jnp.where(own, size, 0.0)
+        safe = jnp.where(own, 0.0, size)
+        weights = share * grown / jnp.maximum(jnp.sum(grown), 1e-9)
+        weights = weights + (1 - share) * safe / jnp.sum(safe)
+        return self.limits.action(self.limits.nearest(weights, smooth), self.hedge, smooth)
+
+
+class StockBond(Policy):
+    """The rule of `vasicek_stock_bond` for one stock and one bond, by time left; the rest is cash.
+
+    `weights` [years, 2] of stock and bond with 0, 1, 2 … years left, linear between.
+    """
+
+    limits: Limits
+    weights: Array
+    stock: int = eqx.field(static=True)
+    bond: int = eqx.field(static=True)
+    cash: int = eqx.field(static=True)
+    place: int = eqx.field(static=True)
+    years: float = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, rule, stock: int, bond: int):
+        self.limits, self.stock, self.bond = Limits(case), stock, bond
+        self.cash = case.assets.cash
+        self.place, self.years = slots(case)["time"].start, case.steps * case.step
+        left = np.arange(math.ceil(self.years) + 1)
+        self.weights = jnp.asarray([rule(float(each)) for each in left], jnp.float32)
+
+    def __call__(self, observation, smooth):
+        left = self.years * (1 - observation[self.place]) / 2
+        table = self.weights.astype(observation.dtype)
+        nodes = np.arange(table.shape[0])
+        near = jnp.maximum(1 - jnp.abs(left - nodes), 0.0) @ table
+        places = np.arange(self.limits.low.array.shape[0])
+        wanted = near[0] * (places == self.stock) + near[1] * (places == self.bond)
+        wanted = wanted + (1 - near[0] - near[1]) * (places == self.cash)
+        return self.limits.nearest(wanted, smooth)
+
+
+def followers(
+    case: PensionCase, mix: ConstantMix, ratios: tuple[float, float]
+) -> dict[str, tuple[str, Policy]]:
+    """{key: (name, policy)} of the rules that follow the funding ratio, ready to be tuned.
+
+    They start at a `mix` that was tuned before, the glide path with bounds at `ratios`. There are
+    none where the funding ratio is not among the observations.
+    """
+    if not {"funding_ratio", "relative_funding"} & set(case.observation):
+        return {}
+    return {
+        "glide_path": ("Glide path", GlidePath(case, mix, ratios)),
+        "liability_driven": ("Liability-driven split", LiabilityDriven(case, mix)),
+    }
+
+
+def _ratio_slot(case: PensionCase) -> int:
+    """Where ln of the funding ratio stands, over that now where nothing else is seen."""
+    seen: dict[str, slice] = slots(case)
+    name = "funding_ratio" if "funding_ratio" in seen else "relative_funding"
+    return seen[name].start

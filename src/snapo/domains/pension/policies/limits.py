@@ -1,0 +1,125 @@
+"""Actions within all limits: weights within bounds and groups, swaps backed by collateral."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.inputs import Frozen
+from snapo.problem.policy import Policy
+
+from ..fund.swap_limits import limit_unit
+from ..fund.trading import SHARE
+from ..records.case import PensionCase
+
+MARGIN = 0.02  # of a range: a start nearer to a bound than this is moved inside, where it can learn
+
+
+class Limits(Policy):
+    """Turns real numbers, one per class and swap bucket, into an action within all limits.
+
+    Weights are `smooth.simplex` of the first n numbers, places of the notionals in their ranges a
+    logistic curve of the rest. Where these ranges are shares of the assets, swaps are scaled down
+    together to the collateral behind the weights; where they are shares of the liability, a
+    policy does not see enough for that, and the simulator counts the shortfall.
+    """
+
+    low: Frozen
+    high: Frozen
+    groups: tuple = eqx.field(static=True)
+    cover: "Cover | None"
+
+    def __init__(self, case: PensionCase):
+        assets, overlay = case.assets, case.overlay
+        self.low, self.high = Frozen(assets.low), Frozen(assets.high)
+        self.groups = tuple((each.members, each.low, each.high) for each in assets.groups)
+        self.cover = None
+        if overlay is not None and overlay.unit == "assets":
+            years = overlay.maturity * case.step
+            self.cover = Cover(
+                # A copy: JAX remembers an array of the case in the type it met first.
+                Frozen(overlay.low.copy()),
+                Frozen(overlay.high - overlay.low),
+                Frozen(years * overlay.collateral_stress.used()),
+                Frozen(np.array([each.eligible for each in assets.classes])),
+            )
+
+    def weights(self, logits: Array, smooth) -> Float[Array, " n"]:
+        """Weights within bounds and groups."""
+        low, high = (jnp.asarray(each.array, logits.dtype) for each in (self.low, self.high))
+        return smooth.simplex(logits, low, high, self.groups)
+
+    def nearest(self, weights: Array, smooth) -> Float[Array, " n"]:
+        """Weights within the limits from weights that may leave them: these, where they do not."""
+        low, high = (jnp.asarray(each.array, weights.dtype) for each in (self.low, self.high))
+        logits = _logit(_inside(weights, low, high))
+        for members, least, most in self.groups:
+            of = np.array(members)
+            floor = jnp.maximum(jnp.sum(low[of]), least)
+            cap = jnp.minimum(jnp.sum(high[of]), most)
+            # A group's sum follows from the mean of its logits, the shares in it from the rest.
+            whole = _logit(_inside(jnp.sum(weights[of]), floor, cap))
+            logits = logits.at[of].set(logits[of] + whole - jnp.mean(logits[of]))
+        return self.weights(logits, smooth)
+
+    def action(self, weights: Array, logits: Array | None, smooth) -> Array:
+        """The action of these weights and of the swaps' logits [b], if there are any."""
+        if logits is None or not logits.size:
+            return weights
+        places = jax.nn.sigmoid(logits.astype(weights.dtype))
+        if self.cover is not None:
+            places = self.cover(places, weights, smooth)
+        return jnp.concatenate([weights, places])
+
+    def __call__(self, observation, smooth):
+        count = self.low.array.shape[0]
+        weights = self.weights(observation[:count], smooth)
+        return self.action(weights, observation[count:], smooth)
+
+
+class Cover(eqx.Module):
+    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], the need
+    of a unit of each `need` [b], and the cover by a unit of each class `eligible` [n]."""
+
+    low: Frozen
+    width: Frozen
+    need: Frozen
+    eligible: Frozen
+
+    def __call__(self, places: Array, weights: Array, smooth) -> Float[Array, " b"]:
+        """Places at which the collateral needed is there; these, where they need no more."""
+        given = (self.low, self.width, self.need, self.eligible)
+        low, width, need, eligible = (jnp.asarray(x.array, places.dtype) for x in given)
+        share = low + places * width
+        there = jnp.sum(eligible * weights)
+        needed = smooth.maximum(jnp.sum(need * share), there, SHARE)
+        backed = share * there / jnp.where(needed > 0, needed, 1.0)
+        # Swaps that have to be held stay, covered or not.
+        return jnp.clip((backed - low) / jnp.where(width > 0, width, 1.0), 0.0, 1.0)
+
+
+def present(case: PensionCase) -> np.ndarray:
+    """[n + b] the numbers from which `Limits` makes about the present weights and notionals."""
+    assets, overlay = case.assets, case.overlay
+    place = [_place(assets.weight.used(), assets.low, assets.high)]
+    if overlay is not None:
+        unit = limit_unit(case)
+        share = overlay.notional.used() / np.where(unit > 0, unit, 1.0)
+        place.append(_place(share, overlay.low, overlay.high))
+    inside = np.clip(np.concatenate(place), MARGIN, 1 - MARGIN)
+    return np.log(inside / (1 - inside)).astype(np.float32)
+
+
+def _place(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    return np.where(high > low, (values - low) / np.where(high > low, high - low, 1.0), 0.5)
+
+
+def _inside(x: Array, low: Array, high: Array) -> Array:
+    """Where x lies in its range, off both ends."""
+    width = high - low
+    return jnp.clip((x - low) / jnp.where(width > 0, width, 1.0), 1e-4, 1 - 1e-4)
+
+
+def _logit(x: Array) -> Array:
+    return jnp.log(x / (1 - x))

@@ -1,0 +1,168 @@
+"""Reads `[assets]`: the classes, each by its kind, with their numbers, weights and bounds."""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import Unquoted
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..market.assets.asset_class import SPECIAL, AssetClass, Names
+from ..market.assets.registry import KINDS
+from ..records.assets import Assets, Group
+from ..records.said import YEARLY, amount, rate, share, volatility
+from .cells import (
+    WHOLE,
+    Grid,
+    Pieces,
+    empty,
+    listed,
+    number,
+    pieces,
+    side_by_side,
+    single,
+    unique,
+    word,
+)
+from .holdings import column
+from .tables import AssetsTable
+
+MEAN = share(
+    "the mean of a class: under excess returns over cash, under total returns all of it",
+    "premium",
+    YEARLY,
+)
+VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
+SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
+COST = rate("the cost of trading as a share of the trade", "assets", "1")
+FEE = rate("the fee per year, as a share of the holding", "assets")
+WEIGHT = share("a weight held today, before the first trade", "assets")
+AMOUNT = "the market value of all assets today"
+
+
+def read_assets(
+    section: Section, table: AssetsTable, amount_now: float, grid: Grid, names: Names
+) -> Assets:
+    """The table of asset classes; costs and fees of classes without one are zero."""
+    rows = read_rows(Mention(section, "file", table.file), ("name", "kind", "weight"))
+    labels = unique(rows, "name")
+    classes = tuple(_class(row, names) for row in rows)
+    cash = [each.name for each in classes if each.is_cash]
+    if len(cash) != 1:
+        got = Unquoted(f"{len(cash)} classes of kind cash")
+        raise section.error("file", got, f"exactly one row of {table.file} must be cash")
+    own = [i for i, each in enumerate(classes) if each.own_shock]
+    smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
+    low = np.array([number(row, "low", 0.0, 0.0, 1.0) for row in rows])
+    high = np.array([number(row, "high", 1.0, 0.0, 1.0) for row in rows])
+    groups = _groups(rows, classes)
+    _check_bounds(section, rows, low, high, groups)
+    smoothing = [rows[i].number("smoothing", 0.0, 1.0) for i in smoothed]
+    return Assets(
+        classes=classes,
+        return_kind=table.return_kind,
+        mean_kind=table.mean_kind,
+        mean=listed("asset_mean", [_mean(rows[i]) for i in own], [labels[i] for i in own], MEAN),
+        volatility=_volatilities(section, rows, own, grid),
+        smoothing=listed("asset_smoothing", smoothing, [labels[i] for i in smoothed], SMOOTHING),
+        smoothed=np.array(smoothed, np.int64),
+        cost=column("asset_cost", rows, "cost", labels, COST),
+        fee=column("asset_fee", rows, "fee", labels, FEE),
+        weight=listed("asset_weight", _weights(section, table.file, rows), labels, WEIGHT),
+        low=low,
+        high=high,
+        groups=groups,
+        amount=single("assets", amount_now, amount(AMOUNT, "assets", grid.currency)),
+    )
+
+
+def _class(row: Row, names: Names) -> AssetClass:
+    """One row: the fields that all kinds have, and those of its own."""
+    kind = KINDS[word(row, "kind", tuple(KINDS))]
+    for special in SPECIAL:
+        if row.cells.get(special) and special not in kind.columns:
+            owners = ", ".join(name for name, each in KINDS.items() if special in each.columns)
+            what = f"a class of kind {kind.kind} has none: {kind.without} (kinds with it: {owners})"
+            raise row.error(special, what)
+    return kind(
+        name=row.cells["name"],
+        currency=names.currency(row),
+        group=row.cells.get("group", ""),
+        eligible=number(row, "eligible", kind.collateral, 0.0, 1.0),
+        **kind.read(row, names),
+    )
+
+
+def _mean(row: Row) -> float:
+    row.cells.setdefault("mean", "")
+    return row.number("mean", -0.999, 1.0)
+
+
+def _volatilities(section: Section, rows: Sequence[Row], own: Sequence[int], grid: Grid) -> Given:
+    """Of the classes `own` with a shock of their own, side by side."""
+    if not own:
+        return empty("asset_volatility", (grid.steps, 0))
+    parts = [_volatility(section, rows[i], grid) for i in own]
+    names = [rows[i].cells["name"] for i in own]
+    return side_by_side("asset_volatility", parts, names, VOLATILITY)
+
+
+def _volatility(section: Section, row: Row, grid: Grid) -> Pieces:
+    """A number, or the name of a CSV with columns from_year,value."""
+    text = row.cells.setdefault("volatility", "")
+    if text.lower().endswith(".csv"):
+        file = Mention(section, "file", text)
+        return pieces(text, lambda: read_rows(file, ("from_year", "value")), grid, 0.0)
+    return pieces(row.number("volatility", 0.0, 5.0), list, grid, 0.0)
+
+
+def _weights(section: Section, file: str, rows: Sequence[Row]) -> list[float]:
+    weights = [row.number("weight", 0.0, 1.0) for row in rows]
+    total = math.fsum(weights)
+    if abs(total - 1) > WHOLE:
+        got = Unquoted(f"weights that add up to {total:.6g}")
+        raise section.error("file", got, f"the weights in {file} must add up to 1")
+    return weights
+
+
+def _groups(rows: Sequence[Row], classes: Sequence[AssetClass]) -> tuple[Group, ...]:
+    """Groups in the order in which they appear; limits may stand in any of a group's rows."""
+    found = []
+    for name in dict.fromkeys(each.group for each in classes if each.group):
+        members = tuple(i for i, each in enumerate(classes) if each.group == name)
+        limits = []
+        for limit, default in (("group_low", 0.0), ("group_high", 1.0)):
+            given = [rows[i] for i in members if rows[i].cells.get(limit)]
+            values = [row.number(limit, 0.0, 1.0) for row in given]
+            for row, value in zip(given, values):
+                if value != values[0]:
+                    raise row.error(limit, f"the group {name} has {values[0]:g} further up")
+            limits.append(values[0] if values else default)
+        found.append(Group(name, members, limits[0], limits[1]))
+    return tuple(found)
+
+
+def _check_bounds(section: Section, rows, low, high, groups: Sequence[Group]) -> None:
+    """There must be weights within all bounds that add up to one."""
+    for row, least, most in zip(rows, low, high):
+        if least > most:
+            row.cells.setdefault("low", "")
+            raise row.error("low", f"the lower bound must not exceed the upper one, {most:g}")
+    least, most = float(low.sum()), float(high.sum())
+    for group in groups:
+        members = list(group.members)
+        inside = float(low[members].sum()), float(high[members].sum())
+        lower, upper = max(group.low, inside[0]), min(group.high, inside[1])
+        if lower > upper + WHOLE:
+            got = Unquoted(f"limits {group.low:g} to {group.high:g} of the group {group.name}")
+            what = f"its classes together can weigh {inside[0]:g} to {inside[1]:g}"
+            raise section.error("file", got, what)
+        least += lower - inside[0]
+        most += upper - inside[1]
+    if least > 1 + WHOLE or most < 1 - WHOLE:
+        got = Unquoted(f"bounds between which the weights add up to {least:g} to {most:g}")
+        what = "within the bounds, the weights must be able to add up to 1"
+        raise section.error("file", got, what)

@@ -1,0 +1,218 @@
+"""Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
+
+import datetime
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, TypeVar
+
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.settings import read_evaluation, read_training
+from snapo.case.table import Table, load, parse
+
+from ..fund.observation import FEATURES
+from ..market.assets.asset_class import Names
+from ..market.correlation import all_names
+from ..records.case import PensionCase
+from ..records.inputs import every_given
+from ..records.plan import Plan
+from . import people, plan, tables, tables_people
+from .assets import read_assets
+from .cells import Grid, Place, known_words
+from .correlation import read_correlations
+from .curve import read_curve
+from .holdings import read_credit, read_currencies, read_overlay
+from .models import read_inflation, read_rates
+from .mortality import read_lee_carter, read_mortality
+from .objective import read_objectives
+from .scenarios import read_scenarios
+from .stress import parse_shocks
+from .tables import PensionTable
+
+AnyTable = TypeVar("AnyTable", bound=Table)
+STEPS = {"month": 1 / 12, "year": 1.0}
+
+
+def read_case(path: str | Path) -> PensionCase:
+    """Reads and checks the case at `path`, a TOML file or a folder with `case.toml`.
+
+    **Raises:** `CaseError` where a table, a file or a number is wrong; nothing is written.
+    """
+    file, data = load(Path(path))
+    return resolve(file, data)
+
+
+@dataclass(frozen=True)
+class _Reader:
+    """One case while it is read: its tables by name; `notes` are remarks for its owner, `silent`
+    the names of numbers that were left at a default."""
+
+    file: Path
+    top: PensionTable
+    notes: list[str]
+    silent: set[str]
+
+    def place(self, name: str) -> Place:
+        return Place(self.file, name, self.notes, self.silent)
+
+    def table(self, kind: type[AnyTable], name: str, data: Any = None) -> AnyTable:
+        """The table `name`, which the case has or which has a default for every key."""
+        found = getattr(self.top, name) if data is None else data
+        return parse(kind, found, str(self.file), name)
+
+    def maybe(self, kind: type[AnyTable], name: str) -> AnyTable | None:
+        """The table `name`, or None where the case has none."""
+        return None if getattr(self.top, name) is None else self.table(kind, name)
+
+
+def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
+    """The same for TOML data that was read already; other files are looked for beside `file`."""
+    top = parse(PensionTable, data, str(file), "")
+    reader = _Reader(file, top, [], set())
+    fund = reader.table(tables.FundTable, "fund")
+    grid = Grid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
+    market = _market(reader, grid, fund.assets)
+    classes = [each.name for each in market["assets"].classes]
+    supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
+    settings = reader.table(tables.PolicyTable, "policy")
+    rules = _plan(reader, fund.currency)
+    case = PensionCase(
+        file=file,
+        title=top.title,
+        currency=fund.currency,
+        valuation_date=start.isoformat(),
+        step=grid.step,
+        steps=grid.steps,
+        # Time 0 is the beginning of a month that is nearest to the date: 31 December is January.
+        start_month=(start + datetime.timedelta(15)).month,
+        **market,
+        **_people(reader, rules, grid),
+        plan=rules,
+        liability=plan.read_liability(
+            reader.place("liability"), reader.table(tables_people.LiabilityTable, "liability")
+        ),
+        reconcile=plan.read_reconcile(reader.maybe(tables_people.ReconcileTable, "reconcile")),
+        scenarios=read_scenarios(
+            reader.place("scenarios"), supplied, classes, grid, start.isoformat()
+        ),
+        observation=(),
+        hidden=tuple(settings.hidden),
+        objective=read_objectives(str(file), top.objective),
+        training=read_training(top.training, str(file)),
+        evaluation=read_evaluation(top.evaluation, str(file)),
+        frontier=plan.read_frontier(
+            reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
+        ),
+    )
+    seen = settings.observation
+    case = replace(
+        case,
+        observation=usual_observation(case) if seen is None else tuple(seen),
+        held=_held(reader, case),
+        notes=tuple(reader.notes),
+    )
+    known_words(str(file), "policy.observation", case.observation, tuple(FEATURES))
+    parse_shocks(case, top.stress)
+    return case
+
+
+def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
+    """Curve, models and assets: fields of a `PensionCase`."""
+    place, maybe = reader.place, reader.maybe
+    curve = reader.table(tables.CurveTable, "curve")
+    if reader.top.rates is None and reader.top.scenarios is None:
+        what = "this table is missing; only ready-made [scenarios] go without it"
+        raise CaseError(str(reader.file), "rates", None, what)
+    rates = read_rates(place("rates"), maybe(tables.RatesTable, "rates"), grid)
+    inflation = reader.table(tables.InflationTable, "inflation")
+    credit = read_credit(place("credit"), maybe(tables.CreditTable, "credit"))
+    currencies = read_currencies(place("currencies"), maybe(tables.CurrenciesTable, "currencies"))
+    names = Names(grid.step, credit.names, currencies.names)
+    table = reader.table(tables.AssetsTable, "assets")
+    assets = read_assets(place("assets"), table, amount, grid, names)
+    motions = all_names(rates.factors, credit.names, currencies.names, assets)
+    correlations = maybe(tables.CorrelationsTable, "correlations")
+    return {
+        "measure": curve.measure,
+        "curve": read_curve(place("curve"), curve),
+        "rates": rates,
+        "inflation": read_inflation(place("inflation"), inflation, grid),
+        "assets": assets,
+        "credit": credit,
+        "currencies": currencies,
+        "correlation": read_correlations(
+            place("correlations"), correlations, [name for name in motions if name]
+        ),
+        "overlay": read_overlay(place("overlay"), maybe(tables.OverlayTable, "overlay"), grid),
+    }
+
+
+def _plan(reader: _Reader, money: str) -> Plan:
+    """`[plan]` with the two tables below it."""
+    table = reader.table(tables_people.PlanTable, "plan")
+    names = ("plan.indexation", "plan.contribution")
+    indexation = reader.table(tables_people.IndexationTable, names[0], table.indexation)
+    contribution = reader.table(tables_people.ContributionTable, names[1], table.contribution)
+    return plan.read_plan(
+        reader.place("plan"),
+        table,
+        plan.read_indexation(reader.place(names[0]), indexation),
+        plan.read_contribution(reader.place(names[1]), contribution, money),
+        money,
+    )
+
+
+def _people(reader: _Reader, rules: Plan, grid: Grid) -> dict[str, Any]:
+    """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
+    table, section = reader.table(tables_people.MembersTable, "members"), reader.place("members")
+    names = ("members", "mortality", "lee_carter", "cash_flows")
+    found: dict[str, Any] = dict.fromkeys(names)
+    if (table.file is None) == (table.cash_flows is None):
+        got = None if table.file is None else table.cash_flows
+        raise section.error("file", got, "either file or cash_flows is needed, and not both")
+    if table.cash_flows is not None:
+        for name in ("mortality", "lee_carter"):
+            if getattr(reader.top, name) is not None:
+                what = "cash flows of the actuary's own leave nothing to this table"
+                raise CaseError(str(reader.file), name, None, what)
+        arrears = rules.timing == "arrears"
+        found["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
+        return found
+    for key in ("normal_cost", "salary"):
+        if key in table.model_fields_set:
+            raise section.error(key, getattr(table, key), "this key goes with cash_flows")
+    if reader.top.mortality is None:
+        raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
+    mortality = read_mortality(
+        reader.place("mortality"), reader.table(tables_people.MortalityTable, "mortality")
+    )
+    given = (section, table, mortality, rules.retirement_age, grid)
+    found["members"], found["mortality"] = people.read_members(*given), mortality
+    lee_carter = reader.maybe(tables_people.LeeCarterTable, "lee_carter")
+    found["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
+    return found
+
+
+def usual_observation(case: PensionCase) -> tuple[str, ...]:
+    """The default observation: every part that means something in this case."""
+    return tuple(name for name, seen in FEATURES.items() if seen.usual(case))
+
+
+def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
+    """Names of inputs without a gradient: asked for, left at a default, or without effect."""
+    asked = reader.table(tables.SensitivityTable, "sensitivity").held
+    every = list(every_given(case))
+    known_words(str(reader.file), "sensitivity.held", asked, [each.name for each in every])
+    idle = reader.silent | {each.name for each in _replaced(case)}
+    if case.risk_neutral or case.scenarios is not None:
+        idle |= {each.name for each in every if each.group == "premium"}
+    return tuple(each.name for each in every if each.name in asked or each.name in idle)
+
+
+def _replaced(case: PensionCase) -> list[Given]:
+    """The numbers of all models whose place ready-made scenarios take."""
+    if case.scenarios is None:
+        return []
+    models = (case.rates, case.inflation, case.credit, case.currencies, case.correlation)
+    numbers = [given for model in models for given in every_given(model)]
+    return [*numbers, case.assets.volatility, case.assets.smoothing]

@@ -1,0 +1,195 @@
+"""Cells of the tables: optional ones, words, names, times, and numbers that change in time."""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, Table, nearest
+
+from ..records.said import Said
+
+NEVER = 1e-9  # of a year: two times closer than this are one
+
+
+WHOLE = 1e-6  # of a step, or of all weights: closer than this is a whole
+
+
+class Grid(NamedTuple):
+    """The grid of all tables: the number of decisions, the years of a step, the currency."""
+
+    steps: int
+    step: float
+    currency: str
+
+
+@dataclass(frozen=True)
+class Place(Section):
+    """A table of a case while it is read; `silent` collects the numbers left at a default."""
+
+    silent: set[str]
+
+    def told(self, table: Table, key: str, given: Given) -> Given:
+        """A number from `key`; where the case does not have the key, it is no input."""
+        if key not in table.model_fields_set:
+            self.silent.add(given.name)
+        return given
+
+
+def single(name: str, value: float, said: Said) -> Given:
+    """One plain number, used once (index [])."""
+    return said.given(name, [value], ("",), np.array(0))
+
+
+def empty(name: str, shape: tuple[int, ...] = (0,)) -> Given:
+    """A number that the case does not have: no value, zeros of `shape` where it is used."""
+    return Given(name, np.zeros(0), (), "1", np.zeros(shape, np.int64))
+
+
+def listed(name: str, values: Sequence[float], labels: Sequence[str], said: Said) -> Given:
+    """One number per label, each used once (index [n])."""
+    return said.given(name, values, labels, np.arange(len(values)))
+
+
+def per_factor(section: Section, table: Table, key: str, count: int) -> list[Any]:
+    """The entries of a key that has one for each of `count` factors; one 0 stands for all."""
+    value = getattr(table, key)
+    found = value if isinstance(value, list) else [value]
+    found = found * count if found == [0.0] else found
+    if len(found) != count:
+        kind = getattr(table, "kind", "")
+        raise section.error(key, value, f'kind "{kind}" needs {count} of them, one per factor')
+    return found
+
+
+def number(row: Row, column: str, default: float, low=-math.inf, high=math.inf) -> float:
+    """The number in a cell; `default` where the column or the cell is left out."""
+    return row.number(column, low, high) if row.cells.get(column) else default
+
+
+def above_zero(row: Row, column: str) -> float:
+    """A number above zero."""
+    value = row.number(column)
+    if value <= 0:
+        raise row.error(column, "allowed is a number above 0")
+    return value
+
+
+def word(row: Row, column: str, known: Sequence[str]) -> str:
+    """One of a few words; in any case of letters."""
+    text = row.cells[column].lower()
+    if text not in known:
+        raise row.error(column, f"allowed is one of {', '.join(known)}")
+    return text
+
+
+def position(row: Row, column: str, names: Sequence[str], what: str) -> int:
+    """Where the name in a cell stands in `names`; -1 for an empty or absent cell."""
+    text = row.cells.get(column, "")
+    if not text:
+        return -1
+    if text not in names:
+        raise row.error(column, f"there is no such {what}; known are {', '.join(names) or 'none'}")
+    return list(names).index(text)
+
+
+def unique(rows: Sequence[Row], column: str) -> tuple[str, ...]:
+    """The names in a column: none empty, none twice."""
+    names: list[str] = []
+    for row in rows:
+        if not row.cells[column]:
+            raise row.error(column, "every row needs a name")
+        if row.cells[column] in names:
+            raise row.error(column, "this name stands further up already")
+        names.append(row.cells[column])
+    return tuple(names)
+
+
+def rising(rows: Sequence[Row], column: str, least: float = 0.0) -> np.ndarray:
+    """The numbers of a column, each above the one before and all above `least`."""
+    found: list[float] = []
+    for row in rows:
+        value = row.number(column)
+        if value <= least and not found:
+            raise row.error(column, f"allowed is a number above {least:g}")
+        if found and value <= found[-1]:
+            raise row.error(column, f"{column}s must rise, and the row before has {found[-1]:g}")
+        found.append(value)
+    return np.array(found)
+
+
+def years(value: float) -> str:
+    """A time in words: "10y", or "18m" where it is whole months, else "2.35y"."""
+    if abs(value - round(value)) < NEVER:
+        return f"{round(value)}y"
+    months = 12 * value
+    return f"{round(months)}m" if abs(months - round(months)) < 1e-3 else f"{value:g}y"
+
+
+class Pieces(NamedTuple):
+    """A number that changes in time: `values` [n] with `labels`, and which holds in each step."""
+
+    values: list[float]
+    labels: list[str]
+    index: np.ndarray
+
+
+def pieces(given: float | str, read: Callable[[], list[Row]], grid: Grid, low: float) -> Pieces:
+    """A plain number, or the rows from_year,value: each value holds from its time on; index [T]."""
+    if not isinstance(given, str):
+        return Pieces([float(given)], [""], np.zeros(grid.steps, np.int64))
+    rows = read()
+    begins = rising(rows, "from_year", -NEVER)
+    if begins[0] > NEVER:
+        raise rows[0].error("from_year", "the first value must hold from year 0 on")
+    values = [row.number("value", low) for row in rows]
+    times = np.arange(grid.steps) * grid.step
+    index = np.searchsorted(begins, times + NEVER, side="right") - 1
+    used = int(index[-1]) + 1
+    # A value that begins after the last decision is used nowhere: it is no input.
+    return Pieces(values[:used], [f"from {years(b)}" for b in begins[:used]], index)
+
+
+def stepwise(
+    section: Section, key: str, given: float | str, grid: Grid, low: float = 0.0
+) -> Pieces:
+    """The same for a key of the TOML file."""
+    mention = Mention(section, key, str(given))
+    return pieces(given, lambda: read_rows(mention, ("from_year", "value")), grid, low)
+
+
+def side_by_side(name: str, parts: Sequence[Pieces], names: Sequence[str], said: Said) -> Given:
+    """Several numbers that change in time as one input, index [T, len(parts)]."""
+    values, labels, columns = [], [], []
+    for part, own in zip(parts, names):
+        columns.append(part.index + len(values))
+        values += part.values
+        labels += [f"{own} {label}".strip() for label in part.labels]
+    return said.given(name, values, labels, np.stack(columns, 1))
+
+
+def alone(name: str, part: Pieces, said: Said) -> Given:
+    """One number that changes in time, index [T]."""
+    return said.given(name, part.values, part.labels, part.index)
+
+
+def whole_steps(row: Row, column: str, step: float) -> int:
+    """A time in years that is a whole number of steps, at least one."""
+    steps = row.number(column, step, 100.0) / step
+    if abs(steps - round(steps)) > WHOLE:
+        raise row.error(column, f"allowed is a whole number of steps of {years(step)}")
+    return round(steps)
+
+
+def known_words(file: str, where: str, given: Sequence[str], known: Sequence[str]) -> None:
+    """Every word of a list must be known, and stand there once."""
+    for i, each in enumerate(given):
+        if each not in known:
+            raise CaseError(file, where, each, f"there is no such name; {nearest(each, known)}")
+        if each in given[:i]:
+            raise CaseError(file, where, each, "this name stands there twice")

@@ -1,0 +1,122 @@
+"""Reads `[credit]`, `[currencies]` and `[overlay]`: ratings, currencies and swaps."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..records.assets import Overlay
+from ..records.market import Credit, Currencies
+from ..records.said import YEARLY, Said, amount, rate, share, volatility
+from ..records.said import number as pure
+from .cells import (
+    Grid,
+    Place,
+    above_zero,
+    empty,
+    listed,
+    number,
+    rising,
+    single,
+    unique,
+    whole_steps,
+    years,
+)
+from .tables import CreditTable, CurrenciesTable, OverlayTable
+
+CREDIT = {
+    "spread": rate("the spread today, at unchanged prices of the holdings", "credit"),
+    "mean_spread": rate("where the spread reverts to", "model"),
+    "mean_reversion": pure("mean reversion of the logarithm of a spread", "model", YEARLY),
+    "volatility": volatility("volatility of the logarithm of a spread"),
+    "default_loss": rate("the share of a holding lost per year at the mean spread", "premium"),
+}
+NOT_HEDGED = "the hedged share does not feel it"
+CURRENCY = {
+    "volatility": volatility(f"volatility of a currency; {NOT_HEDGED}"),
+    "premium": rate(f"return of a currency over the difference of rates; {NOT_HEDGED}", "premium"),
+    "hedge_ratio": share("the share of a currency's exposure that is hedged", "model"),
+    "hedge_cost": rate("the cost of hedging a currency, per year of the hedged amount", "model"),
+}
+LIMIT = "a limit of the swaps"
+
+
+def column(
+    name: str, rows: Sequence[Row], column: str, labels, said: Said, most: float = 1.0, least=0.0
+) -> Given:
+    """The numbers of a column that may be left out: then they are zero, and no input."""
+    if column not in rows[0].cells:
+        return empty(name, (len(rows),))
+    return listed(name, [number(row, column, 0.0, least, most) for row in rows], labels, said)
+
+
+def read_credit(section: Section, table: CreditTable | None) -> Credit:
+    """Spreads by rating; none without the table."""
+    if table is None:
+        return Credit((), **{name: empty(f"credit_{name}") for name in CREDIT})
+    needed = ("spread", "mean_spread", "mean_reversion")
+    rows = read_rows(Mention(section, "file", table.file), ("rating", *needed))
+    ratings = unique(rows, "rating")
+
+    def above(name: str) -> Given:
+        values = [above_zero(row, name) for row in rows]
+        return listed(f"credit_{name}", values, ratings, CREDIT[name])
+
+    def optional(name: str, most: float) -> Given:
+        return column(f"credit_{name}", rows, name, ratings, CREDIT[name], most)
+
+    return Credit(
+        names=ratings,
+        **{name: above(name) for name in needed},
+        volatility=optional("volatility", 5.0),
+        default_loss=optional("default_loss", 1.0),
+    )
+
+
+def read_currencies(section: Section, table: CurrenciesTable | None) -> Currencies:
+    """Foreign currencies; none without the table."""
+    if table is None:
+        return Currencies((), **{name: empty(f"currency_{name}") for name in CURRENCY})
+    rows = read_rows(Mention(section, "file", table.file), ("currency", "volatility"))
+    names = unique(rows, "currency")
+    ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
+    return Currencies(
+        names=names,
+        **{
+            name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
+            for name, said in CURRENCY.items()
+        },
+    )
+
+
+def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Overlay | None:
+    """Swaps by tenor bucket."""
+    if table is None:
+        return None
+    rows = read_rows(Mention(section, "file", table.file), ("tenor", "notional", "low", "high"))
+    rising(rows, "tenor")
+    maturity = [whole_steps(row, "tenor", grid.step) for row in rows]
+    labels = [years(steps * grid.step) for steps in maturity]
+    low, high = (np.array([row.number(name) for row in rows]) for name in ("low", "high"))
+    for row, least, most in zip(rows, low, high):
+        if least > most:
+            raise row.error("low", f"the lower limit must not exceed the upper one, {most:g}")
+    held = amount("the notional held today, before the first trade", "overlay", grid.currency)
+    cost = rate("the share of the notional traded that trading swaps costs", "overlay", "1")
+
+    def limit(key: str, said: Said) -> Given:
+        return section.told(table, key, single(f"overlay_{key}", getattr(table, key), said))
+
+    return Overlay(
+        maturity=np.array(maturity, np.int64),
+        notional=listed("overlay_notional", [row.number("notional") for row in rows], labels, held),
+        low=low,
+        high=high,
+        unit=table.unit,
+        leverage=limit("leverage", share(LIMIT, "overlay")),
+        cost=column("overlay_cost", rows, "cost", labels, cost),
+        collateral_stress=limit("collateral_stress", share(LIMIT, "overlay", YEARLY)),
+    )

@@ -1,0 +1,155 @@
+"""Reads `[mortality]` and `[lee_carter]`: death rates by sex and age, and their random factor."""
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import Unquoted
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..records.people import FEMALE, MALE, LeeCarter, Mortality
+from ..records.said import SQUARE_ROOT, Said, amount, rate
+from .cells import Place, empty, single, word
+from .tables_people import LeeCarterTable, MortalityTable
+
+SEX = ("male", "female")
+PROBABILITY = amount("a death probability rises by 1 % of itself", "people", "1")
+FORMULA = amount("a number of the formula of mortality rises by 1 % of itself", "people", "1")
+MULTIPLIER = amount("death rates at these ages rise by 1 % of themselves", "people", "1")
+IMPROVEMENT = rate("the yearly fall of death rates", "people")
+FACTOR = Said(SQUARE_ROOT, "volatility of the mortality factor", "volatility", None)
+LOADING = amount("how far the hazard of an age follows the mortality factor", "people", "1")
+FORMULA_AGES = (16, 105)  # first age and number of ages of a formula: 16 to 120
+
+
+def read_mortality(section: Place, table: MortalityTable) -> Mortality:
+    """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers."""
+    if table.kind == "table":
+        for key in ("male", "female"):
+            if getattr(table, key) is not None:
+                raise section.error(key, getattr(table, key), 'kind "table" has no such key')
+        if table.file is None:
+            raise section.error("file", None, 'kind "table" needs this key')
+        first, probability = _table(section, table.file)
+        count = len(probability.values) // 2
+        formula = empty("gompertz", (2, 3))
+    else:
+        if table.file is not None:
+            raise section.error("file", table.file, f'kind "{table.kind}" has no such key')
+        (first, count), formula = FORMULA_AGES, _gompertz(section, table)
+        probability = empty("death_probability", (2, count))
+    ages = range(first, first + count)
+    return Mortality(
+        kind=table.kind,
+        first_age=first,
+        ages=count,
+        table=probability,
+        gompertz=formula,
+        multiplier=_banded(section, table, "multiplier", "mortality_multiplier", ages, MULTIPLIER),
+        improvement=_banded(section, table, "improvement", "improvement", ages, IMPROVEMENT, -1.0),
+    )
+
+
+def _table(section: Section, file: str) -> tuple[int, Given]:
+    """First age and q [2, G]: both sexes, every age from the first to the last."""
+    rows = read_rows(Mention(section, "file", file), ("sex", "age", "q"))
+    found: dict[tuple[int, int], float] = {}
+    for row in rows:
+        key = SEX.index(word(row, "sex", SEX)), _whole_age(row)
+        if key in found:
+            raise row.error("age", "this age stands further up already")
+        found[key] = row.number("q", 0.0, 1.0)
+    ages = sorted({age for _, age in found})
+    for sex in (MALE, FEMALE):
+        for age in range(ages[0], ages[-1] + 1):
+            if (sex, age) not in found:
+                got = Unquoted(f"no row for {SEX[sex]}, {age}")
+                what = f"both sexes need every age from {ages[0]} to {ages[-1]}"
+                raise section.error("file", got, f"{what} in {file}")
+    order = [(sex, age) for sex in (MALE, FEMALE) for age in range(ages[0], ages[-1] + 1)]
+    labels = tuple(f"{SEX[sex]} {age}" for sex, age in order)
+    values = [found[key] for key in order]
+    place = _square(len(order))
+    return ages[0], PROBABILITY.given("death_probability", values, labels, place)
+
+
+def _square(count: int) -> np.ndarray:
+    return np.arange(count).reshape(2, -1)
+
+
+def _whole_age(row: Row) -> int:
+    age = row.number("age", 0.0, 150.0)
+    if age != int(age):
+        raise row.error("age", "allowed is a whole number of years")
+    return int(age)
+
+
+def _gompertz(section: Section, table: MortalityTable) -> Given:
+    """alpha, beta and makeham by sex [2, 3]."""
+    values: list[float] = []
+    for key in SEX:
+        given = getattr(table, key)
+        if given is None:
+            raise section.error(key, None, f'kind "{table.kind}" needs this key')
+        alpha, beta, makeham = (*given, 0.0)[:3]
+        if beta <= 0 or makeham < 0:
+            raise section.error(key, given, "beta is above 0 and makeham at least 0")
+        values += [alpha, beta, makeham]
+    labels = [f"{sex} {part}" for sex in SEX for part in ("alpha", "beta", "makeham")]
+    return FORMULA.given("gompertz", values, labels, _square(6))
+
+
+def _banded(
+    section: Place,
+    table: MortalityTable,
+    key: str,
+    name: str,
+    ages: range,
+    said: Said,
+    low: float = 0.0,
+) -> Given:
+    """A number for all, or a CSV sex,age,value: each value holds from its age on; index [2, G]."""
+    value = getattr(table, key)
+    if isinstance(value, str):
+        return bands(Mention(section, key, value), "value", name, ages, said, low)
+    place = np.zeros((2, len(ages)), np.int64)
+    return section.told(table, key, said.given(name, [value], ("",), place))
+
+
+def bands(
+    mention: Mention, column: str, name: str, ages: range, said: Said, low: float = -np.inf
+) -> Given:
+    """Numbers by sex that hold from an age on; a number that no age of the table meets is left
+    out."""
+    rows = read_rows(mention, ("sex", "age", column))
+    values, labels = [], []
+    index = np.zeros((2, len(ages)), np.int64)
+    for sex in (MALE, FEMALE):
+        own = [row for row in rows if word(row, "sex", SEX) == SEX[sex]]
+        begins = [_whole_age(row) for row in own]
+        if not own or begins[0] > ages[0]:
+            got = Unquoted(f"no value for {SEX[sex]} at {ages[0]}")
+            raise mention.section.error(mention.key, got, f"{mention.name} must begin there")
+        for row, before, here in zip(own[1:], begins[:-1], begins[1:]):
+            if here <= before:
+                raise row.error("age", f"ages must rise, and the row before has {before}")
+        place = np.searchsorted(begins, np.array(ages), side="right") - 1
+        for band in np.unique(place):
+            index[sex, place == band] = len(values)
+            values.append(own[band].number(column, low))
+            labels.append(f"{SEX[sex]} from {begins[band]}" if len(own) > 1 else SEX[sex])
+    return said.given(name, values, labels, index)
+
+
+def read_lee_carter(
+    section: Section, table: LeeCarterTable | None, mortality: Mortality
+) -> LeeCarter | None:
+    """The stochastic factor of mortality, where the case has one."""
+    if table is None:
+        return None
+    ages = range(mortality.first_age, mortality.first_age + mortality.ages)
+    mention = Mention(section, "file", table.file)
+    return LeeCarter(
+        volatility=single("lee_carter_volatility", table.volatility, FACTOR),
+        loading=bands(mention, "loading", "lee_carter_loading", ages, LOADING),
+    )

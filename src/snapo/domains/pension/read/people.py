@@ -1,0 +1,111 @@
+"""Reads `[members]`: the cohorts of the fund, or the actuary's cash flows."""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.given import Given
+from snapo.case.table import Section
+
+from ..records.people import ACTIVE, PAYMENT_YEARS, CashFlows, Members, Mortality
+from ..records.said import amount
+from .cells import WHOLE, Grid, Place, empty, listed, number, single, unique, word, years
+from .mortality import SEX
+from .tables_people import MembersTable
+
+STATUS = ("active", "deferred", "pensioner", "spouse")
+NUMBER = amount("the number of members of a cohort", "people", "members")
+PENSION = "the yearly pension that each member has earned"
+SALARY = "the salary of each member, and with it contributions and accrual"
+FLOW, COST = "an expected payment", "the value of the accrual of a step today"
+
+
+def read_members(
+    section: Section, table: MembersTable, mortality: Mortality, retirement_age: float, grid: Grid
+) -> Members:
+    """Cohorts, each within the ages of the mortality table."""
+    columns = ("name", "status", "sex", "age", "number", "pension")
+    rows = read_rows(Mention(section, "file", str(table.file)), columns)
+    names = unique(rows, "name")
+    status = np.array([STATUS.index(word(row, "status", STATUS)) for row in rows], np.int64)
+    sex = np.array([SEX.index(word(row, "sex", SEX)) for row in rows], np.int64)
+    last = mortality.first_age + mortality.ages
+    age = np.array([_age(row, mortality.first_age, last) for row in rows])
+    for row, each, old in zip(rows, status, age):
+        if each == ACTIVE and old >= retirement_age:
+            raise row.error("age", f"an active member is younger than {retirement_age:g}")
+        row.cells.setdefault("salary", "")
+        if each != ACTIVE and number(row, "salary", 0.0) != 0:
+            raise row.error("salary", "only active members have a salary")
+    money = grid.currency
+    return Members(
+        names=names,
+        status=status,
+        sex=sex,
+        age=age,
+        number=listed("members", _each(rows, "number"), names, NUMBER),
+        pension=listed(
+            "accrued_pension",
+            _each(rows, "pension"),
+            names,
+            amount(PENSION, "people", f"{money}/year"),
+        ),
+        salary=_salary(rows, status, names, money),
+        service=np.array([number(row, "service", 0.0, 0.0) for row in rows]),
+    )
+
+
+def _age(row: Row, first: int, last: int) -> float:
+    age = row.number("age", 0.0)
+    if not first <= age < last:
+        what = f"the mortality table has the ages {first} to {last - 1}"
+        raise row.error("age", what)
+    return age
+
+
+def _each(rows: Sequence[Row], column: str) -> list[float]:
+    return [row.number(column, 0.0) for row in rows]
+
+
+def _salary(rows: Sequence[Row], status: np.ndarray, names, money: str) -> Given:
+    """Salaries of those who are active; who is not has no salary that could be an input."""
+    active = [i for i, each in enumerate(status) if each == ACTIVE]
+    if not active:
+        return empty("salary", (len(rows),))
+    values = [rows[i].number("salary", 0.0) for i in active]
+    index = np.zeros(len(rows), np.int64)
+    index[active] = np.arange(len(active))
+    said = amount(SALARY, "people", f"{money}/year")
+    return said.given("salary", values, [names[i] for i in active], index)
+
+
+def read_cash_flows(section: Place, table: MembersTable, arrears: bool, grid: Grid) -> CashFlows:
+    """The actuary's expected payments; their times in years from now are whole steps."""
+    name = str(table.cash_flows)
+    rows = read_rows(Mention(section, "cash_flows", name), ("year", "amount"))
+    steps = []
+    for row in rows:
+        due = row.number("year", 0.0, PAYMENT_YEARS) / grid.step
+        if abs(due - round(due)) > WHOLE:
+            raise row.error("year", f"allowed is a whole number of steps of {years(grid.step)}")
+        paid = round(due) - arrears
+        if paid < 0:
+            raise row.error("year", "with payments in arrears the first one is after one step")
+        if paid >= round(PAYMENT_YEARS / grid.step):
+            raise row.error("year", f"payments in advance end before {PAYMENT_YEARS} years")
+        if steps and paid <= steps[-1]:
+            raise row.error("year", "times must rise from row to row")
+        steps.append(paid)
+    labels = [f"at {years(row.number('year'))}" for row in rows]
+    money = grid.currency
+    flow = amount(FLOW, "people", money)
+    cost = amount(COST, "people", f"{money}/step")
+    pay = amount("all salaries", "people", f"{money}/year")
+    normal_cost = single("normal_cost", table.normal_cost * grid.step, cost)
+    return CashFlows(
+        amount=listed("cash_flow", [row.number("amount") for row in rows], labels, flow),
+        step=np.array(steps, np.int64),
+        normal_cost=section.told(table, "normal_cost", normal_cost),
+        salary=section.told(table, "salary", single("payroll", table.salary, pay)),
+    )

@@ -1,0 +1,187 @@
+"""Reads `[plan]`, `[liability]` and `[reconcile]`: promises, contributions and their valuation.
+
+A number that the rule of a case does not look at is no input: its `Given` stays empty.
+"""
+
+from collections.abc import Iterable
+
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+
+from ..records.case import Frontier
+from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
+from ..records.said import YEARLY, Said, amount, rate, share, time
+from .cells import empty, single
+from .tables import FrontierTable
+from .tables_people import (
+    ContributionTable,
+    IndexationTable,
+    LiabilityTable,
+    PlanTable,
+    ReconcileTable,
+)
+
+ACCRUAL = rate("the share of salary less offset that a year of service earns", "plan")
+OFFSET, EXPENSES = "the part of a salary without a pension", "the yearly expenses of the scheme"
+SPOUSE = share("the spouse's pension as a share of the member's", "plan")
+MARRIED = share("the share of members with a spouse", "plan")
+INDEXED = rate("a limit of yearly indexation", "plan")
+RATIO = share("a funding ratio in the rule of indexation", "plan")
+RULE = share("a number of the rule of contributions", "plan")
+VALUED = rate("the rate that is added to the curve, or takes its place, in valuation", "plan")
+LIMITS = ("floor", "cap", "sponsor_limit")
+
+
+def read_plan(
+    section: Section, table: PlanTable, indexation: Indexation, contribution: Contribution, money
+) -> Plan:
+    """Terms of the scheme; numbers that nothing was said about are no inputs."""
+
+    def given(name: str, said: Said) -> Given:
+        value = getattr(table, name)
+        written = name in table.model_fields_set
+        # A share of one that was left unsaid is a fact of the format, not a number of the owner.
+        return single(f"plan_{name}", value, said) if written or value else _nothing(f"plan_{name}")
+
+    yearly = f"{money}/year"
+    married = given("married_share", MARRIED) if table.spouse_share else _nothing("married")
+
+    return Plan(
+        timing=table.timing,
+        retirement_age=table.retirement_age,
+        accrual_rate=given("accrual_rate", ACCRUAL),
+        offset=given("offset", amount(OFFSET, "plan", yearly)),
+        spouse_share=given("spouse_share", SPOUSE),
+        married_share=married,
+        spouse_age_gap=table.spouse_age_gap,
+        age_basis=table.age_basis,
+        fractional_ages=table.fractional_ages,
+        open=table.open,
+        accruing=table.accruing,
+        entry_age=table.entry_age,
+        max_service=table.max_service,
+        expenses=given("expenses", amount(EXPENSES, "plan", yearly)),
+        indexation=indexation,
+        contribution=contribution,
+    )
+
+
+def _nothing(name: str) -> Given:
+    return empty(name, ())
+
+
+def _only(section: Section, table: Table, used: Iterable[str], numbers: Iterable[str]) -> None:
+    """Keys that the chosen kind has no use for are mistakes."""
+    used = set(used)
+    for key in numbers:
+        if key in table.model_fields_set and key not in used:
+            value = getattr(table, key)
+            kind = getattr(table, "kind", getattr(table, "basis", ""))
+            raise section.error(key, value, f'"{kind}" has no use for this key')
+
+
+def read_indexation(section: Section, table: IndexationTable) -> Indexation:
+    """Increases once a year; cap and floor only where the rule has them."""
+    kind = table.kind
+    used = ["cap", "floor"] if kind in ("capped", "conditional") else []
+    used += ["lower_ratio", "upper_ratio"] if kind == "conditional" else []
+    cuts = ["required_ratio"] if table.cut_years else []
+    numbers = ("cap", "floor", "lower_ratio", "upper_ratio", "required_ratio")
+    _only(section, table, [*used, *cuts], numbers)
+    if table.floor > table.cap:
+        raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
+    if kind == "conditional" and table.lower_ratio >= table.upper_ratio:
+        what = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
+        raise section.error("lower_ratio", table.lower_ratio, what)
+
+    def given(name: str) -> Given:
+        known = name in used or name in cuts
+        said = INDEXED if name in ("cap", "floor") else RATIO
+        name, value = f"indexation_{name}", getattr(table, name)
+        return single(name, value, said) if known else _nothing(name)
+
+    return Indexation(
+        kind=kind,
+        month=table.month,
+        averaging=table.averaging,
+        cap=given("cap"),
+        floor=given("floor"),
+        lower_ratio=given("lower_ratio"),
+        upper_ratio=given("upper_ratio"),
+        required_ratio=given("required_ratio"),
+        cut_years=table.cut_years,
+    )
+
+
+def read_contribution(section: Section, table: ContributionTable, money: str) -> Contribution:
+    """The rule of contributions with its limits."""
+    kind, used = table.kind, []
+    if kind in ("normal-cost", "spread", "target"):
+        used = ["rate"] if table.normal_cost == "rate" else ["loading"]
+    used += {"fixed": ["rate"], "spread": ["spread_factor"]}.get(kind, [])
+    used += ["target_ratio", "recovery_years"] if kind == "target" else []
+    used += [each for each in LIMITS if getattr(table, each) is not None and kind != "none"]
+    numbers = ("rate", "loading", "spread_factor", "target_ratio", "recovery_years", *LIMITS)
+    _only(section, table, used, numbers)
+    for key in ("rate", "spread_factor"):
+        if key in used and getattr(table, key) is None:
+            raise section.error(key, None, f'kind "{kind}" needs this key')
+    if table.floor is not None and table.cap is not None and table.floor > table.cap:
+        raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
+    said = {
+        "spread_factor": share(RULE.words, "plan", YEARLY),
+        "recovery_years": time(RULE.words, "plan"),
+        "sponsor_limit": amount(RULE.words, "plan", f"{money}/year"),
+    }
+
+    def given(name: str) -> Given:
+        value, full = getattr(table, name), f"contribution_{name}"
+        # A loading of zero that nobody wrote is no number of the owner's.
+        wanted = name in used and (name != "loading" or name in table.model_fields_set)
+        return single(full, value, said.get(name, RULE)) if wanted else _nothing(full)
+
+    return Contribution(
+        kind=kind,
+        normal_cost=table.normal_cost,
+        rate=given("rate"),
+        loading=given("loading"),
+        spread_factor=given("spread_factor"),
+        target_ratio=given("target_ratio"),
+        recovery_years=given("recovery_years"),
+        floor=given("floor"),
+        cap=given("cap"),
+        sponsor_limit=given("sponsor_limit"),
+        has_floor="floor" in used,
+        has_cap="cap" in used,
+        has_sponsor_limit="sponsor_limit" in used,
+    )
+
+
+def read_liability(section: Section, table: LiabilityTable) -> Liability:
+    """How payments are valued."""
+    wanted = table.basis != "risk-free"
+    if wanted and table.rate is None:
+        raise section.error("rate", None, f'basis "{table.basis}" needs this key')
+    _only(section, table, ["rate"] if wanted else [], ["rate"])
+    name = "liability_rate"
+    added = single(name, table.rate, VALUED) if table.rate is not None else _nothing(name)
+    return Liability(table.basis, added, table.future_indexation)
+
+
+def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> Frontier | None:
+    """The sweep of contributions against the shortfall, where one is asked for."""
+    if table is None:
+        return None
+    kind = plan.contribution.kind
+    if kind not in ("spread", "target"):
+        what = (
+            f'contributions of kind "{kind}" do not depend on decisions; '
+            'allowed are "spread" and "target" in plan.contribution'
+        )
+        raise section.error("points", table.points, what)
+    return Frontier(table.points, table.steps, table.level)
+
+
+def read_reconcile(table: ReconcileTable | None) -> Reconcile | None:
+    """The actuary's own figures, where given."""
+    return None if table is None else Reconcile(table.liability, table.duration, table.tolerance)

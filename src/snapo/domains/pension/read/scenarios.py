@@ -1,0 +1,118 @@
+"""Reads `[scenarios]`: ready-made paths of returns, inflation, wages and zero rates."""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError, Unquoted, show
+from snapo.case.table import Section
+
+from ..records.market import SuppliedScenarios
+from .cells import Grid
+from .tables import ScenariosTable
+
+
+class Columns(NamedTuple):
+    """The columns of a scenario file in the order of the records, and the tenors of its zeros."""
+
+    names: tuple[str, ...]
+    tenor: np.ndarray
+
+
+def read_scenarios(
+    section: Section, table: ScenariosTable | None, classes: Sequence[str], grid: Grid, start: str
+) -> SuppliedScenarios | None:
+    """Two sets of paths; `start` is the valuation date, for files that give dates."""
+    if table is None:
+        return None
+    if table.training == table.evaluation:
+        what = "a policy is not measured on the same paths that it was trained on"
+        raise section.error("evaluation", table.evaluation, what)
+    sets, known = [], None
+    for key in ("training", "evaluation"):
+        mention = Mention(section, key, getattr(table, key))
+        rows = read_rows(mention, ("path",))
+        columns = _columns(rows, classes)
+        if known is not None and columns.names != known.names:
+            what = f"the columns must be those of {table.training}"
+            raise section.error(key, mention.name, what)
+        known = columns
+        sets.append(_paths(mention, rows, columns, grid, start))
+    assert known is not None
+    return SuppliedScenarios(sets[0], sets[1], known.names, known.tenor)
+
+
+def _columns(rows: Sequence[Row], classes: Sequence[str]) -> Columns:
+    present = rows[0].cells
+    head = Row(rows[0].file, 1, {"header": ",".join(present)})
+    needed = [*(f"return {name}" for name in classes), "inflation", "wage"]
+    for name in needed:
+        if name.lower() not in present:
+            raise head.error("header", f"the column {show(name)} is missing")
+    tenors: dict[float, str] = {}
+    for name in present:
+        if name.startswith("zero "):
+            try:
+                tenors[float(name.removeprefix("zero "))] = name
+            except ValueError:
+                what = "a zero rate's column is named like zero 10, with its tenor in years"
+                raise Row(head.file, 1, {name: name}).error(name, what) from None
+    if len(tenors) < 2:
+        raise head.error("header", "at least two columns of zero rates are needed, like zero 10")
+    tenor = sorted(tenors)
+    if tenor[0] <= 0:
+        raise head.error("header", "the tenors of zero rates are above 0")
+    return Columns((*needed, *(tenors[each] for each in tenor)), np.array(tenor))
+
+
+def _paths(
+    mention: Mention, rows: Sequence[Row], columns: Columns, grid: Grid, start: str
+) -> np.ndarray:
+    """[paths, T, K] without a hole."""
+    numbers: dict[str, int] = {}
+    for row in rows:
+        numbers.setdefault(row.cells["path"], len(numbers))
+    found = np.full((len(numbers), grid.steps, len(columns.names)), np.nan)
+    names = [name.lower() for name in columns.names]
+    for row in rows:
+        path, step = numbers[row.cells["path"]], _step(row, grid, start)
+        if step >= grid.steps:
+            continue
+        if not np.isnan(found[path, step, 0]):
+            raise row.error("path", "this path has this time already, further up")
+        for k, name in enumerate(names):
+            least = -0.999999 if name.startswith(("return ", "zero ")) else -1.0
+            found[path, step, k] = row.number(name, least)
+    holes = np.argwhere(np.isnan(found[:, :, 0]))
+    if len(holes):
+        path, step = holes[0]
+        name = list(numbers)[path]
+        got = Unquoted(f"no row for path {name}, step {step + 1}")
+        what = f"every path needs all {grid.steps} steps, and {len(holes)} are missing"
+        raise CaseError(mention.name, "", got, what)
+    if len(numbers) < 2:
+        raise CaseError(mention.name, "", Unquoted("one path"), "two paths or more are needed")
+    return found
+
+
+def _step(row: Row, grid: Grid, start: str) -> int:
+    """The step of a row, from 0: counted from 1 in the file, or by the date at its end."""
+    monthly = grid.step < 1
+    name = "month" if monthly else "year"
+    if "date" in row.cells and name not in row.cells:
+        day = row.day("date")
+        year, month = int(start[:4]), int(start[5:7])
+        passed = 12 * (day.year - year) + day.month - month
+        passed = passed if monthly else day.year - year
+        if passed < 1:
+            raise row.error("date", f"allowed is a date after the valuation date, {start}")
+        return passed - 1
+    if name not in row.cells:
+        head = Row(row.file, 1, {"header": ",".join(row.cells)})
+        raise head.error("header", f"a column {name} or date is needed")
+    value = row.number(name, 1.0)
+    if value != int(value):
+        raise row.error(name, "steps are counted 1, 2, 3 …")
+    return int(value) - 1

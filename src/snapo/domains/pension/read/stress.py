@@ -1,0 +1,85 @@
+"""Reads `[stress]`: shocks from a file; lines of the same scenario hold together.
+
+A line moves a curve ("curve", "break_even": `label` is a tenor in years, between tenors the size
+is linear and beyond them constant; no label moves all nodes alike), the price of assets ("price":
+`label` is a class or a kind of classes), or any other input of the case by its name and label.
+"""
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.table import Section, load, nearest, parse
+
+from ..records.case import PensionCase
+from ..records.inputs import every_given
+from .cells import word
+from .tables import StressTable
+
+CURVES = ("curve", "break_even")
+
+
+PRICE = "price"
+
+
+@dataclass(frozen=True)
+class Shock:
+    """One line: "add" `size` in the input's unit, or "multiply" by 1 + `size`."""
+
+    scenario: str
+    target: str
+    label: str
+    kind: str
+    size: float
+
+    def of(self, values: np.ndarray, size: np.ndarray | float | None = None) -> np.ndarray:
+        """The values after the shock, of this `size` where it is not the same for all."""
+        size = self.size if size is None else size
+        return values + size if self.kind == "add" else values * (1 + size)
+
+
+def read_shocks(case: PensionCase) -> tuple[Shock, ...]:
+    """The shocks of the file that `[stress]` names; none without it."""
+    return parse_shocks(case, load(case.file)[1].get("stress"))
+
+
+def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
+    """The same for the table of a TOML file that was read already; None where it has none."""
+    if data is None:
+        return ()
+    table = parse(StressTable, data, str(case.file), "stress")
+    mention = Mention(Section(case.file, "stress", []), "file", table.file)
+    rows = read_rows(mention, ("scenario", "input", "label", "kind", "size"))
+    return tuple(_shock(case, row) for row in rows)
+
+
+def _shock(case: PensionCase, row: Row) -> Shock:
+    target, label = row.cells["input"], row.cells["label"]
+    if not row.cells["scenario"]:
+        raise row.error("scenario", "every line belongs to a scenario with a name")
+    given = {each.name: each for each in every_given(case)}
+    known = (*CURVES, PRICE, *given)
+    if target not in known:
+        raise row.error("input", f"there is no such input; {nearest(target, known)}")
+    if target in CURVES:
+        if label:
+            row.number("label", 0.0)
+    elif target == PRICE:
+        _held(case, row)
+    elif label and label not in given[target].labels:
+        raise row.error("label", f"{target} has the labels {', '.join(given[target].labels)}")
+    kind = word(row, "kind", ("add", "multiply"))
+    if target == PRICE and kind != "multiply":
+        raise row.error("kind", "prices are multiplied: a size of -0.3 is a fall by 30 %")
+    size = row.number("size", -1.0 if kind == "multiply" else -np.inf)
+    return Shock(row.cells["scenario"], target, label, kind, size)
+
+
+def _held(case: PensionCase, row: Row) -> None:
+    names = [n for each in case.assets.classes for n in (each.name, each.kind)]
+    label = row.cells["label"]
+    if label and label not in names:
+        known = ", ".join(dict.fromkeys(names))
+        raise row.error("label", f"there is no such class or kind of classes; known are {known}")

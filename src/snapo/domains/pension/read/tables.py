@@ -1,0 +1,214 @@
+"""The tables of a pension case as they stand in the TOML file, each key with its meaning.
+
+The description of a key is the text that an error message quotes as allowed.
+"""
+
+import datetime
+from typing import Annotated, Any, Literal
+
+import pydantic
+from pydantic import Field
+
+from snapo.case.table import Table
+
+
+def _plain_day(value: Any) -> Any:
+    # A TOML date with a time is a datetime, which Python counts as a date.
+    if isinstance(value, datetime.datetime):
+        raise ValueError("a date without a time")
+    return value
+
+
+Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
+Name = Annotated[str, Field(min_length=1)]
+NotNegative = Annotated[float, Field(ge=0)]
+Positive = Annotated[float, Field(gt=0)]
+Share = Annotated[float, Field(ge=0, le=1)]
+Rate = Annotated[float, Field(gt=-1, lt=1)]
+
+DATE = "a date, YYYY-MM-DD"
+RATE = "a number between -1 and 1, like 0.02 for 2 %"
+LEAST = "a number of at least 0"
+ABOVE = "a number above 0"
+SHARE = "a number from 0 to 1"
+STEPS = "or the name of a CSV file with columns from_year,value"
+VOLATILITY = f"{LEAST}, {STEPS}"
+
+
+def csv(columns: str, default: Any = ...) -> Any:
+    """A field that names a CSV beside the case."""
+    return Field(default, description=f"the name of a CSV file with columns {columns}")
+
+
+def words(*known: str, default: Any = ...) -> Any:
+    """A field that takes one of a few words."""
+    shown = [f'"{each}"' for each in known]
+    text = shown[0] if len(shown) == 1 else f"{', '.join(shown[:-1])} or {shown[-1]}"
+    return Field(default, description=text)
+
+
+class FundTable(Table):
+    """`[fund]`: the horizon, its steps and the money."""
+
+    valuation_date: Day = Field(description=DATE)
+    years: Annotated[int, Field(ge=1, le=60)] = Field(description="a whole number from 1 to 60")
+    step: Literal["month", "year"] = words("month", "year", default="month")
+    assets: Positive = Field(description="the market value of all assets, above 0")
+    currency: Name = Field("EUR", description='a name such as "EUR"')
+
+
+class CurveTable(Table):
+    """`[curve]`: the nominal curve, and the measure of the scenarios."""
+
+    file: Name = csv("tenor,zero (or tenor,forward)")
+    measure: Literal["P", "Q"] = words("P", "Q", default="P")
+    compounding: Literal["continuous", "annual"] = words(
+        "continuous", "annual", default="continuous"
+    )
+    extrapolation: Literal["flat-forward", "ultimate"] = words(
+        "flat-forward", "ultimate", default="flat-forward"
+    )
+    ultimate: Rate | None = Field(None, description=RATE)
+    speed: Positive = Field(0.1, description=ABOVE)
+
+
+class RatesTable(Table):
+    """`[rates]`: the model of the short rate; lists have one number per factor."""
+
+    kind: Name = Field(description='the name of a model, such as "hull-white" or "g2++"')
+    mean_reversion: Positive | list[Positive] = Field(
+        description="a number above 0, or a list with one for each factor"
+    )
+    volatility: NotNegative | Name | list[NotNegative | Name] = Field(
+        description=f"{VOLATILITY}; a list with one for each factor"
+    )
+    price_of_risk: float | list[float] = Field(
+        0.0, description="a number, or a list with one for each factor"
+    )
+
+
+class InflationTable(Table):
+    """`[inflation]`: break-evens, expected inflation, prices and wages."""
+
+    break_evens: Name = csv("tenor,rate (or tenor,forward)")
+    compounding: Literal["continuous", "annual"] = words(
+        "continuous", "annual", default="continuous"
+    )
+    extrapolation: Literal["flat-forward", "ultimate"] = words(
+        "flat-forward", "ultimate", default="flat-forward"
+    )
+    ultimate: Rate | None = Field(None, description=RATE)
+    speed: Positive = Field(0.1, description=ABOVE)
+    mean_reversion: Positive = Field(0.3, description=ABOVE)
+    volatility: NotNegative | Name = Field(0.007, description=VOLATILITY)
+    price_of_risk: float = Field(0.0, description="a number")
+    index_volatility: NotNegative | Name = Field(0.01, description=VOLATILITY)
+    index_price_of_risk: float = Field(0.0, description="a number")
+    real_wage_growth: Rate = Field(0.0, description=RATE)
+    wage_volatility: NotNegative = Field(0.0, description=LEAST)
+
+
+class AssetsTable(Table):
+    """`[assets]`: the classes, and the sense of their means."""
+
+    file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
+    return_kind: Literal["excess", "total"] = words("excess", "total")
+    mean_kind: Literal["geometric", "arithmetic", "log"] = words("geometric", "arithmetic", "log")
+
+
+class CreditTable(Table):
+    """`[credit]`"""
+
+    file: Name = csv("rating,spread,mean_spread,mean_reversion,volatility,default_loss")
+
+
+class CurrenciesTable(Table):
+    """`[currencies]`"""
+
+    file: Name = csv("currency,volatility,premium,hedge_ratio,hedge_cost")
+
+
+class CorrelationsTable(Table):
+    """`[correlations]`"""
+
+    file: Name = Field(description="the name of a CSV file: a square matrix with names on top")
+    repair: bool = Field(False, description="true or false")
+
+
+class OverlayTable(Table):
+    """`[overlay]`: receiver swaps by tenor."""
+
+    file: Name = csv("tenor,notional,low,high,cost")
+    unit: Literal["assets", "liability"] = words("assets", "liability", default="assets")
+    leverage: NotNegative = Field(1.0, description=LEAST)
+    collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")
+
+
+class ScenariosTable(Table):
+    """`[scenarios]`: ready-made scenarios in place of the generator."""
+
+    training: Name = Field(description="the name of a CSV file")
+    evaluation: Name = Field(description="the name of another CSV file")
+
+
+class PolicyTable(Table):
+    """`[policy]`: the observation, and the widths of the hidden layers."""
+
+    observation: list[str] | None = Field(None, description="a list of names")
+    hidden: Annotated[list[Annotated[int, Field(ge=1, le=1024)]], Field(max_length=4)] = Field(
+        [32, 32], description="a list of widths, such as [32, 32]"
+    )
+
+
+class SensitivityTable(Table):
+    """`[sensitivity]`: the numbers that are held fixed."""
+
+    held: list[str] = Field([], description="a list of names of inputs")
+
+
+class FrontierTable(Table):
+    """`[frontier]`: contributions against the shortfall, from a sweep."""
+
+    points: Annotated[int, Field(ge=2, le=20)] = Field(5, description="a whole number from 2 to 20")
+    steps: Annotated[int, Field(ge=1)] = Field(60, description="a whole number, 1 or more")
+    level: Annotated[float, Field(ge=0.5, le=0.99)] = Field(
+        0.95, description="a number from 0.5 to 0.99"
+    )
+
+
+class StressTable(Table):
+    """`[stress]`: shocks for the table of the report."""
+
+    file: Name = csv("scenario,input,label,kind,size")
+
+
+class PensionTable(Table):
+    """The whole file."""
+
+    kind: Literal["pension"] = Field(description='"pension"')
+    title: str = Field("Pension fund", description="a text in quotation marks")
+    fund: dict = Field(description="the table [fund]")
+    curve: dict = Field(description="the table [curve]")
+    rates: dict | None = Field(None, description="the table [rates]")
+    inflation: dict = Field(description="the table [inflation]")
+    assets: dict = Field(description="the table [assets]")
+    credit: dict | None = Field(None, description="the table [credit]")
+    currencies: dict | None = Field(None, description="the table [currencies]")
+    correlations: dict | None = Field(None, description="the table [correlations]")
+    overlay: dict | None = Field(None, description="the table [overlay]")
+    members: dict = Field(description="the table [members]")
+    mortality: dict | None = Field(None, description="the table [mortality]")
+    lee_carter: dict | None = Field(None, description="the table [lee_carter]")
+    plan: dict = Field({}, description="the table [plan]")
+    liability: dict = Field({}, description="the table [liability]")
+    reconcile: dict | None = Field(None, description="the table [reconcile]")
+    scenarios: dict | None = Field(None, description="the table [scenarios]")
+    policy: dict = Field({}, description="the table [policy]")
+    objective: dict | list = Field(
+        {}, description="the table [objective], or several [[objective]]"
+    )
+    sensitivity: dict = Field({}, description="the table [sensitivity]")
+    stress: dict | None = Field(None, description="the table [stress]")
+    frontier: dict | None = Field(None, description="the table [frontier]")
+    training: dict = Field({}, description="the table [training]")
+    evaluation: dict = Field({}, description="the table [evaluation]")

@@ -1,0 +1,86 @@
+"""Holdings of the fund as resolved data; conventions as in `records.case`."""
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Literal
+
+import numpy as np
+
+from snapo.case.given import Given
+
+if TYPE_CHECKING:
+    from ..market.assets.asset_class import AssetClass
+
+
+@dataclass(frozen=True, eq=False)
+class Group:
+    """The classes `members` (positions) together weigh between `low` and `high`."""
+
+    name: str
+    members: tuple[int, ...]
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, eq=False)
+class Assets:
+    """The asset classes; n is their number, m those with a shock of their own (`shocks`).
+
+    - `mean`: index [m], per year. `return_kind` "excess": over cash, "total": all of the return,
+      whatever cash earns. `mean_kind` "log": of the log return; "geometric": ln(1 + mean) is
+      that; "arithmetic": 1 + mean is the expected gross return of a year, in the fund's own
+      currency after hedging. Counts under "P" only: under "Q" every class earns cash on average.
+    - `volatility`: index [T, m] in local currency, 1/sqrt(year).
+    - `smoothing`: index [q], the share of a step's return that an appraisal shows at once, 0 to
+      1; `smoothed`: [q] positions of the appraised classes ("property"), often none.
+    - `cost`: index [n], share of the trade; `fee`: index [n], share of assets per year.
+    - `weight`: index [n], weights now, adding up to one.
+    - `low`, `high`: [n] bounds between 0 and 1; `groups`: disjoint.
+    - `amount`: market value of all assets now, index [].
+    """
+
+    classes: "tuple[AssetClass, ...]"
+    return_kind: Literal["excess", "total"]
+    mean_kind: Literal["geometric", "arithmetic", "log"]
+    mean: Given
+    volatility: Given
+    smoothing: Given
+    smoothed: np.ndarray
+    cost: Given
+    fee: Given
+    weight: Given
+    low: np.ndarray
+    high: np.ndarray
+    groups: tuple[Group, ...]
+    amount: Given
+
+    @property
+    def cash(self) -> int:
+        """The position of cash."""
+        return next(i for i, each in enumerate(self.classes) if each.is_cash)
+
+    @property
+    def shocks(self) -> tuple[int, ...]:
+        """[m] positions of the classes with a shock of their own."""
+        return tuple(i for i, each in enumerate(self.classes) if each.own_shock)
+
+
+@dataclass(frozen=True, eq=False)
+class Overlay:
+    """Receiver swaps by tenor bucket, each a zero-coupon bond financed at cash; b buckets.
+
+    - `maturity`: [b] whole steps, rising. `notional`: present value of the fixed leg now, money,
+      index [b]. `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of
+      the liability payments that are nearest to the bucket (a hedge ratio).
+    - `leverage`: largest sum of absolute notionals over assets, index [].
+    - `cost`: share of the notional traded, index [b].
+    - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
+    """
+
+    maturity: np.ndarray
+    notional: Given
+    low: np.ndarray
+    high: np.ndarray
+    unit: Literal["assets", "liability"]
+    leverage: Given
+    cost: Given
+    collateral_stress: Given

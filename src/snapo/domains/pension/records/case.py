@@ -1,0 +1,98 @@
+"""A pension case as resolved data: the fund, its markets, its people and the question.
+
+Conventions for every record. Time runs in steps of `PensionCase.step` years (1/12 or 1), step t
+from time t * step to (t + 1) * step; T is the number of steps with a decision. Numbers are per
+year and continuous unless a field says otherwise, shares are fractions (0.05 is 5 %), money is
+in `PensionCase.currency`. A `Given` keeps the numbers as the owner gave them and becomes an
+input with a sensitivity under its own name, unless `PensionCase.held` names it; where it is
+used it is `given.values[given.index]`. Plain NumPy arrays, integers and names have no gradient.
+"""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Literal
+
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
+from .assets import Assets, Overlay
+from .market import Correlation, Credit, Currencies, Curve, Inflation, SuppliedScenarios
+from .people import CashFlows, LeeCarter, Members, Mortality
+from .plan import Liability, Plan, Reconcile
+
+if TYPE_CHECKING:
+    from ..market.rates.short_rate import ShortRate
+
+
+@dataclass(frozen=True, eq=False)
+class ObjectiveTerm:
+    """`weight` times one objective of one output of a path (see `fund.simulator.OUTPUTS`)."""
+
+    weight: float
+    output: str
+    objective: ObjectiveTable
+
+
+@dataclass(frozen=True, eq=False)
+class Frontier:
+    """A sweep of contributions against the shortfall: `points` policies, each trained for `steps`
+    more, CVaR at `level`."""
+
+    points: int
+    steps: int
+    level: float
+
+
+@dataclass(frozen=True, eq=False)
+class PensionCase:
+    """All that a pension case says.
+
+    - `step`: 1/12 or 1 years; `steps`: T; `start_month`: 1 to 12, the calendar month of time 0.
+    - `measure`: "P" real-world, "Q" risk-neutral.
+    - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
+    - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
+    - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
+    """
+
+    file: Path
+    title: str
+    currency: str
+    valuation_date: str
+    step: float
+    steps: int
+    start_month: int
+    measure: Literal["P", "Q"]
+    curve: Curve
+    rates: "ShortRate"
+    inflation: Inflation
+    assets: Assets
+    credit: Credit
+    currencies: Currencies
+    correlation: Correlation
+    overlay: Overlay | None
+    members: Members | None
+    mortality: Mortality | None
+    lee_carter: LeeCarter | None
+    cash_flows: CashFlows | None
+    plan: Plan
+    liability: Liability
+    reconcile: Reconcile | None
+    scenarios: SuppliedScenarios | None
+    observation: tuple[str, ...]
+    hidden: tuple[int, ...]
+    objective: tuple[ObjectiveTerm, ...]
+    training: TrainingTable
+    evaluation: EvaluationTable
+    frontier: Frontier | None = None
+    held: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
+
+    kind = "pension"
+
+    @property
+    def risk_neutral(self) -> bool:
+        return self.measure == "Q"
+
+    @property
+    def buckets(self) -> int:
+        """The number of overlay buckets."""
+        return 0 if self.overlay is None else len(self.overlay.maturity)

@@ -1,0 +1,42 @@
+"""Every number of a pension case that has a gradient, as `Input`s under the case's own names."""
+
+from collections.abc import Iterator
+from dataclasses import fields, is_dataclass
+from typing import Any
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+
+from .case import PensionCase
+
+
+def pension_inputs(case: PensionCase) -> dict[str, Input]:
+    """{name: Input} of markets, people and plan, without those that the case holds fixed."""
+    found: dict[str, Input] = {}
+    for given in every_given(case):
+        if given.name in found:
+            raise ValueError(f"{given.name}: two inputs of a case share this name.")
+        if given.name not in case.held:
+            found[given.name] = given.input()
+    return found
+
+
+def every_given(record: Any) -> Iterator[Given]:
+    """All numbers given in a record and the records within it; empty ones are left out."""
+    for field in fields(record):
+        value = getattr(record, field.name)
+        if isinstance(value, Given):
+            if value.values.size:
+                yield value
+        elif is_dataclass(value):
+            yield from every_given(value)
+
+
+def use(inputs: dict[str, Any], given: Given) -> Array:
+    """The numbers where they are used: input or number held fixed, at `given.index`."""
+    if not given.values.size:
+        return jnp.zeros(given.index.shape)
+    return jnp.asarray(inputs.get(given.name, given.values))[given.index]

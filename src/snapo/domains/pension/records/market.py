@@ -1,0 +1,116 @@
+"""Markets as resolved data; conventions as in `records.case`."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from snapo.case.given import Given
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """Nominal zero curve, or break-evens of the same form (then rates are of inflation).
+
+    - `tenor`: [n] nodes in years, strictly rising, above zero.
+    - `rate`: [n], index [n], continuous, unit "1/year", labels "10y". Quote "zero": zero rates,
+      linear between nodes, flat before the first. Quote "forward": the forward rate of the
+      interval that ends at the node, constant in it.
+    - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
+      "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node)).
+    - `ultimate`: forward rate far out, index []; used with "ultimate" only.
+    """
+
+    tenor: np.ndarray
+    rate: Given
+    quote: Literal["zero", "forward"]
+    extrapolation: Literal["flat-forward", "ultimate"]
+    ultimate: Given
+    speed: float = 0.1
+
+
+@dataclass(frozen=True, eq=False)
+class Inflation:
+    """Expected inflation p + phi_p(t) fitted to break-evens, realised prices, and wages.
+
+    dp = -k p dt + s(t) (dW + lambda dt); d ln I = (phi_p + p) dt + s_I(t) (dW_I + lambda_I dt);
+    d ln W = d ln I + real_wage dt + s_W dW_W. Prices of risk count under "P" only.
+
+    - `break_even`: zero-coupon break-even curve.
+    - `mean_reversion`, `price_of_risk`, `index_price_of_risk`, `real_wage_growth`,
+      `wage_volatility`: index []. `volatility`, `index_volatility`: index [T].
+    """
+
+    break_even: Curve
+    mean_reversion: Given
+    volatility: Given
+    price_of_risk: Given
+    index_volatility: Given
+    index_price_of_risk: Given
+    real_wage_growth: Given
+    wage_volatility: Given
+
+
+@dataclass(frozen=True, eq=False)
+class Credit:
+    """Spreads by rating; R is the number of ratings (0 allowed). u = ln(s / mean) is an OU process.
+
+    - `names`: [R]. `spread` (now), `mean_spread` (both above 0), `mean_reversion`, `volatility`
+      (of ln s), `default_loss` (share of a holding lost per year at the mean spread, moving in
+      proportion to the spread): index [R]. Carry and loss count under "P" only.
+    """
+
+    names: tuple[str, ...]
+    spread: Given
+    mean_spread: Given
+    mean_reversion: Given
+    volatility: Given
+    default_loss: Given
+
+
+@dataclass(frozen=True, eq=False)
+class Currencies:
+    """Foreign currencies; X is their number (0 allowed).
+
+    - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
+      1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount per
+      year): index [X].
+    """
+
+    names: tuple[str, ...]
+    volatility: Given
+    premium: Given
+    hedge_ratio: Given
+    hedge_cost: Given
+
+
+@dataclass(frozen=True, eq=False)
+class Correlation:
+    """Instantaneous correlations: positive definite, repaired beforehand where the case asked.
+
+    - `names`: [k] of the correlated motions: "rate", "rate 2", "inflation", "price index", "wage",
+      ratings, currencies, and classes with a shock of their own. Others, and mortality, are
+      independent of all the rest.
+    - `lower`: strict lower triangle, row by row, index [k (k - 1) / 2]; labels "equity, rate".
+    - `repaired`: the largest change of an entry, 0 where nothing was repaired.
+    """
+
+    names: tuple[str, ...]
+    lower: Given
+    repaired: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class SuppliedScenarios:
+    """Ready-made scenarios in place of the generator: two different sets of paths.
+
+    - `training`, `evaluation`: [paths, T, K], over step t (returns, growth) or at its end (zeros).
+    - `columns`: [K] "return CLASS" for every class (simple, of the step), then "inflation" and
+      "wage" (log growth of the step), then "zero TENOR" (continuous) for each of `tenor`.
+    - `tenor`: [k] years, rising; zero rates are linear between them and flat outside.
+    """
+
+    training: np.ndarray
+    evaluation: np.ndarray
+    columns: tuple[str, ...]
+    tenor: np.ndarray

@@ -1,0 +1,87 @@
+"""Members and mortality of a pension case; conventions as in `records.case`.
+
+C is the number of cohorts, S the number of steps until the last payment (`PAYMENT_YEARS` years).
+"""
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from snapo.case.given import Given
+
+MALE, FEMALE = 0, 1
+ACTIVE, DEFERRED, PENSIONER, SPOUSE = 0, 1, 2, 3
+PAYMENT_YEARS = 100
+
+
+@dataclass(frozen=True, eq=False)
+class Mortality:
+    """Death probabilities of a year by sex and age, with yearly improvement.
+
+    Kind "table": `table` [sex, age] = q, from `first_age` on; the last age's q holds for all later
+    ages (a q of 1 ends all lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x)
+    and q = 1 - exp(-integral of mu over the year).
+    Either way q(x, year j) = 1 - (1 - q(x))^(multiplier(x) exp(-improvement(x) j)).
+
+    - `first_age`: of all index axes "age"; ages have length G.
+    - `table`: index [2, G]; empty for the other kind. `gompertz`: index [2, 3], columns alpha,
+      beta, makeham; empty for "table".
+    - `multiplier`: on the hazard, index [2, G]. `improvement`: per year, index [2, G].
+    """
+
+    kind: Literal["table", "gompertz-makeham"]
+    first_age: int
+    ages: int
+    table: Given
+    gompertz: Given
+    multiplier: Given
+    improvement: Given
+
+
+@dataclass(frozen=True, eq=False)
+class LeeCarter:
+    """ln hazard(x, t) moves by b(x) k(t), k a random walk from 0 with no drift.
+
+    The drift belongs to `Mortality.improvement`.
+
+    - `volatility`: of k, 1/sqrt(year), index []. `loading`: b, index [2, G].
+    """
+
+    volatility: Given
+    loading: Given
+
+
+@dataclass(frozen=True, eq=False)
+class Members:
+    """Cohorts of a table; every array has length C.
+
+    - `status`: ACTIVE, DEFERRED, PENSIONER, SPOUSE; `sex`: MALE, FEMALE.
+    - `age`: exact ages in years at time 0 (fractions allowed where the case asks for them).
+    - `number`: members, index [C]. `pension`: accrued per member and year, index [C]. `salary`:
+      per member and year, index [C] (0 for those who are not active).
+    - `service`: [C] years until now, for reports and for `Plan.max_service`.
+    """
+
+    names: tuple[str, ...]
+    status: np.ndarray
+    sex: np.ndarray
+    age: np.ndarray
+    number: Given
+    pension: Given
+    salary: Given
+    service: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class CashFlows:
+    """The actuary's vector of expected nominal payments, where that is all there is.
+
+    - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
+    - `normal_cost`: money per step at time 0, grows with wages, index []; `salary`: per year.
+    """
+
+    amount: Given
+    step: np.ndarray
+    normal_cost: Given
+    salary: Given

@@ -1,0 +1,120 @@
+"""Rules of a scheme and how its promises are valued; conventions as in `records.case`."""
+
+from dataclasses import dataclass
+from typing import Literal
+
+from snapo.case.given import Given
+
+
+@dataclass(frozen=True, eq=False)
+class Indexation:
+    """Increases of all pensions, accrued and in payment, once a year in calendar month `month`.
+
+    "none"; "full": price growth since the last time; "capped": the same within `floor` and
+    `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
+    `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
+    (1 to 12). Cuts: where the policy ratio lies below `required_ratio`, pensions are cut by
+    (1 - ratio / required_ratio) / `cut_years`; no cuts where `cut_years` is 0.
+
+    `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`: index [].
+    """
+
+    kind: Literal["none", "full", "capped", "conditional"]
+    month: int
+    averaging: int
+    cap: Given
+    floor: Given
+    lower_ratio: Given
+    upper_ratio: Given
+    required_ratio: Given
+    cut_years: int
+
+
+@dataclass(frozen=True, eq=False)
+class Contribution:
+    """The payment of each step; C = normal cost + recovery, then limits.
+
+    - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
+      plus `spread_factor` per year times (liability - assets), surplus is spread too;
+      "target": normal cost plus the gap to `target_ratio` times the liability, over
+      `recovery_years`.
+    - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
+      1 + `loading`; "rate": `rate` times salaries.
+    - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
+      Each applies only where its flag is set. All `Given`s index [].
+    """
+
+    kind: Literal["none", "fixed", "normal-cost", "spread", "target"]
+    normal_cost: Literal["valuation", "rate"]
+    rate: Given
+    loading: Given
+    spread_factor: Given
+    target_ratio: Given
+    recovery_years: Given
+    floor: Given
+    cap: Given
+    sponsor_limit: Given
+    has_floor: bool
+    has_cap: bool
+    has_sponsor_limit: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Plan:
+    """Terms of the scheme: career average, pensions and accrued rights indexed alike.
+
+    - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
+      contributions alike.
+    - `retirement_age`: whole or fractional years, no gradient (a date). `accrual_rate`: pension
+      per year of service as a share of (salary - `offset`), index []; `offset`: money, index [].
+    - `spouse_share`: of the member's pension, index []; `married_share`: index [];
+      `spouse_age_gap`: years by which wives are younger than their husbands, whoever of the two
+      is the member: a woman's husband is older by the gap (the reverse if negative), no gradient.
+    - `age_basis`: "nearest" or "last" birthday or "exact"; `fractional_ages`: between
+      birthdays "constant-force", "uniform" deaths.
+    - `open`: every active who retires or dies is replaced by an entrant of `entry_age` with the
+      same salary, so that payroll in wages of today stays constant. Closed: nobody enters, actives
+      go on accruing. `accruing` False: no new accrual at all (frozen plan).
+    - `max_service`: years after which accrual ends. `expenses`: money per year, index [].
+    """
+
+    timing: Literal["advance", "arrears"]
+    retirement_age: float
+    accrual_rate: Given
+    offset: Given
+    spouse_share: Given
+    married_share: Given
+    spouse_age_gap: int
+    age_basis: Literal["nearest", "last", "exact"]
+    fractional_ages: Literal["constant-force", "uniform"]
+    open: bool
+    accruing: bool
+    entry_age: float
+    max_service: float
+    expenses: Given
+    indexation: Indexation
+    contribution: Contribution
+
+
+@dataclass(frozen=True, eq=False)
+class Liability:
+    """How payments are valued at any time.
+
+    - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
+      for all terms (continuous). `rate`: index [].
+    - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
+      curve; basis "fixed" then takes `rate` as real).
+    """
+
+    basis: Literal["risk-free", "spread", "fixed"]
+    rate: Given
+    future_indexation: Literal["none", "full"]
+
+
+@dataclass(frozen=True, eq=False)
+class Reconcile:
+    """The actuary's own figures; None where not given. `tolerance` is relative."""
+
+    liability: float | None
+    duration: float | None
+    tolerance: float

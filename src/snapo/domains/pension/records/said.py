@@ -1,0 +1,79 @@
+"""All that is said about the numbers of a key: unit, usual move, family of risk, meaning.
+
+The usual moves of an actuary: rates, spreads and fees one basis point, shares, volatilities and
+ratios one percentage point, quantities (money, members, death probabilities) one per cent of
+themselves. Groups, which reports and readers ask for: "curve" (nodes of a curve), "volatility",
+"premium" (counts in the real world only), "model", "assets", "overlay", "people", "plan".
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from snapo.case.given import Given
+
+SQUARE_ROOT, YEARLY = "1/sqrt(year)", "1/year"
+
+
+@dataclass(frozen=True)
+class Said:
+    """Of a number: its unit, and the fields of `Given` of the same names."""
+
+    unit: str
+    words: str
+    group: str
+    move: float | None
+    trade_unit: str = ""
+    trade_factor: float = 1.0
+
+    def given(self, name: str, values: Any, labels: Sequence[str], index: np.ndarray) -> Given:
+        """Numbers with all that is said about them."""
+        return Given(
+            name,
+            np.asarray(values, np.float64),
+            tuple(labels),
+            self.unit,
+            index,
+            move=self.move,
+            trade_unit=self.trade_unit,
+            trade_factor=self.trade_factor,
+            group=self.group,
+            words=self.words,
+        )
+
+
+def rate(words: str, group: str, unit: str = YEARLY) -> Said:
+    """Moves by a basis point."""
+    return Said(unit, words, group, 1e-4, "bp", 1e4)
+
+
+def share(words: str, group: str, unit: str = "1") -> Said:
+    """Moves by a percentage point."""
+    return Said(unit, words, group, 0.01, "percentage point", 100.0)
+
+
+def volatility(words: str) -> Said:
+    """Of prices: moves by a percentage point."""
+    return share(words, "volatility", SQUARE_ROOT)
+
+
+def quiet_volatility(words: str) -> Said:
+    """Of rates and growth: a percentage point would double it, so that it moves by ten bp."""
+    return Said(SQUARE_ROOT, words, "volatility", 1e-3, "bp", 1e4)
+
+
+def number(words: str, group: str, unit: str = "1") -> Said:
+    """A pure number, or one without a unit of the trade: moves by 0.01."""
+    return Said(unit, words, group, 0.01)
+
+
+def amount(words: str, group: str, unit: str) -> Said:
+    """Moves by one per cent of itself."""
+    return Said(unit, words, group, None)
+
+
+def time(words: str, group: str) -> Said:
+    """Moves by a year."""
+    return Said("year", words, group, 1.0, "year")

@@ -1,0 +1,117 @@
+"""The actuary's figures from the model's own cash flows and curve, before any simulation."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from snapo.solver.adjoint import adjoint_gradient
+
+from ..fund.schedule import basis_log_bond
+from ..people.cash_flows import horizon, project
+from ..people.liability import paid_at, people
+from ..records.case import PensionCase
+from ..records.market import Curve
+
+BASIS_POINT = 1e-4
+EXACT = 1e-9  # relative: two ways to the same number, both in float64
+
+
+class Figures(NamedTuple):
+    """The figures of a valuation report.
+
+    - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
+      for a parallel shift of continuous rates; `convexity`: years squared.
+    - `key_rate`: [n] change of the liability, money, for +1 bp at each node of the nominal curve;
+      `inflation01`: for +1 bp on all break-evens. 0 where the basis does not use that curve.
+    - `cash_flow`: [S] expected payments of accrued rights by step, money, before indexation.
+    """
+
+    liability: float
+    duration: float
+    convexity: float
+    key_rate: np.ndarray
+    inflation01: float
+    cash_flow: np.ndarray
+
+
+class Line(NamedTuple):
+    """One check: the model's `own` figure, the one `given` (None: nothing to meet), the relative
+    `error` and whether that is within the tolerance."""
+
+    name: str
+    own: float
+    given: float | None
+    error: float
+    ok: bool
+
+
+def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
+    """All figures; `inputs` are plain arrays by name."""
+    case = replace(case, scenarios=None)
+    held = _with_curves(case, inputs)
+    with jax.enable_x64(True):
+        flow, discount = map(np.asarray, _payments(case, held))
+        slopes = adjoint_gradient(lambda given: jnp.dot(*_payments(case, given)))(held)
+        slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
+    years = paid_at(case, np.arange(horizon(case))) * case.step
+    value = flow * discount
+    total = float(value.sum())
+    prices = case.inflation.break_even.rate.name
+    scale = total or 1.0
+    return Figures(
+        liability=total,
+        duration=float(value @ years) / scale,
+        convexity=float(value @ years**2) / scale,
+        key_rate=BASIS_POINT * slopes[case.curve.rate.name],
+        inflation01=BASIS_POINT * float(slopes[prices].sum()),
+        cash_flow=flow[: horizon(case) - case.steps],
+    )
+
+
+def check(case: PensionCase, inputs: dict[str, Any]) -> list[Line]:
+    """The actuary's liability and duration against the model's, then the model against itself."""
+    found = figures(case, inputs)
+    asked = case.reconcile
+    lines = [
+        _line("liability", found.liability, asked and asked.liability, asked and asked.tolerance),
+        _line("duration", found.duration, asked and asked.duration, asked and asked.tolerance),
+    ]
+    plain = replace(case, scenarios=None)
+    with jax.enable_x64(True):
+        given = _with_curves(plain, inputs)
+        split = people(plain, given, basis_log_bond(plain, given)).accrued[0].sum()
+    lines.append(_line("liability on payment nodes", float(split), found.liability, EXACT))
+    if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
+        parallel = -BASIS_POINT * found.duration * found.liability
+        lines.append(_line("sum of key rates", float(found.key_rate.sum()), parallel, EXACT))
+    return lines
+
+
+def _payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
+    """Expected payments by step [N] and their discount factors."""
+    log_bond = basis_log_bond(case, inputs)
+    flow = project(case, inputs, log_bond).accrued
+    return flow, jnp.exp(log_bond[paid_at(case, np.arange(horizon(case)))])
+
+
+def _with_curves(case: PensionCase, inputs: dict[str, Any]) -> dict[str, Any]:
+    """The inputs, with both curves in them even where the case holds them fixed."""
+    curves = (case.curve.rate, case.inflation.break_even.rate)
+    given = {each.name: each.values for each in curves} | inputs
+    return {name: np.asarray(values, np.float64) for name, values in given.items()}
+
+
+def _shifts_as_one(curve: Curve) -> bool:
+    """Whether the same rise of all nodes raises all rates: not where they end in a fixed one."""
+    return curve.extrapolation == "flat-forward"
+
+
+def _line(name: str, own: float, given: float | None, tolerance: float | None) -> Line:
+    if given is None or tolerance is None:
+        return Line(name, own, None, 0.0, True)
+    error = (own - given) / abs(given) if given else own
+    return Line(name, own, given, error, bool(abs(error) <= tolerance))

@@ -1,0 +1,65 @@
+"""A pension case made ready to solve: its problem, policy and engines."""
+
+import jax
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.settings import make_objective
+from snapo.engine import choose
+from snapo.problem.objective import Objective, Weighted
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Sources, Supplied
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.study import Setup, StudyRun
+
+from ..fund.simulator import PensionSimulator
+from ..policies.network import new_policy
+from ..records.case import PensionCase
+from ..records.inputs import pension_inputs
+from ..records.market import SuppliedScenarios
+
+
+def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
+    """All that training takes; the seed is that of the case."""
+    training = Training(**case.training.model_dump())
+    evaluation = Evaluation(**case.evaluation.model_dump())
+    sources = evaluation.sources(training.seed)
+    if case.scenarios is not None:
+        sources = _divided(case.scenarios, training.seed)
+    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    problem = Problem(simulator, pension_inputs(case), objective_of(case), sources)
+    policy = new_policy(case, simulator, problem.schedule, jax.random.key(training.seed))
+    try:
+        engines = choose(engine, problem, policy)
+    except ValueError as error:
+        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    return Setup(problem, policy, training, evaluation, engines)
+
+
+def case_of(run: StudyRun) -> PensionCase:
+    """The case of a run."""
+    return case_in(run.setup)
+
+
+def case_in(setup: Setup) -> PensionCase:
+    """The case of a problem that was set up."""
+    return setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
+
+
+def objective_of(case: PensionCase) -> Objective:
+    """The sum of the case's terms."""
+    terms = [(term.weight, make_objective(term.objective, term.output)) for term in case.objective]
+    if len(terms) == 1 and terms[0][0] == 1:
+        return terms[0][1]
+    return Weighted(*terms)
+
+
+def _divided(scenarios: SuppliedScenarios, seed: int) -> Sources:
+    """Ready-made paths: four fifths of those for training train, the rest validate."""
+    training, evaluation = (
+        Supplied(np.ascontiguousarray(np.swapaxes(paths, 0, 1)), seed=seed)
+        for paths in (scenarios.training, scenarios.evaluation)
+    )
+    edge = max(1, training.size * 4 // 5)
+    return Sources(training.part(0, edge), training.part(edge, training.size), evaluation)

@@ -1,0 +1,112 @@
+"""The fund after each scenario of its file of shocks: which inputs and prices move, and how."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.problem.inputs import plain
+from snapo.study.study import StudyRun
+
+from ..market.assets.asset_class import log_prices
+from ..market.assets.swaps import swap_log_prices
+from ..market.zero_rates import from_zero_rates, zero_rates
+from ..read.stress import CURVES, PRICE, Shock, read_shocks
+from ..records.case import PensionCase
+from ..records.inputs import every_given
+from ..records.market import Curve
+from .balance import held_now
+from .reconcile import figures
+from .setup import case_of
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "stresses": the balance sheet at once after each scenario of the file; none without it."""
+    case, inputs = case_of(run), plain(run.setup.problem.inputs)
+    now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
+    every = scenarios(case, read_shocks(case))
+    return {"stresses": [stressed(case, inputs, each, now) for each in every]}
+
+
+@dataclass(frozen=True)
+class Stressed:
+    """A case after one scenario: numbers of the inputs that moved, and by class the price ratio.
+
+    `values`: {input: [n]}; `price`: [classes], without the losses of bonds to rates and spreads.
+    """
+
+    scenario: str
+    values: dict[str, np.ndarray]
+    price: np.ndarray
+
+
+def scenarios(case: PensionCase, shocks: Sequence[Shock]) -> list[Stressed]:
+    """The scenarios in the order of the file."""
+    names = dict.fromkeys(shock.scenario for shock in shocks)
+    return [_scenario(case, name, [s for s in shocks if s.scenario == name]) for name in names]
+
+
+def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed:
+    given = {each.name: each for each in every_given(case)}
+    values: dict[str, np.ndarray] = {}
+    price = np.ones(len(case.assets.classes))
+    for target, curve in zip(CURVES, (case.curve, case.inflation.break_even)):
+        lines = [shock for shock in shocks if shock.target == target]
+        if lines:
+            values[curve.rate.name] = _moved(curve, lines)
+    for shock in shocks:
+        if shock.target == PRICE:
+            for i, each in enumerate(case.assets.classes):
+                if shock.label in ("", each.name, each.kind):
+                    price[i] *= 1 + shock.size
+        elif shock.target not in CURVES:
+            known = given[shock.target]
+            now = values.get(shock.target, known.values).copy()
+            chosen = np.array([shock.label in ("", label) for label in known.labels])
+            now[chosen] = shock.of(now[chosen])
+            values[shock.target] = now
+    return Stressed(name, values, price)
+
+
+def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
+    """The quotes of a curve whose zero rates the lines move."""
+    zero = zero_rates(curve)
+    for kind in ("multiply", "add"):
+        own = [line for line in lines if line.kind == kind]
+        for line in own:
+            if not line.label:
+                zero = line.of(zero)
+        known = sorted((float(line.label), line.size) for line in own if line.label)
+        if known:
+            tenors, sizes = np.array(known).T
+            zero = own[0].of(zero, np.interp(curve.tenor, tenors, sizes))
+    return from_zero_rates(curve, zero)
+
+
+def stressed(
+    case: PensionCase, before: dict[str, Any], scenario: Stressed, notional: np.ndarray
+) -> dict[str, Any]:
+    """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
+    after = before | {
+        name: np.asarray(values, np.float64) for name, values in scenario.values.items()
+    }
+    ratio = scenario.price * np.exp(_change(log_prices, case, before, after))
+    assets = float(held_now(case) @ ratio)
+    if case.overlay is not None:
+        assets += float(notional @ np.expm1(_change(swap_log_prices, case, before, after)))
+    liability = float(figures(case, after).liability)
+    return {
+        "scenario": scenario.scenario,
+        "assets": assets,
+        "liability": liability,
+        "funding": assets / liability,
+        "surplus": assets - liability,
+    }
+
+
+def _change(log_prices: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
+    """Changes of `log_prices` from one set of inputs to another."""
+    with jax.enable_x64(True):
+        return np.asarray(log_prices(case, after)) - np.asarray(log_prices(case, before))

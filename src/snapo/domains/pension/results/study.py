@@ -1,0 +1,92 @@
+"""The study of a pension fund: the parts of a run, each with its tables."""
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Any
+
+from snapo.study.study import Part, Setup, Study, StudyRun
+from snapo.study.training import TRAINING, trained
+
+from ..records.case import PensionCase
+from . import (
+    attribution,
+    certificate,
+    compare,
+    consistency,
+    effects,
+    frontier,
+    objective,
+    paths,
+    reconciliation,
+    stress,
+    today,
+    variance,
+)
+from .check import reconciled
+from .setup import make_setup
+
+TRAINED = (TRAINING.name,)
+PARTS = (
+    Part("reconciliation", reconciliation.work),
+    Part("stress", stress.work),
+    TRAINING,
+    Part("objective", objective.work, TRAINED),
+    Part("paths", paths.work, TRAINED),
+    Part("today", today.work, ("paths",)),
+    Part("sensitivities", effects.work, TRAINED),
+    Part("certificate", certificate.work, TRAINED),
+    Part("attribution", attribution.work, TRAINED),
+    Part("variance by source", variance.work, TRAINED),
+    Part("market consistency", consistency.work, (*TRAINED, "reconciliation")),
+    Part("classical policies", compare.work, TRAINED),
+    Part("frontier", frontier.work, TRAINED),
+)
+MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
+
+
+def pension_study(case: PensionCase, engine: str) -> Study:
+    """All that a run of the case does.
+
+    **Raises:** `CaseError` where a figure of the actuary's is missed: before anything is written.
+    """
+    reconciled(case)
+
+    @cache
+    def setup() -> Setup:
+        return make_setup(case, engine)
+
+    return Study("pension", about(case), PARTS, result, setup)
+
+
+def about(case: PensionCase) -> dict[str, Any]:
+    """The case as the report names it; money in its currency, shares as fractions."""
+    return {
+        "title": case.title,
+        "currency": case.currency,
+        "valuation_date": case.valuation_date,
+        "measure": "supplied" if case.scenarios is not None else case.measure,
+        "years": case.steps * case.step,
+        "step": case.step,
+        "steps": case.steps,
+        "notes": list(case.notes),
+        "model": _model(case),
+        "kinds": {each.kind: each.words for each in case.assets.classes},
+        "held": list(case.held),
+        "assets": float(case.assets.amount.used()),
+    }
+
+
+def result(run: StudyRun) -> Mapping[str, Any]:
+    """The headline: the trained policy's value, and those of the classical policies."""
+    rows = run.get("policies", [])
+    return trained(
+        run, {each["key"]: each["value"] for each in rows if each["key"] != compare.LEARNED}
+    )
+
+
+def _model(case: PensionCase) -> str:
+    if case.scenarios is not None:
+        return "Supplied scenarios: returns, inflation, wages and zero rates from a file."
+    mean = f"means {case.assets.mean_kind}, of {case.assets.return_kind} returns"
+    text = f"{case.rates.words}, fitted to the curve; {MEASURES[case.measure]} scenarios"
+    return f"{text}; {mean}." if case.measure == "P" else f"{text}; every class earns cash."

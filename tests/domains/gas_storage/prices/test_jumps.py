@@ -1,0 +1,119 @@
+"""Spikes on a mean-reverting spot: forward, distribution, derivatives, and a store valued on it."""
+
+import datetime
+
+import jax
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from tests.domains.gas_storage.storage_cases import bare, read
+
+from snapo.domains.gas_storage.contract.schedule import of_prices
+from snapo.domains.gas_storage.policy.network import GuidePolicy, StoragePolicy
+from snapo.domains.gas_storage.results.certificate import off_ties
+from snapo.domains.gas_storage.setup import bare_problem, make_setup
+from snapo.engine import Xla
+from snapo.engine.native import Native
+from snapo.problem.scenarios import Pseudo
+from snapo.problem.smooth import Exact
+from snapo.solver import certificate
+from snapo.solver.evaluate import evaluate
+
+SPIKES = {
+    "kind": "one-factor-jumps",
+    "mean_reversion": 12.0,
+    "volatility": 0.6,
+    "jump_intensity": 20.0,
+    "jump_size": 0.3,
+    "jump_mean_reversion": 150.0,
+}
+EARLIER = {"valuation_date": datetime.date(2024, 12, 22)}  # ten days before the first decision
+
+
+def case(**model):
+    return read("quick", model=SPIKES | model, market=EARLIER)
+
+
+def paths_of(case, paths, seed=3):
+    """Spot prices [T, paths] and states [T, paths, 2] of simulated paths."""
+    simulator, _, schedule = bare(case)
+    draws = Pseudo(seed).draws(np.arange(paths), simulator)
+    nothing = np.zeros((simulator.horizon, paths, 2))
+    rolled = Native("float64").values(
+        simulator, None, schedule, draws, Exact(), actions=nothing, record=("state",)
+    )
+    state, row = np.asarray(rolled.record["state"].price), schedule.steps.price
+    log = row.loading[:, None] * state[..., 0] - row.variance[:, None] / 2
+    log = log + state[..., 1] - row.compensator[:, None]
+    return schedule, row.forward[:, None] * np.exp(log), state
+
+
+def test_the_spot_price_is_the_forward_price_on_average():
+    count = 65536
+    schedule, spots, _ = paths_of(case(), count)
+    error = spots.std(1) / np.sqrt(count)
+    assert np.all(np.abs(spots.mean(1) - schedule.steps.forward) < 4.5 * error)
+
+
+def test_spikes_come_as_often_and_as_large_as_they_say():
+    """Where they do not die out, y after d days is a sum of d draws: mean d p eta, variance
+    d p eta^2 (2 - p)."""
+    count, days = 65536, 10
+    chance = -np.expm1(-20 / 365)
+    _, _, state = paths_of(case(jump_mean_reversion=0.0), count)
+    sums = state[0, :, 1]
+    deviation = 0.3 * np.sqrt(days * chance * (2 - chance))
+    assert abs(sums.mean() - days * chance * 0.3) < 4.5 * deviation / np.sqrt(count)
+    assert_allclose(sums.std(), deviation, rtol=0.03)
+    none = (1 - chance) ** days
+    assert abs(np.mean(sums == 0) - none) < 4.5 * np.sqrt(none * (1 - none) / count)
+
+
+def test_the_compensator_is_the_logarithm_of_the_expectation():
+    """Day by day from the closed form: ln E exp(y) with spikes that shrink."""
+    _, _, schedule = bare(case())
+    chance, age = -np.expm1(-20 / 365), np.arange(11)
+    left = 0.3 * np.exp(-150 * age / 365)
+    each = np.log(1 - chance + chance / (1 - left))
+    assert_allclose(schedule.steps.price.compensator[:2], [each[:10].sum(), each.sum()], rtol=1e-12)
+
+
+def test_without_a_gap_the_first_price_is_known():
+    schedule, spots, _ = paths_of(read("quick", model=SPIKES), 16)
+    assert_allclose(spots[0], schedule.steps.forward[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("make", [Native, Xla])
+def test_every_derivative_agrees_with_differences(make):
+    """Also that by the intensity: a spike is continuous in its probability."""
+    problem = off_ties(bare_problem(case()))
+    policy = StoragePolicy(problem.features, key=jax.random.key(0))
+    bumps = certificate.bump_check(problem, policy, 64, engine=make("float64"))
+    assert {"jump_intensity", "jump_size", "jump_mean_reversion"} <= {b.input for b in bumps}
+    wrong = [bump for bump in bumps if not bump.passed]
+    assert not wrong, "\n".join(map(str, wrong))
+
+
+def test_rare_and_tiny_spikes_are_the_one_factor_price():
+    calm = {key: SPIKES[key] for key in ("mean_reversion", "volatility")} | {"kind": "one-factor"}
+    _, spots, _ = paths_of(case(jump_intensity=1e-9, jump_size=1e-6), 8)
+    other = read("quick", model=calm, market=EARLIER)
+    factors = bare(other)[0].process.factors(of_prices(bare(other)[2]))
+    ours = bare(case())[0].process.factors(of_prices(bare(case())[2]))
+    assert ours.exact is False and factors.exact
+    for one, two in zip(ours[:4], factors[:4], strict=True):
+        # The decay into the first day multiplies zeros.
+        assert_allclose(one[1:], two[1:], rtol=1e-12)
+    assert np.isfinite(spots).all()
+
+
+def test_a_store_earns_the_spikes():
+    """The same rule earns more with spikes than without, many standard errors."""
+    values = {}
+    for intensity in (1e-6, 20.0):
+        made = make_setup(case(jump_intensity=intensity), "native")
+        assert made.problem.simulator.control_variates() == ("forward_hedge",)
+        engine = made.engines.evaluate
+        values[intensity] = evaluate(made.problem, GuidePolicy(), 4096, engine=engine)
+    calm, wild = values.values()
+    assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

@@ -1,0 +1,47 @@
+"""A price process is whole or it is refused, and the case file knows each by its kind."""
+
+import equinox as eqx
+import pytest
+
+from snapo.domains.gas_storage.prices.one_factor import OneFactor
+from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, lacks, register
+from snapo.domains.gas_storage.prices.registry import kinds
+
+PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "words", "read", "factors"}
+
+
+def test_every_kind_is_whole_and_says_its_table():
+    found = kinds()
+    assert {"one-factor", "multi-factor", "three-factor-seasonal", "supplied"} <= set(found)
+    for kind, process in found.items():
+        assert lacks(process) == []
+        assert process.table.model_fields["kind"].annotation.__args__ == (kind,)
+
+
+def test_a_process_without_dynamics_is_refused():
+    """The class that once was valued silently without noise cannot be registered, nor made."""
+
+    class Dull(PriceProcess):
+        kind = "dull"
+
+    assert set(lacks(Dull)) >= PARTS
+    with pytest.raises(TypeError, match=r"price process Dull lacks .*forward.*noise_size.*step"):
+        register(Dull)
+    with pytest.raises(TypeError):
+        Dull()
+    assert "dull" not in KINDS
+
+
+@pytest.mark.parametrize("part", ["step", "read", "factors"])
+def test_one_missing_method_is_named(part):
+    """Everything of a one-factor price is there but for one method, which is abstract again."""
+    abstract = getattr(PriceProcess, part)
+    Almost = type(eqx.Module)("Almost", (OneFactor,), {part: abstract, "kind": "almost"})
+    assert lacks(Almost) == [part]
+    with pytest.raises(TypeError, match=f"Almost lacks {part}"):
+        register(Almost)
+
+
+def test_a_kind_is_taken_once():
+    with pytest.raises(TypeError, match="'one-factor' is known already"):
+        register(OneFactor)

@@ -1,0 +1,60 @@
+"""The case that `snapo new gas-storage` writes: every key is there, with its default or an example."""
+
+import subprocess
+import sys
+import tomllib
+
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.domains.gas_storage import DOMAIN
+from snapo.domains.gas_storage.prices.registry import kinds
+from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
+
+# Keys whose comment shows an example, since they have no default or a plain one.
+EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
+EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
+EXAMPLES |= {"patience", "window", "clip"}
+
+
+def test_commented_keys_of_the_new_case_are_right():
+    """Every commented-out key exists, and has the default that the comment shows; none is left out."""
+    models = [kind.table.model_fields for kind in kinds().values()]
+    tables = {
+        "contract": ContractTable.model_fields,
+        "market": MarketTable.model_fields,
+        "model": {key: field for fields in models for key, field in fields.items()},
+        "objective": ObjectiveTable.model_fields,
+        "training": TrainingTable.model_fields,
+        "evaluation": EvaluationTable.model_fields,
+    }
+    text = (DOMAIN.templates["flagship"] / "case.toml").read_text(encoding="utf-8")
+    table, mentioned = "", {name: set() for name in tables}
+    for line in text.splitlines():
+        bare = line.removeprefix("# ").split("  #")[0].strip()
+        if bare.strip("[]") in tables and bare.startswith("["):
+            table = bare.strip("[]")
+        try:
+            entry = tomllib.loads(bare)
+        except tomllib.TOMLDecodeError:
+            continue
+        for key, value in entry.items():
+            if table == "" or bare.startswith("["):
+                continue
+            field = tables[table][key]
+            mentioned[table].add(key)
+            if line.startswith("#") and table != "model" and key not in EXAMPLES:
+                assert value == field.default, key
+    for name, fields in tables.items():
+        assert set(fields) == mentioned[name], name
+
+
+def test_every_kind_of_price_stands_in_the_template():
+    text = (DOMAIN.templates["flagship"] / "case.toml").read_text(encoding="utf-8")
+    for kind in kinds():
+        assert f'kind = "{kind}"' in text
+
+
+def test_the_domain_is_light_until_there_is_work():
+    code = "import sys; from snapo.domains.gas_storage import DOMAIN; DOMAIN.templates; "
+    code += "print([name for name in ('jax', 'numpy', 'pydantic') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
+    assert done.stdout.strip() == "[]", done.stderr

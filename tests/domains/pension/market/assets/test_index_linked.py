@@ -1,0 +1,203 @@
+"""Index-linked bonds: their price by the real curve, their return, and a liability they match."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.domains.pension.market_cases import (
+    CASH,
+    assets,
+    case,
+    cash_flows,
+    curve,
+    full,
+    given,
+    inflation,
+    plan,
+    rates,
+)
+
+from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.market.assets.asset_class import log_prices
+from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.market.assets.index_linked import IndexLinked
+from snapo.domains.pension.market.curve import log_bond
+from snapo.domains.pension.market.dynamics import move
+from snapo.domains.pension.market.factors import factors, moments, real, shape, slope
+from snapo.domains.pension.market.shocks import covariance
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability
+from snapo.domains.pension.results.balance import held_now, slopes
+from snapo.problem.inputs import plain
+from snapo.problem.smooth import Exact
+
+MONTHS = 120
+A, S, K, SP, SI = 0.05, 0.009, 0.3, 0.007, 0.011
+
+
+def with_linked(measure="P"):
+    """The full case with an index-linked bond in place of its government bond."""
+    base = full(6, measure=measure)
+    classes = list(base.assets.classes)
+    classes[4] = IndexLinked("Linked", maturity=MONTHS, eligible=0.9)
+    return replace(base, assets=replace(base.assets, classes=tuple(classes)))
+
+
+def moved(one, t, noise):
+    """A step of the market for a few paths, with the state before it."""
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    with jax.enable_x64(True):
+        schedule = simulator.prepare(plain(pension_inputs(one)))
+        terms = schedule.constants.market
+        now = jax.tree.map(lambda leaf: leaf[t], schedule.steps.market)
+        one_path = jax.vmap(lambda z: move(one, terms, now, terms.start, z))
+        return jax.tree.map(np.asarray, one_path(jnp.asarray(noise)))
+
+
+def draws(one, paths):
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    return np.random.default_rng(3).standard_normal((paths, simulator.noise_size))
+
+
+@pytest.mark.parametrize("measure", ["P", "Q"])
+def test_it_earns_what_its_price_does(measure):
+    """In money a bond is I(t) P_real(t, T), on every path and under both measures."""
+    one = with_linked(measure)
+    given_, d = plain(pension_inputs(one)), one.step
+    after = moved(one, 0, draws(one, 16))
+    with jax.enable_x64(True):
+        both, bond = factors(one, given_), real(one, given_)
+        made = moments(one, both, bond, covariance(one, given_))
+        at = slope(both, bond, np.array([(MONTHS - 1) * d]))
+        times = np.array([0.0, d, MONTHS * d])
+        prices = log_bond(one.curve, given_, times)
+        prices = prices - log_bond(one.inflation.break_even, given_, times)
+        later = prices[2] - prices[1] + shape(at, made)[1] - after.market.factors @ at[0]
+        want = np.asarray(after.market.log_price + later - prices[2])
+    assert np.log(after.gross[:, 4]) == pytest.approx(want, abs=1e-14)
+
+
+def single(linked: bool, **changes):
+    """One rate, inflation and prices, all independent; one payment after ten years, yearly."""
+    held = (IndexLinked if linked else Bond)("Bond", maturity=10)
+    tenor = [1.0, 5.0, 10.0, 30.0]
+    usual = {
+        "step": 1.0,
+        "held_assets": assets(1, [CASH, held], weight=[0.0, 1.0]),
+        "flows": cash_flows([100.0], [9]),
+        "curve": curve("zero_rate", tenor, [0.02, 0.022, 0.025, 0.026]),
+        "rates": rates(1, A, S, -0.1),
+        "inflation": inflation(
+            1,
+            curve("break_even", tenor, [0.018, 0.02, 0.021, 0.022]),
+            volatility=SP,
+            index=SI,
+            price=0.05,
+        ),
+        "plan": plan(indexation="full"),
+        "liability": Liability("risk-free", given("liability_rate", 0.0), "full"),
+    }
+    return case(1, **usual | changes)
+
+
+def test_its_variance_is_that_of_the_closed_form():
+    """Under "Q" the log return over cash without shocks is minus half the variance of
+    s_r int B_r dW_r - s_p int B_p dW_p - s_I dW_I, B over the years left (Jarrow and Yildirim)."""
+
+    def squared(a, u):
+        """Integral of B(w)^2 from 0 to u."""
+        return (u - 2 * (1 - np.exp(-a * u)) / a + (1 - np.exp(-2 * a * u)) / (2 * a)) / a**2
+
+    one = single(True, measure="Q")
+    found = moved(one, 0, np.zeros((1, PensionSimulator(one).noise_size)))  # pyright: ignore
+    variance = S**2 * (squared(A, 10) - squared(A, 9))
+    variance += SP**2 * (squared(K, 10) - squared(K, 9)) + SI**2
+    over = np.log(found.gross[0, 1]) - found.cash[0]
+    assert over == pytest.approx(-variance / 2, rel=1e-10)
+
+
+def relative(one, inputs, noise):
+    """ln(F' / F) after one step with all in the bond."""
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    schedule = simulator.prepare(inputs)
+    now = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
+    state = simulator.initial(schedule.constants, None)
+    action = jnp.array([0.0, 1.0])
+    after, _ = simulator.step(schedule.constants, now, state, action, noise, Exact())
+    return simulator.terminal(schedule.constants, after, Exact())["log_relative"]
+
+
+def gradients(one, noise):
+    with jax.enable_x64(True):
+        return jax.jit(jax.grad(lambda given_: relative(one, given_, noise)))(
+            {name: jnp.asarray(each) for name, each in plain(pension_inputs(one)).items()}
+        )
+
+
+PRICES = ("break_even", "inflation", "index")
+
+
+def test_a_matched_index_linked_liability_feels_no_inflation():
+    linked, nominal = single(True), single(False)
+    (noise,) = draws(linked, 1)
+    found = gradients(linked, noise)
+    for name, slope_ in found.items():
+        if name.startswith((*PRICES, "zero_rate", "rate")):
+            assert np.abs(slope_).max() < 1e-13, name
+    with jax.enable_x64(True):
+        assert float(relative(linked, plain(pension_inputs(linked)), noise)) == pytest.approx(
+            0.0, abs=1e-13
+        )
+    # Nominal bonds leave the shocks of prices and of their expectation to the fund.
+    unmatched = gradients(nominal, noise)
+    for name in ("inflation_volatility", "index_volatility"):
+        assert np.abs(unmatched[name]).max() > 0.1, name
+
+
+def test_today_its_price_moves_with_both_curves_as_the_liability_does():
+    """KR01 and IE01 at every node: assets scaled to the liability leave nothing."""
+    one = single(True)
+    inputs = plain(pension_inputs(one))
+    for each, sign in ((one.curve, -1.0), (one.inflation.break_even, 1.0)):
+        found = slopes(each, inputs, lambda moved_: log_prices(one, moved_))
+        # A payment after ten years falls by ten times the zero rate, and rises with break-evens.
+        assert held_now(one) @ found == pytest.approx(
+            100.0 * sign * np.array([0, 0, 10, 0]), abs=1e-12
+        )
+
+
+@pytest.mark.parametrize("measure", ["P", "Q"])
+def test_its_derivatives_are_those_of_differences(measure):
+    """Of a log return of the class by every number, in float64."""
+    one = with_linked(measure)
+    start = plain(pension_inputs(one))
+    (noise,) = draws(one, 1)
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+
+    def value(given_):
+        schedule = simulator.prepare(given_)
+        terms = schedule.constants.market
+        now = jax.tree.map(lambda leaf: leaf[3], schedule.steps.market)
+        return jnp.log(move(one, terms, now, terms.start, noise).gross[4])
+
+    with jax.enable_x64(True):
+        start = {name: np.asarray(each, np.float64) for name, each in start.items()}
+        found = jax.jit(jax.grad(value))({name: jnp.asarray(v) for name, v in start.items()})
+        forward = jax.jit(value)
+        checked = 0
+        for name in start:
+            for place in np.flatnonzero(np.ravel(found[name]))[:3]:
+                h = 1e-4 * max(abs(start[name].ravel()[place]), 0.01)
+                both = []
+                for sign in (1, -1):
+                    bumped = start[name].copy()
+                    bumped.ravel()[place] += sign * h
+                    both.append(float(forward(start | {name: bumped})))
+                central = (both[0] - both[1]) / (2 * h)
+                # Round-off of a value of order one: 1e-16 / h.
+                exact = float(np.ravel(found[name])[place])
+                assert exact == pytest.approx(central, rel=1e-6, abs=1e-15 / h), name
+                checked += 1
+    assert checked >= 10

@@ -1,0 +1,44 @@
+"""Kinds of asset classes: all files are found, and an incomplete kind is an error at import."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import ClassVar
+
+import pytest
+
+from snapo.domains.pension.market.assets.asset_class import register
+from snapo.domains.pension.market.assets.cash import Cash
+from snapo.domains.pension.market.assets.registry import KINDS
+
+DOCS = Path(__file__).parents[5] / "docs" / "pension_case.md"
+
+
+def test_every_kind_is_found_and_described():
+    assert set(KINDS) == {
+        *("cash", "bond", "index-linked", "credit"),
+        *("equity", "property", "commodity", "hedge-fund"),
+    }
+    text = DOCS.read_text()
+    for name, kind in KINDS.items():
+        assert kind.words
+        assert f"| {name} |" in text, f"{name} has no row in {DOCS.name}"
+
+
+def test_an_incomplete_kind_is_an_error():
+    @dataclass(frozen=True)
+    class Unpriced(Cash):
+        kind: ClassVar[str] = "unpriced"
+        columns: ClassVar[tuple[str, ...]] = ("colour",)
+
+    with pytest.raises(TypeError, match="no columns colour"):
+        register(Unpriced)
+
+    with pytest.raises(TypeError, match="the kind 'cash' is Cash"):
+        register(type("Again", (Cash,), {}))
+
+
+def test_a_kind_without_returns_is_an_error():
+    from snapo.domains.pension.market.assets.bond import Maturing
+
+    with pytest.raises(TypeError, match=r"needs kind, words, columns.*log_return"):
+        register(type("Half", (Maturing,), {}))

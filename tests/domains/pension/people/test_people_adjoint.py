@@ -1,0 +1,156 @@
+"""The derivative of everything about members and plan, by every number, against differences."""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.flatten_util import ravel_pytree
+from tests.domains.pension.people_cases import (
+    cash_flows,
+    contributing,
+    given,
+    gompertz_table,
+    indexing,
+    lee_carter,
+    members,
+    mortality,
+    people_case,
+    plan,
+)
+
+from snapo.domains.pension.fund.plan import contribution, indexation, plan_terms
+from snapo.domains.pension.fund.schedule import basis_log_bond
+from snapo.domains.pension.people.liability import people
+from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability
+from snapo.problem.inputs import plain
+from snapo.problem.smooth import Smooth
+
+# Nobody's death is certain here: a probability of 1 has no derivative.
+TABLE = mortality(table=gompertz_table()[:, :60])
+ADDED = Liability("spread", given("liability_rate", 0.01), "full")
+# Steps across birthdays, and a response to the mortality factor at the ages of that table.
+BETWEEN = members(age=np.array([35.4, 62.0, 50.7, 70.1, 76.0]))
+FACTOR = replace(lee_carter(), loading=given("loading", lee_carter().loading.used()[:, :60]))
+CASES: dict[str, dict[str, Any]] = {
+    "all": {
+        "step": 1.0,
+        "members": BETWEEN,
+        "mortality": TABLE,
+        "lee_carter": FACTOR,
+        "liability": ADDED,
+        "plan": plan(age_basis="exact"),
+    },
+    "open": {
+        "step": 1.0,
+        "mortality": TABLE,
+        "plan": plan(open=True, timing="arrears", fractional_ages="uniform"),
+    },
+    "formula": {"step": 1.0, "mortality": mortality("gompertz-makeham")},
+    "flows": {
+        "members": None,
+        "mortality": None,
+        "cash_flows": cash_flows([10.0, 20.0, 30.0], [0, 12, 30], 2.0, 120.0),
+    },
+}
+# What is no part of what members mean, by the beginning of its name.
+OTHERS = ("asset", "rate_", "inflation", "index", "contribution")
+
+
+def whole(case):
+    """A function of all inputs that every number of the schedule enters with a weight of its own."""
+    random = np.random.default_rng(3)
+
+    def value(inputs):
+        found = people(case, inputs, basis_log_bond(case, inputs))
+        total = jnp.zeros(())
+        for leaf, weight in zip(found, weights):
+            total = total + jnp.sum(weight * leaf)
+        return total
+
+    inputs = plain(pension_inputs(case))
+    found = people(case, inputs, basis_log_bond(case, inputs))
+    weights = [
+        random.uniform(0.5, 1.5, leaf.shape) / max(float(jnp.abs(leaf).sum()), 1e-6)
+        for leaf in found
+    ]
+    return jax.jit(value), inputs
+
+
+def slopes(value, inputs):
+    """Differences of fourth order at every entry of every input."""
+    centre, unravel = ravel_pytree(inputs)
+    steps = 1e-3 * np.maximum(np.abs(centre), 1e-2)
+    run = jax.jit(lambda points: jax.lax.map(lambda point: value(unravel(point)), points))
+    one, two = np.diag(steps), 2 * np.diag(steps)
+    at = np.asarray(run(centre + np.concatenate([one, -one, two, -two]))).reshape(4, -1)
+    return unravel((8 * (at[0] - at[1]) - (at[2] - at[3])) / (12 * steps))
+
+
+SLOW = pytest.param("open", marks=pytest.mark.study)
+
+
+@pytest.mark.parametrize("name", [*(name for name in CASES if name != "open"), SLOW])
+def test_every_number_of_members_and_mortality(name):
+    case = people_case(3, **CASES[name])
+    with jax.enable_x64(True):
+        value, inputs = whole(case)
+        adjoint = jax.jit(jax.grad(value))(inputs)
+        differences = slopes(value, inputs)
+        for key, centre in inputs.items():
+            if key.startswith(OTHERS):
+                assert not np.any(adjoint[key])
+                continue
+            difference = differences[key]
+            scale = 1e-6 * np.abs(difference) + 1e-10 / np.maximum(np.abs(centre), 1e-2)
+            assert np.all(np.abs(adjoint[key] - difference) < scale), key
+            # The factor's own volatility matters on the paths only.
+            if name == "all" and key != "lee_carter_volatility":
+                assert np.any(adjoint[key]), key
+
+
+RULES = {
+    "target": plan(
+        indexation=indexing("conditional"), contribution=contributing("target", has_cap=True)
+    ),
+    "spread": plan(
+        indexation=indexing("capped", cut_years=3),
+        contribution=contributing("spread", has_floor=True, has_sponsor_limit=True),
+    ),
+    "rate": plan(
+        indexation=indexing("full"), contribution=contributing("spread", normal_cost="rate")
+    ),
+}
+
+
+@pytest.mark.parametrize("name", RULES)
+@pytest.mark.parametrize("ratio", [0.9, 1.01, 1.1, 1.24])
+def test_every_number_of_the_rules(name, ratio):
+    terms = RULES[name]
+    case = people_case(plan=terms)
+
+    def value(inputs):
+        numbers = plan_terms(case, inputs)
+        smooth = Smooth(0.3)
+        shared = {"payroll": 50.0, "wage": 1.1, "step": 1 / 12, "smooth": smooth}
+        paid = contribution(
+            terms, numbers, assets=1000 * ratio, liability=1000.0, normal_cost=10.0, **shared
+        )
+        given, cut = indexation(terms, numbers, ratio=ratio, price_growth=0.025, smooth=smooth)
+        return paid / 10 + 30 * given + 20 * cut
+
+    with jax.enable_x64(True):
+        value = jax.jit(value)
+        inputs = {
+            key: each
+            for key, each in plain(pension_inputs(case)).items()
+            if key.split("_")[0] in ("contribution", "indexation")
+        }
+        adjoint = jax.grad(value)(inputs)
+        differences = slopes(value, inputs)
+        for key in inputs:
+            # The rounded corners have a third derivative that jumps at their ends.
+            np.testing.assert_allclose(adjoint[key], differences[key], 1e-5, 1e-7, err_msg=key)
