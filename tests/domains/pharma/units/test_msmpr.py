@@ -49,6 +49,7 @@ speed = "20 m/s"
 rate = "1e-4 1/s"
 reference_size = "100 um"
 reference_speed = "20 m/s"
+size_power = 1
 [units.filter]
 type = "filter"
 area = "200 cm^2"
