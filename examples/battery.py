@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import snapo
-from snapo.problem.process import Process, Schwartz, SchwartzInputs
+from snapo import Process, Schwartz, SchwartzInputs
 
 HOURS = 168
 

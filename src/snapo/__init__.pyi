@@ -27,6 +27,9 @@ from snapo.problem.policy import Policy as Policy
 from snapo.problem.policy import Residual as Residual
 from snapo.problem.policy import Threshold as Threshold
 from snapo.problem.problem import Problem as Problem
+from snapo.problem.process import Process as Process
+from snapo.problem.process import Schwartz as Schwartz
+from snapo.problem.process import SchwartzInputs as SchwartzInputs
 from snapo.problem.scenarios import Pseudo as Pseudo
 from snapo.problem.scenarios import Sobol as Sobol
 from snapo.problem.scenarios import Sources as Sources
