@@ -8,7 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.simulator import Simulator
-from snapo.solver.adjoint import adjoint_gradient
 
 from .findings import Notes, Stop
 from .rollout import Run
@@ -34,7 +33,7 @@ def locate(notes: Notes, simulator: Simulator, run: Run) -> NoReturn:
             results = jax.tree.leaves(function(*eqx.combine(moving, fixed)))
             return sum(jnp.sum(x) for x in results if jnp.issubdtype(x.dtype, jnp.floating))
 
-        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), adjoint_gradient(total)(moving))
+        return jax.tree.map(lambda g: jnp.all(jnp.isfinite(g)), jax.grad(total)(moving))
 
     def one(now, state, action, noise):
         def step(state, now, action, constants):

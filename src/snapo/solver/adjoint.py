@@ -6,7 +6,6 @@
 Training and sensitivities both read what this file gives.
 """
 
-from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -100,24 +99,6 @@ def weighted_adjoint(
     decider = None if held else policy
     result = bound.adjoint(decider, draws, smooth, weights, actions=actions, **options)
     return objective.value(float64(result.totals)), result
-
-
-def adjoint_jacobian(
-    function: Callable, argnums: int | Sequence[int] = 0, has_aux: bool = False
-) -> Callable:
-    """The derivatives of a traceable function without paths: one adjoint pass for each number that
-    it returns, all of them side by side.
-
-    The result takes the function's arguments and gives [*output, *argument] for every argument of
-    `argnums` (of a number: its gradient); with `has_aux` also the second thing that the function
-    returns. It can be traced and differentiated forward, for second derivatives.
-    """
-    return jax.jacrev(function, argnums=argnums, has_aux=has_aux)
-
-
-def adjoint_gradient(function: Callable) -> Callable:
-    """The gradient of a traceable function of one tree that returns one number, shaped like it."""
-    return jax.grad(function)
 
 
 def flat_weights(objective: Objective, paths: int) -> Weights:

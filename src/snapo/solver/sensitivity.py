@@ -24,7 +24,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
-from .adjoint import adjoint_gradient, flat_weights, float64, pull_back
+from .adjoint import flat_weights, float64, pull_back
 
 
 class Estimate(NamedTuple):
@@ -285,6 +285,6 @@ def _second(engine: Xla, simulator, inputs, policy, draws: Draws, smooth, weight
             replayed = engine.call(simulator, None, made(moved), draws, smooth, actions=actions)
             return weighted_sum(engine.traced(replayed).totals, weights)
 
-        return adjoint_gradient(value)(values)
+        return jax.grad(value)(values)
 
     return jax.jvp(held_gradient, (values,), (along,))[1]

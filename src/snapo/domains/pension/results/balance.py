@@ -10,8 +10,6 @@ import jax
 import numpy as np
 from jaxtyping import Array
 
-from snapo.solver.adjoint import adjoint_jacobian
-
 from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
 from ..market.assets.swaps import swap_log_prices
@@ -34,7 +32,7 @@ def slopes(curve: Curve, inputs: dict[str, Any], log_prices: Callable[[dict], Ar
         return log_prices(inputs | {curve.rate.name: quotes})
 
     with jax.enable_x64(True):
-        return np.asarray(adjoint_jacobian(prices)(np.asarray(curve.rate.values)))
+        return np.asarray(jax.jacrev(prices)(np.asarray(curve.rate.values)))
 
 
 def ladder(

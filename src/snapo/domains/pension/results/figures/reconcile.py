@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.solver.adjoint import adjoint_gradient
-
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project
 from ...people.liability import paid_at, people
@@ -55,7 +53,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     held = _with_curves(case, inputs)
     with jax.enable_x64(True):
         flow, discount = map(np.asarray, _payments(case, held))
-        slopes = adjoint_gradient(lambda given: jnp.dot(*_payments(case, given)))(held)
+        slopes = jax.grad(lambda given: jnp.dot(*_payments(case, given)))(held)
         slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
