@@ -1,4 +1,4 @@
-"""A mistake in a case, as its owner reads it: file, key or line, value, and what is allowed."""
+"""A mistake in a case, as its owner reads it: file, key or line, value, and the allowed range."""
 
 import datetime
 import difflib
@@ -14,8 +14,8 @@ class CaseError(ValueError):
 
     - `file`: the file with the mistake, as its owner knows it.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
-    - `value`: what stands there; `None` where something is missing.
-    - `allowed`: what would be right, as a clause.
+    - `value`: the value found; `None` where one is missing.
+    - `allowed`: a correct value, described in a clause.
     - `others`: further mistakes found in the same reading.
     """
 

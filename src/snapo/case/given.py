@@ -1,4 +1,4 @@
-"""Numbers that the owner of a case gave, with what is said about them."""
+"""Numbers that the owner of a case gave, with their meaning and units."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING

@@ -42,7 +42,7 @@ class EvaluationTable(Table):
 
 
 class ObjectiveTable(Table):
-    """`[objective]`: what the policy maximises; `kind` says which of the other keys apply.
+    """`[objective]`: the figure to maximise; `kind` says which of the other keys apply.
 
     `level`: "cvar" is the mean of the worst 1 - level of the paths. `risk_aversion`: of
     "mean-variance" and "entropic" in 1/currency, of "crra" a pure number. `wealth`: currency,

@@ -29,7 +29,7 @@ class Section:
     notes: list[str]
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
-        """A mistake in what stands under `key`."""
+        """A mistake in the value of `key`."""
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
 
 

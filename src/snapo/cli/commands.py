@@ -111,7 +111,7 @@ def _bench(options: argparse.Namespace) -> Answer:
 
 
 def summary(result: Mapping[str, Any]) -> str:
-    """The result for a person: the value, what stands beside it, and where the run lies."""
+    """The result for a person: the value, the figures beside it, and the folder of the run."""
     lines = [f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
         if result.get(key) is not None:
@@ -129,12 +129,12 @@ def summary(result: Mapping[str, Any]) -> str:
 
 
 def _figure(value: float) -> str:
-    """Money to the cent; what is small, such as a utility, with its significant digits."""
+    """Money to the cent; small numbers, such as a utility, with significant digits."""
     return f"{value:,.2f}" if abs(value) >= 10 else f"{value:,.6g}"
 
 
 def to_json(result: Any) -> str:
-    """One JSON object; what is not finite becomes null, which JSON can say."""
+    """One JSON object; numbers that are not finite become null."""
     return json.dumps(_plain(result), allow_nan=False, ensure_ascii=False)
 
 

@@ -49,7 +49,7 @@ def _add_new(commands) -> None:
 
 
 def _add_check(commands) -> None:
-    check = commands.add_parser("check", help="read a case and say what is wrong with it")
+    check = commands.add_parser("check", help="read a case and name its mistakes")
     _add_case(check)
 
 

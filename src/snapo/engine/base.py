@@ -31,7 +31,7 @@ class Rollout(NamedTuple):
 
     - `totals`: {output: [N]} per path.
     - `state`: the final state, every leaf with a leading axis of paths.
-    - `record`: of what was asked for ("state", "action", "outputs", "slack"): leaves [T, N, …].
+    - `record`: of the names asked for ("state", "action", "outputs", "slack"): leaves [T, N, …].
     """
 
     totals: dict[str, Float[Array, " N"]]
@@ -160,7 +160,7 @@ class Engine(abc.ABC):
 
 @dataclass(frozen=True, eq=False)
 class Bound:
-    """An engine with the simulator and the schedule that it rolls: what is left is said per call.
+    """An engine with the simulator and the schedule that it rolls; each call brings the rest.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.
     """

@@ -151,7 +151,7 @@ def _adjoint(
 
 
 def _over_devices(engine: Xla, work, given, axes, out):
-    """`work` on every device's share of the paths; what has no axis of paths is summed.
+    """`work` on every device's share of the paths; results without an axis of paths are summed.
 
     Each device goes through its own paths alone, and the gradients meet once, at the end: were
     the arrays merely laid out over the devices, XLA would add them up at every step.
@@ -189,7 +189,7 @@ def _pulled_back(engine: Xla, call: Call, weights, clip: Clip | None, wrt) -> Ad
     def weighted(moving):
         new = replace(call, **eqx.combine(moving, fixed))
         totals = _rollout(engine, new, (), clip, size).totals
-        # Only what has a weight is differentiated.
+        # Only outputs with a weight are differentiated.
         return {name: totals[name] for name in weights}, totals
 
     _, pull, totals = jax.vjp(weighted, moving, has_aux=True)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 RELATIVE_STEP = 1e-5  # of a number's size: the step of its finite difference
-NOTHING = 1e-9  # of the largest entry: what is smaller is a zero with round-off
+NOTHING = 1e-9  # of the largest entry: a smaller one is a zero with round-off
 
 
 def _float64(value: Any) -> np.ndarray:
@@ -80,7 +80,7 @@ class Input(eqx.Module):
         size = np.abs(self.value)
         largest = np.max(size, initial=0.0)
         if largest == 0:
-            # A move is about a hundredth of what it moves.
+            # A move is about a hundredth of the number.
             least = 1e-5 if not self.move else 1e-3 * abs(self.move)
             return np.full(self.value.shape, least)
         return RELATIVE_STEP * np.where(size > NOTHING * largest, size, largest)

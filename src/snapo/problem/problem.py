@@ -1,4 +1,4 @@
-"""A problem: what is solved, in one object that everything above takes."""
+"""A problem: all that `solve` needs to know, in one object that everything above takes."""
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
@@ -18,7 +18,7 @@ from .simulator import Interface, Schedule, Simulator
 
 @dataclass(frozen=True, eq=False)
 class Problem:
-    """A simulator with its inputs, what is made as large as possible, and on which scenarios.
+    """A simulator with its inputs, the objective to make large, and the scenarios.
 
     The schedule is prepared once, when it is first asked for, in float64 NumPy.
 

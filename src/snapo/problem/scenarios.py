@@ -26,7 +26,7 @@ SOBOL_DIMENSIONS = 21201  # of the direction numbers that scipy holds (Joe and K
 
 @dataclass(frozen=True)
 class Scenarios(abc.ABC):
-    """A source of noise. `draws` gives that of chosen paths, `groups` what is independent."""
+    """A source of noise. `draws` gives that of chosen paths, `groups` the independent units."""
 
     @abc.abstractmethod
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
@@ -179,7 +179,7 @@ class Supplied(Scenarios):
         return paths
 
 
-TRAIN, VALIDATE, EVALUATE = 1, 2, 3  # what a stream of `Pseudo` is used for, in its upper half
+TRAIN, VALIDATE, EVALUATE = 1, 2, 3  # uses of a stream of `Pseudo`, in its upper half
 
 
 def stream(use: int, number: int = 0) -> int:

@@ -107,7 +107,7 @@ def grouped(axes: Axes, labels: Sequence[str], series: Sequence[Bars], unit: str
 
 @dataclass(frozen=True)
 class Swing:
-    """One line of a tornado: what a rise and a fall of an input do, with a 95 % half width."""
+    """One line of a tornado: effects of a rise and a fall of an input, with a 95 % half width."""
 
     name: str
     value: float

@@ -82,7 +82,7 @@ def lines(axes: Axes, when: np.ndarray, curves: Sequence[Line], unit: str) -> No
 
 
 def fan(axes: Axes, when, mean, low, high, unit: str, *, reach=None, limits=None) -> None:
-    """A mean with its 5-95 % band; behind it what can be reached, around it what is allowed.
+    """A mean with its 5-95 % band; behind it the reachable range, around it the limits.
 
     All arrays [T+1]; `low` and `high` may be None; `reach` and `limits` are pairs (low, high).
     """
@@ -181,7 +181,7 @@ def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
     width = edges[-1] - edges[0]
     axes.set_xlim(edges[0], edges[-1])
     axes.set_ylim(0.0, top * 1.16)
-    drawn: list[tuple[float, float]] = []  # what the texts cover
+    drawn: list[tuple[float, float]] = []  # the areas that texts cover
     for text, position in marks:
         half = (len(text) + 1) * 0.0047 * width  # at 9 points on a chart of 720
         span = (position - half, position + half)

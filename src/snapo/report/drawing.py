@@ -74,7 +74,7 @@ def draw(
     **Arguments:**
 
     - `name`: unique on the page.
-    - `alt`: what a reader who does not see the chart should know.
+    - `alt`: the chart in words, for a reader who does not see it.
     - `paint`: called with one `Axes` per row.
     - `height`: points; the width is always 720.
     - `rows`: relative heights of panels that share the horizontal axis.

@@ -60,7 +60,7 @@ def history(run: Folder, unit: str) -> Section:
 
 
 def checks(run: Folder) -> list[tuple[str, bool]]:
-    """(what was checked, whether it held) for every check of the certificate with a verdict."""
+    """(subject, whether it held) of every check of the certificate with a verdict."""
     return [
         (str(each.get(key, "")).replace("_", " "), bool(each["passed"]))
         for path, key in CHECKED

@@ -21,7 +21,7 @@ class Text:
 
 @dataclass(frozen=True)
 class Missing:
-    """One sentence on what is not there and what would bring it."""
+    """One sentence that names a missing result, and how to get it."""
 
     kind: ClassVar[str] = "missing"
     text: str
@@ -42,7 +42,7 @@ class Table:
 
     **Attributes:**
 
-    - `caption`: what the table is, for every reader; may be empty.
+    - `caption`: the subject of the table, for every reader; may be empty.
     - `head`: (name, unit) of every column; empty for a table without a header.
     - `rows`: cells, written out; a cell may be a `Mark`.
     - `strong`: rows to set apart.

@@ -210,7 +210,7 @@ class _Along:
         half = [self._at(sign * self.step / 2) for sign in (-1, 1)]
         wide = self.high - 2 * self.centre + self.low
         narrow = half[1] - 2 * self.centre + half[0]
-        # What goes unnoticed on every path together stays well below what is allowed.
+        # Kinks below this limit on every path add up to well below the allowed error.
         noise = ROUND_OFF * np.abs(self.centre)
         limit = 0.01 * TOLERANCE * scale * self.step / len(self.centre) + noise
         return np.abs(wide - 4 * narrow) > limit

@@ -29,7 +29,7 @@ class Clock:
             self._compiled += duration
 
     def stage(self, name: str) -> None:
-        """Books the time since the last call under this name, less what was compiled in it."""
+        """Books the time since the last call under this name, less the compiling in it."""
         now = time.perf_counter()
         spent, compiled = now - self._started, self._compiled
         self.seconds[name] += max(0.0, spent - compiled)

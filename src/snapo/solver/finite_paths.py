@@ -42,7 +42,7 @@ def adjoint_of_finite_paths(
 def _finite_paths(bound: Bound, policy, draws, smooth, objective, options) -> np.ndarray:
     """Which paths have a finite value and a finite adjoint, found by looking at each alone.
 
-    One forward sweep finds most of them; only what it passes is looked at one by one.
+    One forward sweep finds most of them; only paths that pass it are examined one by one.
     """
     window = {key: options[key] for key in ("window", "start") if key in options}
     totals = float64(bound.values(policy, draws, smooth, **window).totals)

@@ -1,8 +1,8 @@
-"""Sensitivities: what one unit more of every input is worth, with its standard error.
+"""Sensitivities: the worth of one unit more of every input, with its standard error.
 
 Two derivatives of one value, both from adjoint passes. HELD: the exact simulator with the
 recorded decisions replayed; at an optimum it is the derivative of the optimal value (envelope
-theorem), and it is what the tables report. SMOOTH: the smooth simulator through the policy's
+theorem), and it heads the tables. SMOOTH: the smooth simulator through the policy's
 reaction, what training follows. Their difference is a diagnostic: sub-optimality, smoothing and
 noise together; zero is necessary, not sufficient.
 """
@@ -70,7 +70,7 @@ class Row(NamedTuple):
 class Sensitivities(NamedTuple):
     """Derivatives of the objective by every input, {input: Estimate}.
 
-    - `held`: exact simulator, decisions held (what is reported as delta).
+    - `held`: exact simulator, decisions held (reported as delta).
     - `smooth`: through the policy's reaction, or None when it was not asked for.
     - `moved`: how far `held` moved since an earlier policy, {input: array}, or None.
     - `policy_gradient`: norm of the policy's gradient at this policy, and of its standard error.

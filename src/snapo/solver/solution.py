@@ -1,4 +1,4 @@
-"""The result of `solve`: frozen data that says what was found, how, and how far to trust it."""
+"""The result of `solve`: frozen data: the value, how it was found, and how far to trust it."""
 
 import json
 from collections.abc import Mapping

@@ -67,13 +67,13 @@ def solve(
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
 ) -> Solution:
-    """Trains a policy and returns what it is worth, with the derivative by every input.
+    """Trains a policy and returns its value, with the derivative by every input.
 
     **Arguments:**
 
     - `problem`: a `Problem`; or a simulator, with `inputs`, `objective` and `scenarios` beside it.
-    - `policy`: what is trained, such as `MLP(hidden=(64, 64))`, which finds the problem's features
-      and actions itself; by default an `MLP` with two hidden layers of 32.
+    - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
+      itself; by default an `MLP` with two hidden layers of 32.
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.

@@ -216,7 +216,7 @@ def read_table(file: Path) -> dict[str, Any] | None:
 
 
 def plain_json(value: Any) -> Any:
-    """Plain JSON data: NumPy becomes lists, what is not finite becomes null."""
+    """Plain JSON data: NumPy becomes lists, numbers that are not finite become null."""
     if isinstance(value, Mapping):
         return {str(key): plain_json(each) for key, each in value.items()}
     if isinstance(value, list | tuple):

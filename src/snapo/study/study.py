@@ -1,4 +1,4 @@
-"""A study: a problem, and the parts of a run that answer what is asked of it.
+"""A study: a problem, and the parts of a run that answer the questions to it.
 
 A part leaves its tables in the run folder, reports its progress, can fail without losing the
 others, and is not done again when a run is resumed.
@@ -94,7 +94,7 @@ class StudyRun:
     trained: Solution | None = None
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of what was found, or `default` where it is missing or null."""
+        """The entry "today.spot" of the tables, or `default` where it is missing or null."""
         table: Any = self.found
         for key in path.split("."):
             table = table.get(key) if isinstance(table, dict) else None

@@ -62,7 +62,7 @@ def quiet(text: str) -> None:
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
     """The folder, filled by `make(folder)` by the first process that asks; the others wait.
 
-    Where `make` fails, what it wrote is removed, and the next caller tries again. The lock is one
+    Where `make` fails, its files are removed, and the next caller tries again. The lock is one
     of the operating system's, which a killed process gives back (POSIX only).
     """
     import fcntl

@@ -120,7 +120,7 @@ def _keys(way: Way, value: Any) -> Iterator[tuple[Way, Any]]:
 
 
 def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
-    """(kind of mistake, what stands there then, whether it never has a sense)."""
+    """(kind of mistake, the spoilt value, whether it is wrong in every place)."""
     if isinstance(value, dict | list):
         return [] if isinstance(value, dict) else [("a table for a list", {UNKNOWN: 1}, True)]
     found = [("a table", {UNKNOWN: 1}, True), ("an empty list", [], False)]

@@ -28,7 +28,7 @@ from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
-BESIDE, HEDGE = 1, 2  # streams of the evaluation: of what stands beside the value, of the hedge
+BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the value, of the hedge
 
 
 def bare_problem(case: StorageCase) -> Problem:

@@ -63,7 +63,7 @@ class _Ready:
 
 
 def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
-    """Known before any work: title, units, dates, notes, curve, and what the inputs say."""
+    """Known before any work: title, units, dates, notes, curve, and the words of the inputs."""
     notes = ["No decision day is left."] if problem is None else []
     about = {
         "title": case.title,

@@ -26,7 +26,7 @@ class OwnTable(Table):
 
 
 class InputTable(Table):
-    """One entry of `[inputs]`: numbers in the file or a column of a CSV, and what they mean."""
+    """One entry of `[inputs]`: numbers in the file or a column of a CSV, and their meaning."""
 
     value: Numbers | None = Field(None, description="a number, or an array of numbers")
     file: str | None = Field(None, description="the name of a .csv file beside the case")
@@ -34,7 +34,7 @@ class InputTable(Table):
     label: str | None = Field(None, description="the name of the column that labels the numbers")
     labels: list[str] | None = Field(None, description="one text per number")
     unit: str = Field("", description='text, like "EUR/MWh"')
-    words: str = Field("", description="text: what the input means")
+    words: str = Field("", description="text: the meaning of the input")
     group: str = Field("", description="text: the family of risk")
     bump: Positive | None = Field(None, description="a number above 0, in the unit")
     move: float | None = Field(None, description="a number other than 0, in the unit")

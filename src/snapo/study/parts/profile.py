@@ -72,7 +72,7 @@ def leaves(tree: Any) -> dict[str, Any]:
 
 
 def bands(values: np.ndarray) -> dict[str, list[float]]:
-    """Mean and quantiles over paths of numbers [T, paths]; what is not finite is left out."""
+    """Mean and quantiles over paths of numbers [T, paths]; without those not finite."""
     kept = np.where(np.isfinite(values), values, np.nan)
     known = np.asarray(np.isfinite(kept).any(1))
     filled = np.where(known.reshape(-1, 1), kept, 0.0)

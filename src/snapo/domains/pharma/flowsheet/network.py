@@ -23,7 +23,7 @@ class Network:
     k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
-    - `stoichiometry`: [R, S], negative for what is used; `molar_mass` times a row adds up to zero.
+    - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
     - `order`: [R, S] exponents, not negative; those of the reactants unless the case says else.
     - `prefactor`: "kinetics.prefactor", index [R], labels are the reactions, (m3/kmol)^(n-1)/s
       with n the reaction's total order; `activation`: "kinetics.activation", [R], J/mol.

@@ -215,7 +215,7 @@ class Process:
     def observe(self, inputs, unit: str, states: Sequence[str], times) -> Float[Array, " n"]:
         """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.
 
-        Between mesh points by cubic Hermite interpolation of what was integrated.
+        Between mesh points by cubic Hermite interpolation of the integrated states.
         """
         outcome = self.flow(inputs, record=True).outcomes[unit]
         track, of_row = outcome.track, outcome.states

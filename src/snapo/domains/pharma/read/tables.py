@@ -219,7 +219,7 @@ class PharmaTable(Table):
 
     kind: Literal["pharma"] = word("pharma")
     title: str = Field("Pharmaceutical process", description="a text in quotation marks")
-    purpose: str = Field("", description="a sentence on what the model is for")
+    purpose: str = Field("", description="a sentence on the purpose of the model")
     assumptions: list[str] = Field([], description="sentences for the report")
     held: list[Text] = Field([], description="numbers of the case that get no sensitivity")
     reference_temperature: Any = quantity('"313.15 K"', None)

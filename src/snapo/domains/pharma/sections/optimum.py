@@ -84,12 +84,12 @@ def _decisions(found: dict[str, Any], unit: str) -> Table:
         )  # fmt: skip
     head = [("Decision", ""), ("Bounds", ""), ("Where", ""), ("As given", ""), ("Best", ""),
             ("Multiplier", f"{unit} per unit")]  # fmt: skip
-    caption = "What was chosen; a multiplier says what the goal gains if its bound moves one unit"
+    caption = "The numbers chosen; a multiplier is the gain of the goal if its bound moves one unit"
     return Table(head, rows, caption, 3)
 
 
 def _fine(value: float, unit: str = "") -> str:
-    """Five significant digits, so that 273.15 K stays what it is."""
+    """Five significant digits, so that 273.15 K keeps its digits."""
     return quantity(value, unit, decimals([value]))
 
 
@@ -108,7 +108,7 @@ def _limits(found: dict[str, Any], unit: str) -> Table | Missing:
         return Missing("No attribute has a limit, so that only the bounds hold the recipe.")
     head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
             ("Multiplier", f"{unit} per unit")]  # fmt: skip
-    caption = "Limits; a multiplier says what the goal gains if the limit yields by one unit"
+    caption = "Limits; a multiplier is the gain of the goal if the limit yields by one unit"
     return Table(head, rows, caption, 3)
 
 

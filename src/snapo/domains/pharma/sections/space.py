@@ -45,7 +45,7 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
         f"draws at every point, standard error at most {percent(error.max())}."
     )
     if found.get("box") is None:
-        return Text(text + " No box around the set point keeps what is required.")
+        return Text(text + " No box around the set point keeps the required probability.")
     box = found["box"]
     sides = [
         f"{name} {number(low)} to {quantity(high, unit)}"

@@ -82,7 +82,7 @@ class Reactor(Timed):
     - `kind`: "batch"; "semi-batch" (the stream at `dose` enters at `dosing` m3/s; what of the
       stream is not dosed by the end is an error in the case); "stirred" (continuous, `volume` m3);
       "plug-flow" (`cells` in series, upwind; residence time V / flow).
-    - `filled`: what a continuous reactor holds at the start, its feed or the feed's solvent alone.
+    - `filled`: the content of a continuous reactor at the start: its feed, or the solvent alone.
     - Continuous kinds deliver what left the outlet, mixed, over the duration.
     - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
     """

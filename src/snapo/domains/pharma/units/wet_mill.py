@@ -2,7 +2,7 @@
 
 Crystals of volume v break at S(v) per s into p fragments on average, whose number density over
 volume is b(w | v) = (2 + z) (w / v)^z / v with z = (2 - p) / (p - 1): p = 2 is uniform binary
-breakage, and the fragments of one crystal weigh what it weighed. Where S is proportional to v and
+breakage, and the fragments of one crystal have its weight. Where S is proportional to v and
 p = 2, Ziff and McGrady (Journal of Physics A 18, 3027, 1985) have the solution in closed form.
 
 Cells stand for crystals of their mean volume, and a fragment is shared between the two cells on

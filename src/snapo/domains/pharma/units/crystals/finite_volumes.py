@@ -58,7 +58,7 @@ def by_finite_volumes(
 def limited_steps(n: Float[Array, " N"], edges: np.ndarray) -> Float[Array, " N"]:
     """What a density gains across each cell, limited; 0 in the first and in the last.
 
-    With F and B what it would gain by the forward and the backward difference:
+    With F and B its gain by the forward and the backward difference:
     F B (F + B) / (F^2 + B^2), the limiter of van Albada, van Leer and Roberts (Astronomy and
     Astrophysics 108, 1982). It is the difference where both agree, at most 1.21 times the smaller
     one where they agree in sign, and at most a fifth of it where they do not. Van Leer's has a

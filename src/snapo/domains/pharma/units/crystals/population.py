@@ -21,7 +21,7 @@ class Population(NamedTuple):
     - `moments`: from [m] to the scaled moments 0 to 5 of all crystals.
     - `slope`: from [m], growth in SIZE/s and births in NUMBER/m3/s to [m] per s.
     - `numbers`: from [m] to the crystals in each cell, in NUMBER; [0] where they are not counted.
-    - `states`, `measures`: from [m] to what is known of the sizes beside the moments, over time
+    - `states`, `measures`: from [m] to further figures of the sizes, over time
       and at the end, in the domain's units.
     """
 
