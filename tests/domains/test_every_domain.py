@@ -105,7 +105,7 @@ def test_a_run_with_other_numbers_is_not_resumed(kind, solved, tmp_path, capsys)
     out = copied(solved, kind, tmp_path)
     before = (out / "result.json").read_bytes()
     command = ["solve", str(solved(kind) / "case"), "--out", str(out), "--resume"]
-    command += ["--set", "evaluation.paths=128"]
+    command += ["--set", "evaluation.paths=192"]
     if (simulator := MINIATURES[kind].simulator) is not None:
         command += ["--simulator", ":".join(simulator)]
     assert main(command) == 2
