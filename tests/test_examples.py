@@ -43,6 +43,7 @@ def test_the_readme_example_is_short():
 SLOWER = [NAMES[0], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[1:])]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", SLOWER)
 def test_an_example_has_no_findings(name):
     findings = snapo.check(*problem(name)[:2], paths=8)

@@ -232,6 +232,7 @@ class RootOfZero(Good):
         return after, {"cash": outputs["cash"] + jnp.sqrt(zero)}
 
 
+@pytest.mark.prove
 def test_numbers_and_derivatives_that_are_not_finite_are_placed():
     error = only(check(Overflow(), inputs()))
     assert "cash" in error.what and "step 2" in error.what
@@ -253,6 +254,7 @@ class Idle(Good):
         return after, {"cash": outputs["cash"] + jnp.round(action[1] * 4)}
 
 
+@pytest.mark.prove
 def test_idle_actions_and_noise_and_badly_scaled_observations():
     findings = check(Idle(), inputs())
     errors = {f.where.split(": ")[1]: f.what for f in findings.errors}
@@ -293,6 +295,7 @@ class Cuts(Good):
         return after, {"cash": jnp.minimum(outputs["cash"], constants["limit"])}
 
 
+@pytest.mark.prove
 def test_inputs_whose_derivative_is_wrong():
     right = Input([1.0, 1.1, 1.0, 1.2])
     given = Cut(
@@ -307,6 +310,7 @@ def test_inputs_whose_derivative_is_wrong():
     assert by_input["unused"].severity == by_input["slack"].severity == "warning"
 
 
+@pytest.mark.prove
 def test_a_plain_number_beside_inputs_is_no_mistake():
     """Given as constants as they come: the float becomes an array there, and has no derivative."""
 
@@ -374,6 +378,7 @@ class Fresh(Table):
         return after, {"cash": outputs["cash"] + jnp.asarray([0.2, 0.8]) @ noise}
 
 
+@pytest.mark.prove
 def test_a_numpy_table_in_step_fails_in_one_precision():
     for simulator in (Table(), Converted()):
         error = only(check(simulator, inputs()))
@@ -425,6 +430,7 @@ def test_indices_past_the_end_are_found(wrong, where, length):
     assert "test_check.py" in errors[0].what
 
 
+@pytest.mark.prove
 def test_indices_within_an_array_are_no_mistake():
     assert not len(findings := check(Indices(), inputs())), str(findings)
 
@@ -453,6 +459,7 @@ class CornerInputs(eqx.Module):
     fee: Input
 
 
+@pytest.mark.prove
 def test_what_matters_at_high_actions_only_is_no_mistake():
     given = CornerInputs(Input(0.3), Input([1.0, 1.2, 0.9, 1.1]), Input(2.0))
     assert not len(findings := check(Corner(), given)), str(findings)

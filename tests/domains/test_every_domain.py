@@ -40,6 +40,7 @@ def test_a_mistake_is_refused_in_words(kind, spoilt, tmp_path):
     assert not complaints, "\n".join(complaints)
 
 
+@pytest.mark.prove
 def test_every_template_is_accepted(kind, tmp_path):
     domain = find(kind, "tests")
     assert isinstance(domain, Domain) and domain.kind == kind and domain.words
@@ -78,6 +79,7 @@ def test_a_report_is_the_same_whenever_it_is_written(kind, solved, tmp_path, cap
     assert (out / "report.html").read_bytes() == before
 
 
+@pytest.mark.prove
 def test_a_report_does_without_any_part(kind, solved, tmp_path):
     """Each part's file removed in turn: the page says so, and has every section still."""
     out = copied(solved, kind, tmp_path)
@@ -92,6 +94,7 @@ def test_a_report_does_without_any_part(kind, solved, tmp_path):
         part.write_bytes(kept)
 
 
+@pytest.mark.prove
 def test_a_finished_run_is_not_done_again(kind, solved, tmp_path):
     out = copied(solved, kind, tmp_path)
     before, said = json.loads((out / "result.json").read_text()), []
@@ -101,6 +104,7 @@ def test_a_finished_run_is_not_done_again(kind, solved, tmp_path):
     assert not [line for line in said if not line.startswith("note:")], said
 
 
+@pytest.mark.prove
 def test_a_run_with_other_numbers_is_not_resumed(kind, solved, tmp_path, capsys):
     out = copied(solved, kind, tmp_path)
     before = (out / "result.json").read_bytes()

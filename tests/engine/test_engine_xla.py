@@ -236,6 +236,7 @@ def test_many_cotangents_are_one_call_each(adjoint):
     close(out.totals, adjoint.totals, rtol=1e-14)
 
 
+@pytest.mark.prove
 def test_segments_give_the_same_gradient(adjoint):
     """Segments that divide the horizon, that do not, and more than there are steps."""
     for segments in (2, 4):

@@ -61,6 +61,7 @@ def numbers(name: str) -> dict[str, list[float]]:
     return found
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     "name",
     [

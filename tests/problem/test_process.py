@@ -126,6 +126,7 @@ class Walk(Process):
         return "a random walk"
 
 
+@pytest.mark.prove
 def test_a_battery_takes_any_price():
     """The example's battery earns the price that it is given, energy and gradients included."""
     file = Path(__file__).parents[2] / "examples" / "battery.py"

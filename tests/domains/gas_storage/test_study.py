@@ -180,6 +180,7 @@ def test_a_case_without_decisions_left(tmp_path, date):
     assert "No decision day is left." in page
 
 
+@pytest.mark.prove
 def test_supplied_paths_are_solved_whole(tmp_path):
     """Paths of one's own: no vegas, no lattice, no homogeneity where they ignore the curve."""
     folder = Path(shutil.copytree(CASES / "quick", tmp_path / "case"))
@@ -202,6 +203,7 @@ def test_supplied_paths_are_solved_whole(tmp_path):
     assert "Supplied price paths" in page and "Vegas are not in this run" in page
 
 
+@pytest.mark.prove
 def test_a_part_that_fails_loses_no_other(folder, whole, tmp_path, monkeypatch):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     record = json.loads((out / "run.json").read_text())

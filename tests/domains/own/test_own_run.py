@@ -110,6 +110,7 @@ def stopped(folder: Path, line: str) -> None:
     assert seen
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("line", ["step    20", "profile"])
 def test_an_interrupted_run_goes_on_to_the_same_bits(solved, tmp_path, line):
     folder = write(tmp_path / "case")
@@ -133,6 +134,7 @@ def test_other_code_is_not_resumed(solved, tmp_path, capsys):
     assert "another simulator.py" in capsys.readouterr().err
 
 
+@pytest.mark.prove
 def test_compare_pairs_runs_on_the_same_scenarios(solved, tmp_path, capsys):
     """With the steps of training unchanged and one price moved, most of the noise cancels."""
     folder = solved.parent

@@ -43,6 +43,7 @@ def caller(native: Native, paths: int = 32):
     return call
 
 
+@pytest.mark.prove
 @linux
 @pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.study)])
 def test_calls_leak_nothing(calls):

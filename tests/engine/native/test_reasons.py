@@ -114,6 +114,7 @@ class Empty(Simulator):
         return {"x": jnp.tanh(z), "e": e, "i": state["i"] + 1}, {"out": y * action[0]}
 
 
+@pytest.mark.prove
 def test_arrays_without_elements():
     simulator, weights = Empty(), {"out": np.ones(5)}
     draws = Pseudo(0).draws(np.arange(5), simulator)

@@ -63,6 +63,7 @@ SPECIAL = np.array([0.0, -0.0, 1.0, -1.0, np.inf, -np.inf, np.nan, 0.5, -0.5, 2.
 ELEMENTWISE = _elementwise()
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize(
     ("precision", "tolerance", "examples"),
     [

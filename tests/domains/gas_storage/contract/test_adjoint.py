@@ -160,6 +160,7 @@ def test_xla_agrees():
         assert_allclose(one.adjoint, other.adjoint, rtol=1e-9, atol=1e-9)
 
 
+@pytest.mark.prove
 def test_on_a_tie_the_adjoint_is_one_side():
     """Full after exactly one day at the full rate: a higher rate is worth nothing, a lower costs."""
     case = read(

@@ -164,6 +164,7 @@ def flows_of_a_day(steps, t, inventory, kind):
     return np.where(impossible, np.inf, least), np.where(impossible, -np.inf, most)
 
 
+@pytest.mark.prove
 @settings(max_examples=60, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.integers(0, 10**6))
 def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
@@ -264,6 +265,7 @@ def spots(case, paths, seed=3):
     return schedule, steps.forward[:, None] * np.exp(log), factors
 
 
+@pytest.mark.prove
 def test_prices_of_correlated_factors():
     """Mean, variance and correlation of a factor that reverts and one that does not."""
     model = {
@@ -321,6 +323,7 @@ def cash_flow(case, paths, policy=None, seed=4, engine=None):
     return np.asarray(rolled.totals["cash_flow"])
 
 
+@pytest.mark.prove
 def test_forced_flows():
     case = read("G5")
     cash = cash_flow(case, 65536, policy=1)

@@ -83,6 +83,7 @@ def test_without_a_gap_the_first_price_is_known():
     assert_allclose(spots[0], schedule.steps.forward[0], rtol=1e-12)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("make", [Native, Xla])
 def test_every_derivative_agrees_with_differences(make):
     """Also that by the intensity: a spike is continuous in its probability."""
@@ -107,6 +108,7 @@ def test_rare_and_tiny_spikes_are_the_one_factor_price():
     assert np.isfinite(spots).all()
 
 
+@pytest.mark.prove
 def test_a_store_earns_the_spikes():
     """The same rule earns more with spikes than without, many standard errors."""
     values = {}

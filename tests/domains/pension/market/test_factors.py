@@ -124,6 +124,7 @@ def test_the_shock_has_the_covariance_that_it_should():
     assert made[place.index, place.index] == pytest.approx(d, rel=1e-13)
 
 
+@pytest.mark.prove
 def test_prices_follow_the_break_evens_and_cash_the_curve():
     """Without volatility the path IS the initial curves, step by step."""
     steps = 24

@@ -179,6 +179,7 @@ def test_crystals_are_counted():
     assert gaps[1] < 0.005 and np.log2(gaps[0] / gaps[1]) > 1.8
 
 
+@pytest.mark.prove
 def test_gradient_through_the_steady_state():
     """Implicit function theorem against central differences, and a second derivative."""
     given = process()

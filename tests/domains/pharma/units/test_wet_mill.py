@@ -73,6 +73,7 @@ def milled(edges, unit=None, steps=400):
         return given, problem.finish(solved.final, *solved.controls).outlets[0]
 
 
+@pytest.mark.prove
 def test_uniform_binary_breakage():
     """n(v, t) = N0 / m (1 + T)^2 exp(-v (1 + T) / m), T = k m t (Ziff and McGrady 1985).
 

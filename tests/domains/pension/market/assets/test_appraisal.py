@@ -14,6 +14,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("engine", [Xla, Native])
 def test_a_smoothed_class_is_simulated_in_both_precisions(engine):
     """The positions of the appraised classes are an array of the case, which JAX remembers."""

@@ -61,6 +61,7 @@ def draws(one, paths):
     return np.random.default_rng(3).standard_normal((paths, simulator.noise_size))
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("measure", ["P", "Q"])
 def test_it_earns_what_its_price_does(measure):
     """In money a bond is I(t) P_real(t, T), on every path and under both measures."""
@@ -102,6 +103,7 @@ def single(linked: bool, **changes):
     return case(1, **usual | changes)
 
 
+@pytest.mark.prove
 def test_its_variance_is_that_of_the_closed_form():
     """Under "Q" the log return over cash without shocks is minus half the variance of
     s_r int B_r dW_r - s_p int B_p dW_p - s_I dW_I, B over the years left (Jarrow and Yildirim)."""
@@ -139,6 +141,7 @@ def gradients(one, noise):
 PRICES = ("break_even", "inflation", "index")
 
 
+@pytest.mark.prove
 def test_a_matched_index_linked_liability_feels_no_inflation():
     linked, nominal = single(True), single(False)
     (noise,) = draws(linked, 1)
