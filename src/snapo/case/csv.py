@@ -129,10 +129,11 @@ def read_rows(
         raise CaseError(name, "", None, what)
     line, cells = header
     names = _header(name, line, cells, columns)
-    for column in names if optional is not None else ():
-        if column not in (*columns, *optional):
-            known = nearest(column, (*columns, *optional), "column")
-            raise CaseError(name, f"line {line}", column, f"there is no such column; {known}")
+    known = names if optional is None else (*columns, *optional)
+    for column in names:
+        if column not in known:
+            what = f"there is no such column; {nearest(column, known, 'column')}"
+            raise CaseError(name, f"line {line}", column, what)
     rows = []
     for line, cells in records:
         if len(cells) != len(names):
