@@ -3,12 +3,18 @@
 import subprocess
 import sys
 import tomllib
+from pathlib import Path
+
+import numpy as np
 
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.prices.registry import kinds
 from snapo.domains.gas_storage.read.tables import ContractTable, MarketTable
+from snapo.study import commands
 
+G1 = Path(__file__).parents[1] / "cases" / "G1"
 # Keys whose comment shows an example, since they have no default or a plain one.
 EXAMPLES = {"min_inventory", "max_injection", "max_withdrawal", "fixed_costs", "outages"}
 EXAMPLES |= {"end_inventory", "end_value", "level", "risk_aversion", "wealth", "target"}
@@ -58,3 +64,30 @@ def test_the_domain_is_light_until_there_is_work():
     code += "print([name for name in ('jax', 'numpy', 'pydantic') if name in sys.modules])"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=60)
     assert done.stdout.strip() == "[]", done.stderr
+
+
+def test_new_writes_the_flagship_case(tmp_path):
+    folder = tmp_path / "a" / "store"
+    commands.new("gas-storage", folder)
+    assert {p.name for p in folder.iterdir()} == {
+        "case.toml",
+        "curve.csv",
+        "rates.csv",
+        "ratchets.csv",
+    }
+    written, reference = DOMAIN.read(*load(folder)), DOMAIN.read(*load(G1))
+    assert written.days == reference.days
+    for record in ("market", "contract", "model"):
+        assert numbers(getattr(written, record)) == numbers(getattr(reference, record))
+    assert (written.training, written.evaluation) == (reference.training, reference.evaluation)
+
+
+def numbers(record) -> dict:
+    """The numbers of a record, to compare."""
+    found = {}
+    for name, entry in vars(record).items():
+        if hasattr(entry, "used"):
+            found[name] = entry.used().tolist()
+        elif isinstance(entry, np.ndarray):
+            found[name] = entry.tolist()
+    return found
