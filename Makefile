@@ -21,7 +21,7 @@ test: $(READY)
 	$(PYTEST) $(SHARED)
 
 prove: $(READY)
-	$(PYTEST) $(SHARED) -m prove
+	$(PYTEST) $(SHARED) -m "prove and not study"
 
 lint: $(READY)
 	$(BIN)/ruff check .

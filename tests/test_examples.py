@@ -80,6 +80,7 @@ def test_battery_stays_feasible_and_keeps_its_energy():
     assert np.all(np.diff(state["capacity"], axis=0) < 0)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("name", SLOWER)
 def test_a_short_training_gains(name):
     """60 steps of 64 paths against the untrained network on the same fresh paths: the difference

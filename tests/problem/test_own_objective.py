@@ -182,6 +182,7 @@ def test_weights_of_a_formula_cost_little_in_training():
     assert min(times) < 1e-3
 
 
+@pytest.mark.prove
 def test_the_example_of_an_own_objective_runs(monkeypatch):
     """Its ratio falls when risk rises, and its training improves on the start."""
     place = Path(__file__).parents[2] / "examples" / "own_objective.py"

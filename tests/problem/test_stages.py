@@ -84,6 +84,7 @@ def test_a_shared_policy_is_clipped_to_each_stages_bounds():
         np.testing.assert_allclose(a, b, rtol=1e-7)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("smooth", [Exact(), Smooth(np.float64(0.1))], ids=["exact", "smooth"])
 def test_both_engines_agree_on_stages(smooth):
     """1e-12 of the totals and 1e-10 of the gradients in float64, as for any problem."""

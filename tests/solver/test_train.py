@@ -91,6 +91,7 @@ def test_windows_and_clips_train_too():
         assert np.isfinite(parameters(done.best)).all()
 
 
+@pytest.mark.prove
 def test_supplied_scenarios_serve_every_role_with_paths_of_its_own():
     numbers = np.arange(3 * 200.0).reshape(3, 200, 1)
     supplied = snapo.Supplied(numbers / 600)
@@ -123,6 +124,7 @@ def test_an_interrupt_tells_the_callbacks_and_goes_on():
     assert seen == [4, 4]
 
 
+@pytest.mark.prove
 def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
     training = replace(SHORT, steps=8)
     evaluation = snapo.Evaluation(paths=256, sensitivity_paths=128, smooth_paths=64)
@@ -144,6 +146,7 @@ def test_a_solution_is_loaded_as_it_was_saved(tmp_path):
         snapo.Solution.load(tmp_path)
 
 
+@pytest.mark.prove
 def test_an_engine_is_given_by_name_or_as_itself():
     evaluation = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=0)
     given = {"training": replace(SHORT, steps=2), "evaluation": evaluation}

@@ -138,6 +138,7 @@ def test_the_folder(whole, folder):
     assert (out / "report.html").read_text(encoding="utf-8").startswith("<!DOCTYPE html>")
 
 
+@pytest.mark.prove
 def test_every_part_is_done_and_inputs_say_their_meaning(whole):
     record = json.loads((whole[1] / "run.json").read_text())
     assert list(record["parts"]) == PARTS
@@ -161,6 +162,7 @@ def test_the_certificate_passes(whole):
     assert abs(error) <= 1e-9 * abs(left)
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("date", [datetime.date(2025, 3, 1), datetime.date(2025, 1, 31)])
 def test_a_case_without_decisions_left(tmp_path, date):
     """After the end it is worth nothing; on the end date half the price of the gas left."""
@@ -302,6 +304,7 @@ def test_a_checkpoint_that_cannot_be_written_is_a_status(folder, tmp_path, monke
     assert np.isfinite(result["value"])
 
 
+@pytest.mark.prove
 def test_an_engine_that_cannot_run_is_refused_by_name(folder, tmp_path):
     case = changed(folder)
     with pytest.raises(CaseError, match="--engine"):

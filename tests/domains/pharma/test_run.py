@@ -8,7 +8,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import CASE, data, solve, template
+from tests.domains.pharma.pharma_cases import solve, template
+from tests.miniatures import MINIATURES
 
 from snapo.cli.main import main
 from snapo.domains.pharma.flowsheet.process import Process
@@ -20,19 +21,16 @@ from snapo.testing.miniature import quiet
 
 
 @pytest.fixture(scope="module")
-def folder(tmp_path_factory) -> Path:
-    folder = tmp_path_factory.mktemp("pharma") / "case"
-    folder.mkdir()
-    (folder / "case.toml").write_text(CASE)
-    (folder / "batch.csv").write_text(data())
-    return folder
+def folder(solved) -> Path:
+    """The miniature's case."""
+    return solved("pharma") / "case"
 
 
 @pytest.fixture(scope="module")
-def whole(folder, tmp_path_factory):
-    """(result, run folder) of one study."""
-    out = tmp_path_factory.mktemp("run") / "run"
-    return solve(folder, out, "training.seed=3")[0], out
+def whole(solved):
+    """(result, run folder) of the miniature."""
+    out = solved("pharma") / "run"
+    return json.loads((out / "result.json").read_text()), out
 
 
 @pytest.fixture(scope="module")
@@ -43,7 +41,7 @@ def found(whole):
 def test_the_result(whole):
     result, out = whole
     assert result["status"] == "ok", result["failures"]
-    assert result["kind"] == "pharma" and result["seed"] == 3
+    assert result["kind"] == "pharma" and result["seed"] == 0
     assert 0 < result["value"] < 1 and 0 < result["standard_error"] < 0.05
     stored = json.loads((out / "result.json").read_text())
     assert stored["value"] == result["value"]
@@ -119,7 +117,7 @@ def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     before = {name: json.loads(file.read_text()) for name, file in lost.items()}
     for file in lost.values():
         file.unlink()
-    asked = commands.Asked(folder, ("training.seed=3",))
+    asked = commands.Asked(folder, MINIATURES["pharma"].assignments)
     result = commands.solve(asked, quiet, out=out, resume=True)
     assert result["status"] == "ok" and result["value"] == whole[0]["value"]
     assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before
@@ -133,7 +131,7 @@ def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
         monkeypatch.setattr(derivatives, name, broken)
     for name in ("range_rows", "map_tables", "estimation_rows"):
         monkeypatch.setattr(quality, name, broken)
-    result, _ = solve(folder, tmp_path / "run")
+    result, _ = solve(folder, tmp_path / "run", *MINIATURES["pharma"].assignments)
     assert "design space" in result["status"] and result["status"].endswith("failed")
     assert 0 < result["value"] < 1
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")

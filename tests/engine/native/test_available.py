@@ -47,6 +47,7 @@ for call in (
 """
 
 
+@pytest.mark.prove
 def test_without_llvmlite_all_runs_on_xla():
     done = subprocess.run([sys.executable, "-c", BLOCKED], capture_output=True, text=True)
     assert done.stdout == "ValueError\nUnsupported\n", done.stderr

@@ -86,9 +86,11 @@ def test_elementwise(precision, tolerance, examples):
         shift = next(shifts)
         pair = [drawn[0].copy(), drawn[1].copy()]
         pair[0][: len(SPECIAL)], pair[1][: len(SPECIAL)] = SPECIAL, np.roll(SPECIAL, shift)
-        # Both engines take denormals for zeros, but XLA's pow and atan2 do so half-heartedly.
-        pair[1][np.any([(a != 0) & (np.abs(a) < 1e-38) for a in pair], axis=0)] = 1.0
+        # Both engines take denormals for zeros, but XLA's pow, atan2 and cbrt do so half-heartedly.
+        denormal = [(a != 0) & (np.abs(a) < 1e-38) for a in pair]
+        pair[1][np.any(denormal, axis=0)] = 1.0
         x = {name: [a[:, None] for a in pair[: len(s)]] for name, s in ELEMENTWISE.shapes.items()}
+        x["cbrt"] = [np.where(denormal[0], 1.0, pair[0])[:, None]]
         both(ELEMENTWISE, x, precision, tolerance)
 
     check()

@@ -91,7 +91,10 @@ def everything(folder):
     return changed(folder)
 
 
-@pytest.fixture(scope="module", params=["quick", "G3", "everything"])
+SLOW = [pytest.param(name, marks=pytest.mark.prove) for name in ("G3", "everything")]
+
+
+@pytest.fixture(scope="module", params=["quick", *SLOW])
 def contract(request, tmp_path_factory):
     """A problem with its guide, off its ties, and a policy that is not trained."""
     if request.param == "everything":

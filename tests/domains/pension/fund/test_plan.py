@@ -1,12 +1,18 @@
 """Contribution and indexation rules: published moments, and each rule by hand."""
 
+from typing import get_args, get_type_hints
+
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.pension.people_cases import contributing, given, indexing, people_case, plan
 
-from snapo.domains.pension.fund.plan import contribution, indexation, indexation_flags, plan_terms
+from snapo.domains.pension.fund.contributions import CONTRIBUTIONS
+from snapo.domains.pension.fund.increases import INCREASES
+from snapo.domains.pension.fund.plan import contribution, indexation, indexation_flags
+from snapo.domains.pension.fund.terms import plan_terms
+from snapo.domains.pension.read.tables_people import ContributionTable, IndexationTable
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact, Smooth
@@ -159,3 +165,8 @@ def test_increases_fall_on_the_first_of_the_month():
     np.testing.assert_array_equal(averaging[3:9], 0)
     yearly = people_case(5, step=1.0)
     assert all(np.all(flags == 1) for flags in indexation_flags(yearly))
+
+
+def test_the_format_has_the_kinds_that_the_rules_have():
+    assert get_args(get_type_hints(ContributionTable)["kind"]) == tuple(CONTRIBUTIONS)
+    assert get_args(get_type_hints(IndexationTable)["kind"]) == tuple(INCREASES)

@@ -54,6 +54,7 @@ def test_a_new_policy_holds_about_the_present_notionals(unit):
     assert found == pytest.approx([8.0, 10.0], rel=1e-5)
 
 
+@pytest.mark.prove
 def test_a_bucket_without_payments_or_without_a_range_starts_somewhere():
     one = replace(swaps(high=np.array([0.4, 0.0])), cash_flows=cash_flows([50.0], [59]))
     worth = limit_unit(one)

@@ -42,6 +42,7 @@ def alive(case, sex, age):
         )[0]
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("timing", ["advance", "arrears"])
 def test_payments_of_every_cohort_written_out(timing):
     case = people_case(plan=plan(timing=timing))

@@ -39,6 +39,7 @@ def test_nodes_are_months_then_years():
     assert set(12 * whole) | {1, 3, 6, 18} == set(months)
 
 
+@pytest.mark.prove
 def test_values_on_nodes_are_the_exact_sums_at_every_time(fund):
     case, found, (accrued, fresh, _), log_bond = fund
     shift = int(case.plan.timing == "arrears")
@@ -160,6 +161,7 @@ def test_figures_are_exact_sums_and_their_slopes():
     assert other.inflation01 == pytest.approx(1e-4 * other.duration * other.liability, rel=1e-12)
 
 
+@pytest.mark.prove
 def test_reconciliation_says_what_is_met_and_what_is_missed():
     case = people_case()
     inputs = plain(pension_inputs(case))

@@ -21,8 +21,9 @@ from tests.domains.pension.people_cases import (
     plan,
 )
 
-from snapo.domains.pension.fund.plan import contribution, indexation, plan_terms
+from snapo.domains.pension.fund.plan import contribution, indexation
 from snapo.domains.pension.fund.schedule import basis_log_bond
+from snapo.domains.pension.fund.terms import plan_terms
 from snapo.domains.pension.people.liability import people
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability

@@ -37,6 +37,7 @@ def explained(one, action, paths=4):
     return totals, start, totals.pop("funding_ratio")
 
 
+@pytest.mark.prove
 def test_the_parts_add_up_on_every_path():
     """Bonds, credit, currencies, swaps, costs, contributions and conditional indexation at once."""
     granted = given("indexation_lower_ratio", 0.5)
@@ -56,6 +57,7 @@ def test_the_parts_add_up_on_every_path():
         assert np.all(totals[f"{name} liability"] == 0)
 
 
+@pytest.mark.prove
 def test_in_a_market_that_stands_still_every_part_is_known():
     """Flat rates of 2 %, no volatility: nothing comes from rates, and one step is done by hand."""
     held = assets(1, [CASH, EQUITY], mean=[0.03], volatility=[0.0], weight=[0.5, 0.5])

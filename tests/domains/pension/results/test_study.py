@@ -25,6 +25,7 @@ def test_the_domain_is_complete():
     assert list(DOMAIN.templates) == ["small", "medium", "large"]
 
 
+@pytest.mark.prove
 def test_a_lost_frontier_or_rival_costs_no_other_part(study):
     """Only training is needed by several parts; every table can be written as JSON."""
     needed = {name for part in study.parts for name in part.needs}
@@ -32,6 +33,7 @@ def test_a_lost_frontier_or_rival_costs_no_other_part(study):
     assert json.loads(json.dumps(plain_json(study.about)))["measure"] == "P"
 
 
+@pytest.mark.prove
 def test_figures_and_shocks_come_before_training(study, tmp_path):
     run = StudyRun(study, tmp_path, print)
     for part in study.parts[:2]:
@@ -46,6 +48,7 @@ def test_figures_and_shocks_come_before_training(study, tmp_path):
     assert up["surplus"] == pytest.approx(up["assets"] - up["liability"])
 
 
+@pytest.mark.prove
 def test_sources_of_variance_are_the_volatilities_of_the_case(study):
     case = study.setup().problem.simulator.case
     names = {name: [each.name for each in found] for name, found in sources(case).items()}

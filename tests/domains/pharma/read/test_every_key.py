@@ -11,6 +11,7 @@ from snapo.testing.mistakes import refusals, spoilt_keys
 FREE = ("species", "feeds", "units", "feeds.charge.concentration")
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("which", ["template", "continuous"])
 def test_no_mistake_ends_in_a_traceback(which, tmp_path):
     folder = tmp_path / "case"

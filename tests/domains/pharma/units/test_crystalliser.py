@@ -45,6 +45,7 @@ def alone(**fields):
     return case((charge,), (unit,), chain("charge", "crystalliser"), found, cooled)
 
 
+@pytest.mark.prove
 def test_event_share_and_its_derivative():
     """Where c*(T(t)) meets c on a line, against the root of the quadratic and differences."""
     profile = crystalliser().temperature

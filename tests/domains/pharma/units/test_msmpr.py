@@ -157,6 +157,7 @@ def test_the_steady_state():
     assert max(abs(row.relative) for row in balances(given)) < 1e-10
 
 
+@pytest.mark.prove
 def test_crystals_are_counted():
     """n = n0 exp(-L / (G tau)) in each cell; the third moment is that of the closed form.
 
@@ -201,6 +202,7 @@ def test_gradient_through_the_steady_state():
     assert bend == pytest.approx((sizes[0] - 2 * sizes[1] + sizes[2]) / h**2, rel=1e-3)
 
 
+@pytest.mark.prove
 def test_nuclei_are_washed_out():
     """With j = 1 and slow growth no crystals stay, nor in a feed below saturation."""
     given = process(suspension_power=1.0, nucleation="1 1/m^3/s", growth="1e-3 um/s")

@@ -184,6 +184,7 @@ def test_mass_and_energy_close_in_the_chain():
     assert max(abs(row.relative) for row in found) < 1e-10
 
 
+@pytest.mark.prove
 def test_gradients_against_differences():
     """By shelf, pressure, what the filter left and critical moisture; on the falling branch."""
     short = dryer(duration=number("dryer.duration", 1500.0, "s"))

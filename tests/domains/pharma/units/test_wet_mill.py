@@ -90,6 +90,7 @@ def test_uniform_binary_breakage():
     assert gaps[1] < 0.02 and np.log2(gaps[0] / gaps[1]) > 1.7
 
 
+@pytest.mark.prove
 def test_numbers_grow_with_the_volume_that_is_there():
     """N' = k V (p - 1) for a rate proportional to volume: N = N0 (1 + (p - 1) k m t)."""
     edges = np.geomspace(1e-6, 300e-6, 121)

@@ -16,7 +16,8 @@ from ..people.liability import People, nodes, people
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
-from .plan import PlanTerms, indexation_flags, plan_terms
+from .plan import indexation_flags
+from .terms import PlanTerms, plan_terms
 
 
 class Swaps(NamedTuple):

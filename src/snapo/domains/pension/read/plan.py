@@ -8,6 +8,8 @@ from collections.abc import Iterable
 from snapo.case.given import Given
 from snapo.case.table import Section, Table
 
+from ..fund.contributions import CONTRIBUTIONS
+from ..fund.increases import INCREASES
 from ..records.case import Frontier
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
 from ..records.said import YEARLY, Said, amount, rate, share, time
@@ -83,14 +85,13 @@ def _only(section: Section, table: Table, used: Iterable[str], numbers: Iterable
 def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     """Increases once a year; cap and floor only where the rule has them."""
     kind = table.kind
-    used = ["cap", "floor"] if kind in ("capped", "conditional") else []
-    used += ["lower_ratio", "upper_ratio"] if kind == "conditional" else []
+    used = INCREASES[kind].takes
     cuts = ["required_ratio"] if table.cut_years else []
     numbers = ("cap", "floor", "lower_ratio", "upper_ratio", "required_ratio")
     _only(section, table, [*used, *cuts], numbers)
     if table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
-    if kind == "conditional" and table.lower_ratio >= table.upper_ratio:
+    if "lower_ratio" in used and table.lower_ratio >= table.upper_ratio:
         what = f"allowed is less than upper_ratio, {table.upper_ratio:g}"
         raise section.error("lower_ratio", table.lower_ratio, what)
 
@@ -115,16 +116,16 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
 
 def read_contribution(section: Section, table: ContributionTable, money: str) -> Contribution:
     """The rule of contributions with its limits."""
-    kind, used = table.kind, []
-    if kind in ("normal-cost", "spread", "target"):
-        used = ["rate"] if table.normal_cost == "rate" else ["loading"]
-    used += {"fixed": ["rate"], "spread": ["spread_factor"]}.get(kind, [])
-    used += ["target_ratio", "recovery_years"] if kind == "target" else []
-    used += [each for each in LIMITS if getattr(table, each) is not None and kind != "none"]
+    kind, rule = table.kind, CONTRIBUTIONS[table.kind]
+    used = list(rule.takes)
+    if rule.by_cost:
+        used.append("rate" if table.normal_cost == "rate" else "loading")
+    if kind != "none":
+        used += [each for each in LIMITS if getattr(table, each) is not None]
     numbers = ("rate", "loading", "spread_factor", "target_ratio", "recovery_years", *LIMITS)
     _only(section, table, used, numbers)
-    for key in ("rate", "spread_factor"):
-        if key in used and getattr(table, key) is None:
+    for key in used:
+        if getattr(table, key) is None:
             raise section.error(key, None, f'kind "{kind}" needs this key')
     if table.floor is not None and table.cap is not None and table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
@@ -173,10 +174,11 @@ def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> 
     if table is None:
         return None
     kind = plan.contribution.kind
-    if kind not in ("spread", "target"):
+    if not CONTRIBUTIONS[kind].responds:
+        allowed = " and ".join(f'"{k}"' for k, rule in CONTRIBUTIONS.items() if rule.responds)
         what = (
             f'contributions of kind "{kind}" do not depend on decisions; '
-            'allowed are "spread" and "target" in plan.contribution'
+            f"allowed are {allowed} in plan.contribution"
         )
         raise section.error("points", table.points, what)
     return Frontier(table.points, table.steps, table.level)

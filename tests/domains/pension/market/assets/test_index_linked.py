@@ -171,6 +171,7 @@ def test_today_its_price_moves_with_both_curves_as_the_liability_does():
         )
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("measure", ["P", "Q"])
 def test_its_derivatives_are_those_of_differences(measure):
     """Of a log return of the class by every number, in float64."""

@@ -85,6 +85,7 @@ def test_every_class_earns_cash_on_average_under_q(start):
         assert abs(pairs.mean()) < 4 * pairs.std() / np.sqrt(pairs.size) + 1e-15
 
 
+@pytest.mark.prove
 def test_means_are_what_the_case_says():
     """Arithmetic: 1 + mean is the expected gross return of a year; geometric and log: of the log."""
     base = full(STEPS, held_assets=replace(full(STEPS).assets, smoothed=np.zeros(0, int)))

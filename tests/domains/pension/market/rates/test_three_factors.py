@@ -40,6 +40,7 @@ def test_a_model_is_known_by_its_word_once(monkeypatch):
         register(type("Nameless", (ShortRate,), {}))
 
 
+@pytest.mark.prove
 def test_three_independent_factors_add_their_convexities():
     """ln P(t, t + u) at factors of zero: half the sum of V(u) - V(t + u) + V(t) of each factor."""
     steps = 12

@@ -88,6 +88,7 @@ def test_growth_moves_the_distribution(growth, spacing):
     assert np.log2(gaps[0] / gaps[1]) > 1.45
 
 
+@pytest.mark.prove
 def test_constant_growth_and_nucleation():
     """n = B / G up to G t: all births are counted, d50 by volume is G t / 2^(1/4). The jump at
     the front smears over a few cells, so moments are of order 4/3 at least."""

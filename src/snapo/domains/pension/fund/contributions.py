@@ -1,0 +1,93 @@
+"""Rules of contribution, an object each: the keys it takes, and the payment it asks for."""
+
+from typing import ClassVar, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array
+
+from snapo.problem.smooth import Constraints
+
+from .terms import PlanTerms
+
+
+class Due(NamedTuple):
+    """A fund when a contribution is due: money, with the normal cost and salaries of the step.
+
+    `step`: its length in years.
+    """
+
+    assets: Array
+    liability: Array
+    salaries: Array
+    normal: Array
+    step: float
+
+
+class Rule:
+    """One kind of `[plan.contribution]`.
+
+    - `takes`: the keys of its own, beside those of the normal cost and of the limits.
+    - `by_cost`: it begins with the normal cost, valued with a loading or a rate of salaries.
+    - `responds`: it depends on the funding ratio, thus on decisions.
+    """
+
+    kind: ClassVar[str]
+    takes: ClassVar[tuple[str, ...]] = ()
+    by_cost: ClassVar[bool] = True
+    responds: ClassVar[bool] = False
+
+    def amount(self, terms: PlanTerms, due: Due, smooth: Constraints) -> Array:
+        """The payment of this step before its limits."""
+        raise NotImplementedError
+
+
+class Nothing(Rule):
+    """No contributions, and no limits to them."""
+
+    kind, by_cost = "none", False
+
+    def amount(self, terms, due, smooth):
+        return jnp.zeros_like(due.salaries)
+
+
+class Fixed(Rule):
+    """`rate` times salaries."""
+
+    kind, takes, by_cost = "fixed", ("rate",), False
+
+    def amount(self, terms, due, smooth):
+        return terms.rate * due.salaries
+
+
+class NormalCost(Rule):
+    """The value of the step's accrual, whatever the funding ratio."""
+
+    kind = "normal-cost"
+
+    def amount(self, terms, due, smooth):
+        return due.normal
+
+
+class Spread(Rule):
+    """The normal cost and a yearly share of liability less assets; a surplus is spread too."""
+
+    kind, takes, responds = "spread", ("spread_factor",), True
+
+    def amount(self, terms, due, smooth):
+        return due.normal + due.step * terms.spread_factor * (due.liability - due.assets)
+
+
+class Target(Rule):
+    """The normal cost and the gap to a funding ratio, paid over some years."""
+
+    kind, takes, responds = "target", ("target_ratio", "recovery_years"), True
+
+    def amount(self, terms, due, smooth):
+        missing = terms.target * due.liability - due.assets
+        missing = smooth.positive_part(missing, due.liability)
+        return due.normal + due.step * missing / terms.recovery_years
+
+
+CONTRIBUTIONS: dict[str, Rule] = {
+    rule.kind: rule for rule in (Nothing(), Fixed(), NormalCost(), Spread(), Target())
+}
