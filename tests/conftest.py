@@ -26,11 +26,22 @@ import pytest
 from hypothesis import settings
 from tests.miniatures import MINIATURES
 
+from snapo.lanes.machine import disk, pipeline
 from snapo.testing.miniature import once
 
 # The same examples every time: a test that fails today failed yesterday.
 settings.register_profile("repeatable", derandomize=True, deadline=None)
 settings.load_profile("repeatable")
+
+
+def pytest_configure(config):
+    """The quick tests compile the native engine's code without LLVM's passes, in a quarter of the time.
+
+    `make prove` makes the code that users run.
+    """
+    if LEVEL == "low" and "not prove" in config.option.markexpr:
+        disk.PIPELINE = pipeline.PIPELINE = pipeline.Pipeline(speed_level=0, code_level=0)
+
 
 MOST_MAPS = 30_000
 MOST_DAYS = 14  # that compiled code is kept unused

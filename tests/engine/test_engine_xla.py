@@ -162,6 +162,7 @@ def test_gradient_to_every_entry_of_the_schedule(adjoint):
         assert leaves[i][index] == pytest.approx(difference, abs=2e-8)
 
 
+@pytest.mark.prove
 def test_gradient_to_the_starting_states_of_a_window():
     window = Window(2, T - 2)
     start = DOUBLE.values(TOY, POLICY, SCHEDULE, DRAWS, SMOOTH, window=Window(0, 2)).state

@@ -100,6 +100,7 @@ def test_both_engines_agree_on_stages(smooth):
         np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-13)
 
 
+@pytest.mark.prove
 def test_gradients_of_both_policies_against_central_differences():
     """Step 1e-5 in float64: truncation about 1e-10, round-off 1e-11; 1e-6 of the largest."""
     chain = Chain([Narrow(), Own()], [move])

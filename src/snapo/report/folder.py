@@ -11,7 +11,7 @@ import numpy as np
 from .quantity import array, finite, money, plus_minus
 
 SENSITIVITIES = (
-    "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved",
+    "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved", "believed",
 )  # fmt: skip
 
 
@@ -22,6 +22,7 @@ class Sensitivity:
     - `value`, `standard_error`: with the decisions held.
     - `smooth`, `smooth_error`: through the policy's reaction, where it was asked for.
     - `moved`: how far the held one moved in the second half of training.
+    - `believed`: "held" or "smooth", which a move of the input supports, "not known", or empty.
     """
 
     input: str
@@ -32,6 +33,7 @@ class Sensitivity:
     smooth: float | None
     smooth_error: float | None
     moved: float | None
+    believed: str
 
 
 @dataclass(frozen=True)
@@ -63,10 +65,11 @@ class Folder:
         for file in sorted(folder.glob("parts/*.json")):
             details |= _object(file)
         lines = _columns(folder / "sensitivities.csv")
-        rows = zip(*(lines.get(name, []) for name in SENSITIVITIES), strict=True)
+        blank = [""] * len(lines.get("input", []))
+        rows = zip(*(lines.get(name, blank) for name in SENSITIVITIES), strict=True)
         sensitivities = tuple(
-            Sensitivity(name, label, unit, slope, *map(_number, others))
-            for name, label, unit, held, *others in rows
+            Sensitivity(name, label, unit, slope, *map(_number, others), believed=believed)
+            for name, label, unit, held, *others, believed in rows
             if (slope := _number(held)) is not None
         )
         return cls(

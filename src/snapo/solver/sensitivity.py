@@ -1,10 +1,11 @@
 """Sensitivities: the worth of one unit more of every input, with its standard error.
 
 Two derivatives of one value, both from adjoint passes. HELD: the exact simulator with the
-recorded decisions replayed; at an optimum it is the derivative of the optimal value (envelope
-theorem), and it heads the tables. SMOOTH: the smooth simulator through the policy's
-reaction, what training follows. Their difference is a diagnostic: sub-optimality, smoothing and
-noise together; zero is necessary, not sufficient.
+recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
+jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
+through the policy's reaction, what training follows. Their difference is a diagnostic:
+sub-optimality, smoothing and noise together; zero is necessary, not sufficient. `judge` says which
+of the two to believe.
 """
 
 from collections.abc import Iterator, Mapping
@@ -25,6 +26,7 @@ from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
 from .adjoint import flat_weights, float64, pull_back
+from .judge import Verdict
 
 
 class Estimate(NamedTuple):
@@ -54,7 +56,8 @@ class Row(NamedTuple):
     """One line of a sensitivity table: derivatives per one `unit` of the input.
 
     `held` and `smooth` each with its standard error; `moved` is how far `held` moved in the second
-    half of training. What was not asked for is not a number.
+    half of training. What was not asked for is not a number. `believed` is the derivative that a
+    move of the whole input supports, "held" or "smooth", or "not known"; empty where none was made.
     """
 
     input: str
@@ -65,6 +68,7 @@ class Row(NamedTuple):
     smooth: float
     smooth_error: float
     moved: float
+    believed: str
 
 
 class Sensitivities(NamedTuple):
@@ -74,6 +78,7 @@ class Sensitivities(NamedTuple):
     - `smooth`: through the policy's reaction, or None when it was not asked for.
     - `moved`: how far `held` moved since an earlier policy, {input: array}, or None.
     - `policy_gradient`: norm of the policy's gradient at this policy, and of its standard error.
+    - `verdicts`: which of the two derivatives a move of the input supports, {input: Verdict}.
     """
 
     inputs: dict[str, inputs_.Input]
@@ -81,6 +86,12 @@ class Sensitivities(NamedTuple):
     smooth: dict[str, Estimate] | None = None
     moved: dict[str, np.ndarray] | None = None
     policy_gradient: tuple[float, float] | None = None
+    verdicts: dict[str, Verdict] | None = None
+
+    def believed(self, name: str) -> str:
+        """ "held", "smooth" or "not known" for an input; empty where it was not judged."""
+        found = (self.verdicts or {}).get(name)
+        return "" if found is None else found.supported
 
     def rows(self) -> Iterator[Row]:
         """Every number of every input, in the order of the inputs."""
@@ -91,7 +102,7 @@ class Sensitivities(NamedTuple):
             nothing = np.full(given.value.size, np.nan)
             numbers = zip(*(nothing if each is None else each for each in columns))
             for label, row in zip(given.names(), numbers):
-                yield Row(name, label, given.unit, *map(float, row))
+                yield Row(name, label, given.unit, *map(float, row), believed=self.believed(name))
 
     def table(self) -> Any:
         """The rows as a pandas data frame, where pandas is installed; else a list of dicts."""
@@ -104,7 +115,7 @@ class Sensitivities(NamedTuple):
 
     def __str__(self) -> str:
         """The table as text; of an input with many numbers, the largest ones."""
-        head = ("input", "label", "held", "", "smooth", "", "moved", "unit")
+        head = ("input", "label", "held", "", "smooth", "", "moved", "unit", "believed")
         lines = [head, *(line for name in self.inputs for line in self._lines(name))]
         widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
         return "\n".join(
@@ -123,16 +134,17 @@ class Sensitivities(NamedTuple):
             (
                 row.input, row.label, _figure(row.held), _error(row.held_error),
                 _figure(row.smooth), _error(row.smooth_error), _figure(row.moved), f"/{row.unit}",
+                row.believed,
             )
             for row in rows if row in shown
         ]  # fmt: skip
         if len(rows) > SHOWN:
-            lines.append((name, f"and {len(rows) - SHOWN} smaller", "", "", "", "", "", ""))
+            lines.append((name, f"and {len(rows) - SHOWN} smaller", "", "", "", "", "", "", ""))
         return lines
 
 
 SHOWN = 12  # numbers of one input that are printed
-LEFT = (0, 1, 7)  # columns of words
+LEFT = (0, 1, 7, 8)  # columns of words
 
 
 def _columns(found: Mapping[str, Estimate] | None, name: str) -> tuple:

@@ -13,6 +13,7 @@ from snapo.problem.policy import Policy
 
 from . import checkpoint
 from .files import write_csv, write_text
+from .judge import Verdict
 from .sensitivity import Estimate, Row, Sensitivities
 from .train import Record
 
@@ -99,6 +100,7 @@ class Solution:
                 "history": self.history,
                 "inputs": {} if found is None else _described(found.inputs),
                 "policy_gradient": None if found is None else found.policy_gradient,
+                "verdicts": None if found is None else found.verdicts,
             }
         )
         checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, found), header)
@@ -170,7 +172,9 @@ def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
 
     inputs = {name: Input(arrays["input", name], **said) for name, said in header["inputs"].items()}
     held, smooth = ({n: Estimate(x) for n, x in table(kind).items()} for kind in KINDS)
-    gradient = header["policy_gradient"]
+    gradient, verdicts = header["policy_gradient"], header["verdicts"]
+    if verdicts is not None:
+        verdicts = {name: Verdict.of(numbers) for name, numbers in verdicts.items()}
     return Sensitivities(
-        inputs, held, smooth or None, table("moved") or None, gradient and tuple(gradient)
+        inputs, held, smooth or None, table("moved") or None, gradient and tuple(gradient), verdicts
     )

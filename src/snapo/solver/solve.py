@@ -21,6 +21,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .clock import Clock
 from .evaluate import estimate, path_totals
+from .judge import judge
 from .sensitivity import sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train
@@ -34,13 +35,15 @@ class Evaluation:
     """How a policy is measured.
 
     - `paths`: fresh scenarios for the value; `sensitivity_paths` for held derivatives,
-      `smooth_paths` for those through the policy (0: none).
+      `smooth_paths` for those through the policy (0: none), `judge_paths` for the moves of every
+      input that judge between the two (0: none).
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
 
     paths: int = 65536
     sensitivity_paths: int = 16384
     smooth_paths: int = 4096
+    judge_paths: int = 2048
     scenarios: str = "pseudo-random"
 
     def __post_init__(self):
@@ -133,6 +136,10 @@ def measure(
         earlier=progress.halfway if progress.step > 1 else None,
         engine=engine,
     )
+    if evaluation.judge_paths:
+        paths = min(evaluation.judge_paths, evaluation.sensitivity_paths)
+        verdicts = judge(problem, policy, paths, table.held, table.smooth, engine=engine)
+        table = table._replace(verdicts=verdicts)
     norm = table.policy_gradient[0] if table.policy_gradient else float("nan")
     return {
         "value": value.value,

@@ -14,7 +14,7 @@ from .domain import Domain
 from .report import write_report
 from .study import Part, Study, StudyRun, Tell
 
-OFTEN = 10.0  # a report is written again when the work since took this many times its own time
+OFTEN = 20.0  # a report is written again when the work since took this many times its own time
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 

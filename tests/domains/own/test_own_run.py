@@ -74,7 +74,9 @@ def test_moves_are_the_sensitivities_along_them(solved):
     assert price["effect"] == pytest.approx(0.1 * float(table.held["price"].value), rel=1e-12)
     assert (price["amount"], price["unit"]) == (pytest.approx(10), "cents")
     one_percent = 0.01 * float(table.held["demand"].value @ table.inputs["demand"].value)
-    assert demand["effect"] == pytest.approx(one_percent, rel=1e-12)
+    assert demand["held"] == pytest.approx(one_percent, rel=1e-12)
+    assert demand["tried"] == table.verdicts["demand"].change
+    assert all(each["effect"] == each[each["believed"]] for each in (price, demand))
     assert (demand["share"], demand["amount"]) == (0.01, None)
 
 

@@ -123,6 +123,7 @@ def test_a_resumed_run_gives_the_same_numbers(folder, whole, tmp_path):
     assert {name: json.loads(file.read_text()) for name, file in lost.items()} == before
 
 
+@pytest.mark.prove
 def test_a_part_that_fails_loses_nothing_else(folder, tmp_path, monkeypatch):
     def broken(*_):
         raise FloatingPointError("made to fail")

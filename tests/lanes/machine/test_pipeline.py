@@ -8,7 +8,7 @@ from tests.lanes.compiled import text
 
 from snapo.lanes.machine import disk, llvm, pipeline
 from snapo.lanes.machine.llvm import binding
-from snapo.lanes.machine.pipeline import PIPELINE, assembly, object_code
+from snapo.lanes.machine.pipeline import PIPELINE, Pipeline, assembly, object_code
 
 
 def written() -> str:
@@ -84,7 +84,7 @@ def test_code_of_another_llvm_or_processor_is_not_found_on_disk(monkeypatch):
 
 
 def test_every_setting_is_part_of_the_identity():
-    identity = PIPELINE.identity()
+    identity = Pipeline().identity()
     for name in ("speed_level=2", "code_model=large", "loop_vectorization=False"):
         assert name in identity
     assert llvm.versions() in identity

@@ -15,8 +15,11 @@ INTERVAL = 1.96  # standard errors to either side: 95 %
 ROWS = 400  # derivatives in the table; all stand in sensitivities.csv
 CAVEAT = (
     "To first order. Held: the exact simulator with the decisions held, the derivative of the "
-    "optimal value where the policy is optimal. Smooth: through the policy's reaction; where the "
-    "two differ by more than their errors, the policy can still gain or a limit is smoothed. "
+    "optimal value where decisions are optimal, see the whole state and cause no jump. Smooth: "
+    "through the policy's reaction in the smooth simulator. Tried: the change of the exact value, "
+    "policy reacting, when all numbers of the input are moved by a hundredth on the same paths, "
+    "scaled to the move of the row. Believed: the first of the two that lies between the changes "
+    "upwards and downwards, but for three standard errors; not known where neither does. "
     "Moved: by how much the held one moved in the second half of training."
 )
 
@@ -56,8 +59,8 @@ def _tornado(run: Folder, moves: list[dict[str, Any]]) -> Chart | Missing:
     height = 32 + 26 * len(swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
     caption = (
-        "Change of the value when all numbers of an input move up by the amount beside it, "
-        "decisions held; whiskers are 95 % intervals."
+        "Change of the value when all numbers of an input move up by the amount beside it, by the "
+        "derivative that is believed; whiskers are 95 % intervals."
     )
     return Chart(svg, caption)
 
@@ -69,22 +72,27 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
             words(each["input"]),
             each.get("words") or "",
             amount(each),
-            number(each["effect"], places),
-            plus_minus(each.get("standard_error"), places),
-            number(each.get("smooth"), places),
-            plus_minus(each.get("smooth_error"), places),
+            *_with_error(each, "held", places),
+            *_with_error(each, "smooth", places),
+            *_with_error(each, "tried", places),
+            each.get("believed") or "",
         )
         for each in moves
     ]
     head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", "")]  # fmt: skip
+            ("Smooth", run.unit), ("", ""), ("Tried", run.unit), ("", ""),
+            ("Believed", "")]  # fmt: skip
     return Table(head, rows, "Change of the value for a move of an input", 3)
+
+
+def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
+    return number(each.get(name), places), plus_minus(each.get(f"{name}_error"), places)
 
 
 def _table(run: Folder) -> Table:
     rows = [_line(run, each) for each in run.sensitivities[:ROWS]]
     head = [("Input", ""), ("", ""), ("Per", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", ""), ("Moved", run.unit)]  # fmt: skip
+            ("Smooth", run.unit), ("", ""), ("Moved", run.unit), ("Believed", "")]  # fmt: skip
     count = len(run.sensitivities)
     caption = "Derivative of the value by every number, per one unit of it"
     if count > ROWS:
@@ -99,5 +107,5 @@ def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
         words(each.input), each.label, f"1{SPACE}{each.unit}" if each.unit else "1",
         number(each.value, places), plus_minus(each.standard_error, places),
         number(each.smooth, places), plus_minus(each.smooth_error, places),
-        number(each.moved, places),
+        number(each.moved, places), each.believed,
     )  # fmt: skip

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.inputs import Input
+from snapo.solver.judge import UNKNOWN, Verdict, hundredth
 from snapo.solver.sensitivity import Estimate, Sensitivities
 
 from ..study import Part, StudyRun
@@ -18,8 +19,12 @@ def work(run: StudyRun) -> dict[str, Any]:
 
     - `amount`, `unit`: by how much every number moves, in the unit of its owner; `amount` is None
       where each moves by `share` of itself.
-    - `effect`, `standard_error`: on the value, to first order, with the decisions held.
-    - `smooth`, `smooth_error`: through the policy's reaction.
+    - `held`, `held_error`: the effect on the value, to first order, with the decisions held;
+      `smooth`, `smooth_error`: through the policy's reaction.
+    - `believed`: which of the two a move by a hundredth supports, "held" or "smooth", or "not
+      known" ("" where none was made); `tried`, `tried_error`: the change of the exact value that
+      was seen, scaled to the size of this move, where it is along the same direction.
+    - `effect`, `standard_error`: the believed one; where neither is, the one that was tried.
     """
     table = run.solution.sensitivities
     if table is None:
@@ -40,8 +45,16 @@ def direction(given: Input) -> np.ndarray:
 
 def _row(name: str, given: Input, table: Sensitivities) -> dict[str, Any]:
     along = direction(given)
-    effect, error = table.held[name].along(along)
-    smooth, smooth_error = _along(table.smooth, name, along)
+    found = {
+        "held": table.held[name].along(along),
+        "smooth": _along(table.smooth, name, along),
+        "tried": _tried(given, table.verdicts, name, along),
+    }
+    believed = table.believed(name)
+    chosen = believed or "held"
+    if chosen == UNKNOWN:
+        chosen = "held" if found["tried"][0] is None else "tried"
+    effect, error = found[chosen]
     return {
         "input": name,
         "words": given.words,
@@ -52,9 +65,23 @@ def _row(name: str, given: Input, table: Sensitivities) -> dict[str, Any]:
         "unit": given.trade_unit or given.unit,
         "effect": effect,
         "standard_error": error,
-        "smooth": smooth,
-        "smooth_error": smooth_error,
+        "believed": believed,
+        **{name: value for name, (value, _) in found.items()},
+        **{f"{name}_error": error for name, (_, error) in found.items()},
     }
+
+
+def _tried(
+    given: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
+) -> tuple[float | None, float | None]:
+    """The change that was seen, scaled to a move along the same or the opposite direction."""
+    found = (verdicts or {}).get(name)
+    if found is None:
+        return None, None
+    by = hundredth(given)
+    times = float(np.sum(along * by) / np.sum(by * by))
+    same = np.allclose(along, times * by)
+    return (times * found.change, abs(times) * found.error) if same else (None, None)
 
 
 def _along(

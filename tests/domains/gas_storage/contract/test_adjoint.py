@@ -148,6 +148,7 @@ def test_every_input_through_the_policy(contract):
     assert max(bump.crossing for bump in bumps) < 0.6
 
 
+@pytest.mark.prove
 def test_a_risk_measure_holds_its_weights(contract):
     all_pass(check(contract, CVaR("cash_flow", 0.9), every=False))
 

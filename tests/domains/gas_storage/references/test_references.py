@@ -259,6 +259,7 @@ def test_gas_left_is_worth_its_price_at_the_end():
 # Identities.
 
 
+@pytest.mark.prove
 def test_a_single_factor_without_reversion_adds_nothing():
     schedule = small([Factor(0.0, lambda day: 0.5)], days=40)
     value = intrinsic(schedule, "linear").value
@@ -333,6 +334,7 @@ def follow_marginal_values(schedule, table, spots, factor):
     return earned
 
 
+@pytest.mark.prove
 def test_marginal_values_are_a_good_policy():
     schedule = cases.flagship(seasonal=False)
     steps = schedule.steps

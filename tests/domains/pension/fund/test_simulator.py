@@ -180,6 +180,7 @@ def test_both_engines_support_the_full_case():
         assert ours[name] == pytest.approx(np.asarray(want[name]), rel=1e-11, abs=1e-11)
 
 
+@pytest.mark.prove
 def test_a_constant_mix_with_outflow_has_the_known_moments():
     """P3: mean 81.20917249 and standard deviation 34.63918480 of the exact recursion."""
     steps, mean = 120, np.array([0.06, 0.03])
@@ -321,6 +322,7 @@ def test_a_market_that_stands_still_moves_money_as_the_books_say():
         assert after == pytest.approx(want, rel=1e-12)
 
 
+@pytest.mark.prove
 def test_ready_made_scenarios_take_the_generators_place():
     """Two classes, prices, wages and two zero rates from an array; a path by hand."""
     steps, paths = 2, 2

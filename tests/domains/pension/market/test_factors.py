@@ -56,6 +56,7 @@ def found(long_case):
         return both, bond, moments(long_case, both, bond, covariance(long_case, given))
 
 
+@pytest.mark.prove
 def test_published_bond_prices_are_met_by_the_variance_of_the_rate(found):
     _, _, made = found
     for years, price in PUBLISHED.items():

@@ -91,6 +91,7 @@ def test_salaries_fall_as_actives_leave_and_stay_in_an_open_plan():
     assert np.all(opened.fresh[12:].sum(1) > closed.fresh[12:].sum(1))
 
 
+@pytest.mark.prove
 def test_an_open_plan_keeps_its_pensionable_salary_at_the_start_of_every_year():
     case = people_case(12, step=1.0, plan=plan(open=True))
     inputs = plain(pension_inputs(case))

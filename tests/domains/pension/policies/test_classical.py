@@ -58,6 +58,7 @@ def test_every_policy_keeps_the_limits_and_can_be_compiled(problem, key):
             assert action[:count].sum() == pytest.approx(1, abs=1e-6)
 
 
+@pytest.mark.prove
 def test_policies_start_at_what_the_fund_holds(problem):
     one, _, _, policies = problem
     size = sum(FEATURES[name].size(one) for name in one.observation)
@@ -142,6 +143,7 @@ def test_the_stock_bond_rule_meets_its_limits():
     assert spread @ [stock, bond] == pytest.approx(premium / 5 + 0.8 * hedge)
 
 
+@pytest.mark.prove
 def test_the_stock_bond_policy_follows_its_rule_within_bounds():
     steps = 24
     bond = Bond("Bond", maturity=60)

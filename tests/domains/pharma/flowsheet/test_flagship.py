@@ -29,6 +29,7 @@ def forward(process):
     return matrix(process)
 
 
+@pytest.mark.prove
 def test_values(process):
     np.testing.assert_allclose(process.values(), VALUES, rtol=1e-6)
 
@@ -41,6 +42,7 @@ def test_matrix_against_published_rows(forward):
     np.testing.assert_allclose(forward.jacobian[1], SIZE, atol=1e-5 * 1.26)
 
 
+@pytest.mark.prove
 def test_structural_zeros_are_exactly_zero(forward):
     assert {tuple(each) for each in np.argwhere(forward.jacobian == 0.0)} == set(ZEROS)
 
@@ -75,6 +77,7 @@ def test_batch_is_a_loop_of_single_runs(process, forward):
     assert batch.ok.all()
 
 
+@pytest.mark.prove
 def test_second_call_does_not_trace_again(process):
     process.values()
     before = process.traces
@@ -96,6 +99,7 @@ def test_second_derivatives_against_differences(process):
     )
 
 
+@pytest.mark.prove
 def test_run_and_observe(process):
     run = process.run()
     assert run.status == "ok"
@@ -107,12 +111,14 @@ def test_run_and_observe(process):
     assert run.measures["crystalliser.crystals"] == pytest.approx(13.8157, rel=1e-5)
 
 
+@pytest.mark.prove
 def test_balances_close(process):
     rows = balances(process)
     assert {row.unit for row in rows} == {"reactor", "crystalliser", "filter", "dryer", "process"}
     assert max(abs(row.relative) for row in rows) < 1e-10
 
 
+@pytest.mark.prove
 def test_observe_interpolates():
     """Batch reactor at times between mesh points, against values printed to nine digits."""
     process = Process(reactor_alone())

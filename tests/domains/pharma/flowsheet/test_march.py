@@ -90,6 +90,7 @@ def finite_volumes():
     return template(units={"crystalliser": {**known["crystalliser"], **CRYSTALS}})
 
 
+@pytest.mark.prove
 def test_what_the_native_engine_cannot_run_xla_runs(monkeypatch):
     process = on_mesh(template(), steps=8)
     entries = process.entries[:1]

@@ -57,6 +57,7 @@ def test_second_derivatives(x):
     np.testing.assert_allclose(again, known, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.prove
 def test_side_by_side(x):
     many = jnp.stack([x, 1.1 * x])
     found = jax.jit(jax.vmap(jax.jacrev(at_once)))(many)

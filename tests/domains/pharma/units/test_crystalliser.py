@@ -84,6 +84,7 @@ def test_gradients_need_the_event(monkeypatch):
     assert resolved < 1e-5 < halving_gap()
 
 
+@pytest.mark.prove
 def test_antisolvent_crystalliser_closes():
     """Anti-solvent lowers solubility: crystals form without cooling, and balances close."""
     name = "crystalliser"

@@ -138,6 +138,7 @@ def exact(power=0.7, nucleation=1e6, growth=2e-7):
     return g, constant * g**2 * crystals**power, crystals, (g / growth) ** (1 / 1.3)
 
 
+@pytest.mark.prove
 def test_the_steady_state():
     """Growth, nucleation, suspension and moments mu_k = k! n0 (G tau)^(k + 1)."""
     given = process()

@@ -134,6 +134,7 @@ def test_falling_rate_is_exponential():
     assert slower["rate"][0] == pytest.approx(found["rate"][0] / 2, rel=1e-12)
 
 
+@pytest.mark.prove
 def test_it_ends_in_equilibrium_with_the_vacuum():
     """f p_v = p: what cannot leave is X_c p / p_v."""
     found, _ = dried(dryer(), cake(moisture=0.05), 6000)

@@ -115,6 +115,7 @@ def test_fragments_keep_number_and_volume():
             assert np.all(np.abs(found.sum(0) - fragments) <= below + 1e-12)
 
 
+@pytest.mark.prove
 def test_a_mill_that_stands_still_breaks_nothing():
     edges = np.geomspace(2e-6, 300e-6, 31)
     given, found = milled(edges, mill(speed=constant("mill.speed", 0.0, "m/s")), 10)

@@ -1,0 +1,125 @@
+"""Which derivative to believe: each input is moved by a hundredth, on the same paths.
+
+The held derivative is that of the value where decisions are optimal and see the whole state, and
+where no path jumps; the smooth one follows a smooth simulator, whose bias may matter. Neither is
+sure beforehand. The difference of the EXACT simulator's value between inputs moved up and down,
+with the policy reacting and the noise common, needs none of this: it is noisy and has a step, but
+it judges both.
+"""
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple, Protocol
+
+import numpy as np
+
+from snapo.engine import Engine
+from snapo.problem.inputs import Input
+from snapo.problem.objective import Totals
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+
+from .evaluate import path_totals
+
+MOVE = 0.01  # of every number of an input
+SURE = 3.0  # standard errors
+ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
+HELD, SMOOTH, UNKNOWN = "held", "smooth", "not known"
+
+
+class Slope(Protocol):
+    """A derivative by one input, such as a `sensitivity.Estimate`."""
+
+    def along(self, direction: np.ndarray) -> tuple[float, float]:
+        """The derivative along a direction of the input, and its standard error."""
+        ...
+
+
+class Verdict(NamedTuple):
+    """One input moved by a hundredth: the change of the value, and the derivatives along the move.
+
+    - `up`, `down`: value after the move less that before, and that before less that after the
+      opposite move; `change` is their mean, `error` its standard error (paths are paired).
+    - `held`, `smooth`: (change by the derivative, its standard error); `smooth` may be missing.
+    - `supported`: "held", "smooth" or "not known": the first that lies between `up` and `down`, but
+      for three standard errors of the difference.
+    """
+
+    up: float
+    down: float
+    error: float
+    held: tuple[float, float]
+    smooth: tuple[float, float] | None
+
+    @classmethod
+    def of(cls, numbers: Sequence) -> "Verdict":
+        """The verdict that was written as a list of its fields."""
+        up, down, error, held, smooth = numbers
+        return cls(up, down, error, tuple(held), smooth and tuple(smooth))
+
+    @property
+    def change(self) -> float:
+        return (self.up + self.down) / 2
+
+    @property
+    def supported(self) -> str:
+        """The derivative that the move supports, the held one before the smooth one."""
+        for name, found in ((HELD, self.held), (SMOOTH, self.smooth)):
+            if found is not None and self._agrees(*found):
+                return name
+        return UNKNOWN
+
+    def _agrees(self, value: float, error: float) -> bool:
+        low, high = min(self.up, self.down), max(self.up, self.down)
+        room = SURE * float(np.hypot(self.error, error))
+        return bool(low - room <= value <= high + room)
+
+
+def judge(
+    problem: Problem,
+    policy: Policy,
+    paths: int,
+    held: Mapping[str, Slope],
+    smooth: Mapping[str, Slope] | None = None,
+    *,
+    engine: Engine | None = None,
+) -> dict[str, Verdict]:
+    """{input: verdict}, from the first `paths` paths of the evaluation.
+
+    An input whose numbers are all zero moves by its own `move`; without one it has no verdict.
+    """
+    centre = path_totals(problem, policy, paths, engine=engine)
+    found = {}
+    for name, given in problem.named.items():
+        by = hundredth(given)
+        if not by.any():
+            continue
+        high, low = (
+            path_totals(problem.at({name: given.value + sign * by}), policy, paths, engine=engine)
+            for sign in (1, -1)
+        )
+        sides = _differences(problem, low, centre, high)
+        reacting = None if smooth is None else smooth[name].along(by)
+        found[name] = Verdict(*sides, held[name].along(by), reacting)
+    return found
+
+
+def hundredth(given: Input) -> np.ndarray:
+    """The judging move: a hundredth of every number; where all are zero, of the input's `move`."""
+    if given.value.any():
+        return MOVE * given.value
+    return np.full(given.value.shape, MOVE * (given.move or 0.0))
+
+
+def _differences(problem: Problem, low: Totals, centre: Totals, high: Totals):
+    """(up, down, standard error of their mean): paths are paired, groups are independent.
+
+    The error is at least the round-off of a difference of two values.
+    """
+    objective, source = problem.objective, problem.sources.evaluation
+    below, middle, above = (objective.value(each) for each in (low, centre, high))
+    spread = (objective.influence(high) - objective.influence(low)) / 2
+    groups = source.groups(np.arange(spread.size))
+    means = np.bincount(groups, spread) / np.bincount(groups)
+    error = float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else np.nan
+    round_off = ROUND_OFF * (abs(above) + abs(middle) + abs(below))
+    return above - middle, middle - below, float(np.hypot(error, round_off))

@@ -1,0 +1,145 @@
+"""Where the held derivative is the one to believe, where the smooth one is, and where neither."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from jax.scipy.special import ndtr
+
+import snapo
+from snapo.solver.judge import UNKNOWN, Verdict, judge
+
+PATHS = 4096
+
+
+def judged(simulator, inputs, policy, output, smooth):
+    problem = snapo.Problem(simulator, inputs, snapo.Mean(output))
+    table = snapo.sensitivities(problem, policy, PATHS, smooth=snapo.Smooth(np.float64(smooth)))
+    verdicts = judge(problem, policy, PATHS, table.held, table.smooth)
+    return table._replace(verdicts=verdicts)
+
+
+class Gain(snapo.Policy):
+    """The action is a share of the only feature."""
+
+    gain: float
+
+    def __call__(self, features, smooth):
+        return self.gain * features[:1]
+
+
+class Signal(snapo.Simulator):
+    """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
+
+    horizon: int = 1
+    action: snapo.Box = snapo.Box(1)
+    noise_size: int = 0
+    initial_noise_size: int = 2
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+    def initial(self, constants, noise):
+        x = jnp.sqrt(constants["v"]) * noise[0]
+        return {"x": x, "seen": x + jnp.sqrt(constants["w"]) * noise[1]}
+
+    def observe(self, constants, now, state):
+        return state["seen"][None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return state, {"reward": -((state["x"] - action[0]) ** 2)}
+
+
+def test_where_the_state_is_not_seen_the_smooth_one_is_believed():
+    """E (x - k y)^2 = (1 - k)^2 v + k^2 w with the best k = v / (v + w): -k^2 by w, held nothing."""
+    v, w = 2.0, 1.0
+    k = v / (v + w)
+    inputs = {"v": snapo.Input(v), "w": snapo.Input(w)}
+    table = judged(Signal(), inputs, Gain(k), "reward", 0.01)
+    assert table.believed("w") == "smooth"
+    assert table.held["w"].value == 0 and table.held["w"].standard_error == 0
+    error = float(table.smooth["w"].standard_error)
+    assert abs(table.smooth["w"].value + k**2) < 4 * error
+    assert abs(table.verdicts["w"].change + 0.01 * w * k**2) < 4 * table.verdicts["w"].error
+
+
+class Reservoir(snapo.Simulator):
+    """One inflow: `worth` a unit of water, and a prize for a level above fifty."""
+
+    hidden: bool
+    horizon: int = 1
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+    def initial(self, constants, noise):
+        return constants["water"]
+
+    def observe(self, constants, now, state):
+        return state[None] / 50
+
+    def step(self, constants, now, state, action, noise, smooth):
+        level = state + 5 * noise[0]
+        above = level > 50 if self.hidden else smooth.indicator(level - 50, 10.0)
+        return level, {"cash": constants["worth"] * level + constants["prize"] * above}
+
+
+@pytest.mark.parametrize(("hidden", "believed"), [(False, "smooth"), (True, UNKNOWN)])
+def test_across_a_jump_the_held_one_is_not_believed(hidden, believed):
+    """By the water worth + prize phi / 5; held decisions see the worth alone."""
+    water, worth, prize = 48.0, 2.0, 100.0
+    given = {"water": water, "worth": worth, "prize": prize}
+    inputs = {name: snapo.Input(value) for name, value in given.items()}
+    table = judged(Reservoir(hidden), inputs, Gain(0.0), "cash", 0.02)
+    assert table.believed("water") == believed
+    assert table.believed("worth") == table.believed("prize") == "held"
+    z = np.array([0.99, 1.01]) * water / 5 - 10
+    chance = np.diff(ndtr(z))[0] / 2  # half the difference of the two moves
+    expected = 0.01 * water * worth + prize * chance
+    verdict = table.verdicts["water"]
+    assert abs(verdict.change - expected) < 4 * verdict.error
+    row = next(row for row in table.rows() if row.input == "water")
+    assert row.believed == believed and believed in str(table)
+
+
+class Sale(snapo.Simulator):
+    """A sale of the lesser of two amounts that are equal."""
+
+    horizon: int = 1
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+    def initial(self, constants, noise):
+        return jnp.zeros(())
+
+    def observe(self, constants, now, state):
+        return jnp.zeros(1)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        sold = smooth.minimum(constants["stock"], constants["room"])
+        return state, {"cash": sold * jnp.exp(0.1 * noise[0] - 0.005)}
+
+
+def test_at_a_tie_both_sides_are_told():
+    """One unit more of either is worth nothing, one unit less one: any share of it is believed."""
+    inputs = {"stock": snapo.Input(10.0), "room": snapo.Input(10.0), "none": snapo.Input(0.0)}
+    table = judged(Sale(), inputs, Gain(0.0), "cash", 0.01)
+    assert set(table.verdicts) == {"stock", "room"}  # of a zero nobody said by how much it moves
+    for name in ("stock", "room"):
+        verdict = table.verdicts[name]
+        assert verdict.up == pytest.approx(0, abs=1e-12)
+        assert verdict.down == pytest.approx(0.1, abs=3 * verdict.error + 1e-12)
+        assert verdict.supported == "held"
+
+
+def test_three_standard_errors_decide():
+    assert Verdict(1.0, 1.0, 0.1, (1.29, 0.0), None).supported == "held"
+    assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.8, 0.0)).supported == "smooth"
+    assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.6, 0.0)).supported == UNKNOWN
+    assert Verdict(1.0, 1.0, 0.1, (np.nan, 0.0), None).supported == UNKNOWN
+    assert Verdict(0.5, 1.5, 0.1, (1.6, 0.0), None).supported == "held"
+    assert Verdict.of([1, 2, 0.1, [1, 0], None]) == Verdict(1, 2, 0.1, (1, 0), None)
