@@ -109,6 +109,15 @@ def worth(objective: Objective, totals: Totals) -> float:
     return objective.value(left) if len(left[objective.outputs[0]]) else np.nan
 
 
+def ruined(objective: Objective, totals: Totals) -> int:
+    """The number of paths whose totals are finite, and whose worth is minus infinity."""
+    left = kept(objective, totals)
+    if not len(left[objective.outputs[0]]):
+        return 0
+    with np.errstate(invalid="ignore"):
+        return int(np.sum(objective.influence(left) == -np.inf))
+
+
 def _controlled(objective: Objective, totals: Totals, scenarios: Scenarios, controls):
     plain = _shares(objective, totals, scenarios)
     taken = [_of_groups(objective, totals, scenarios, totals[name]) for name in controls]
