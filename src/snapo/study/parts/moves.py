@@ -6,7 +6,8 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.inputs import Input
-from snapo.solver.sensitivity import Estimate, Sensitivities
+from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.statistics import Estimate
 
 from ..study import Part, StudyRun
 

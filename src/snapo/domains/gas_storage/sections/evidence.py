@@ -87,7 +87,7 @@ def _glossary(run: Run) -> Table:
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Smooth delta", gas, "through the smooth policy's own reaction; a diagnostic"),
         ("Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"),
-        ("Standard error", "", "one standard deviation of the estimate; ± 1.96 of them is 95 %"),
+        ("Standard error", "", "one standard deviation of the estimate; 95 % is ± 1.96 of them, of a delta ± 2.04"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

@@ -75,6 +75,9 @@ def _glossary() -> Table:
         ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
-        ("Standard error", "one standard deviation of an estimate; ± 1.96 of them is 95 %"),
+        (
+            "Standard error",
+            "one standard deviation of an estimate; 95 % is ± 1.96 of them, of a sensitivity ± 2.04",
+        ),
     ]
     return Table([("Term", ""), ("Meaning", "")], rows, "Terms", 2)
