@@ -21,7 +21,7 @@ import numpy as np
 
 from snapo.problem.objective import Objective, Weights
 
-ENOUGH = 256  # paths on which the common changes of the weights are pulled back
+ENOUGH = 512  # paths on which the common changes of the weights are pulled back
 FURTHER = 3  # changes kept beside that of the weights' sum
 SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, and of round-off
 
