@@ -69,12 +69,18 @@ def adjoint_of_good_weights(
 
 
 def _good(bound: Bound, policy, draws, smooth, names, options) -> np.ndarray:
-    """Which paths have a finite value and a finite adjoint, found by looking at each alone.
+    """Which paths have a finite value and a finite adjoint.
 
-    One forward sweep finds most of them; only paths that pass it are examined one by one.
+    A forward sweep finds most of the others; only where the adjoint of the rest is not finite
+    either, each path is looked at alone.
     """
     given = {key: options[key] for key in ("window", "start", "actions") if key in options}
     good = finite(float64(bound.values(policy, draws, smooth, **given).totals), names)
+    if not good.all() and good.any():
+        rest, given = _replaced(good, draws, options)
+        weights = {name: np.ones(good.size) for name in names}
+        if _all_finite(bound.adjoint(policy, rest, smooth, weights, **given), names):
+            return good
     weights = {name: np.ones(1) for name in names}
     for path in np.flatnonzero(good):
         alone, given = _only(np.array([path]), draws, options)

@@ -99,6 +99,8 @@ def ratio_shares(
     whole = bottom.sum()
     with np.errstate(invalid="ignore", divide="ignore"):
         value = top.sum() / whole
+        if not np.isfinite(value):
+            return np.full(len(top), value)
         return value + (top - value * bottom) * (len(top) / whole)
 
 

@@ -55,7 +55,9 @@ class Way(NamedTuple):
         dropped += int(bad.sum())
         # The paths that are left have the weight of those that are not.
         scale = every.size / max(1, every.size - bad.sum())
-        if dropped > DROPPED * (every.size + dropped):
+        known = all(np.isfinite(weight).all() for weight in plan.whole.values())
+        if not known or dropped > DROPPED * (every.size + dropped):
+            # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - bad)
         sums, pieces = self._carried(passes), self._carried(further, len(passes))
