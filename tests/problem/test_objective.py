@@ -137,3 +137,13 @@ def test_an_unknown_output_is_named():
         Mean("z").value({"x": X})
     with pytest.raises(ValueError, match="between 0 and 1"):
         CVaR("x", 95.0)
+
+
+def test_training_leads_away_from_ruin():
+    """A path without wealth has the largest weight that there is; its value is minus infinity."""
+    x = {"x": np.array([2.0, 0.5, -1.0, 4.0])}
+    log = ExpectedUtility("x", CRRA(1.0))
+    assert log.value(x) == -np.inf and np.isnan(log.weights(x)["x"][2])
+    np.testing.assert_allclose(log.climb(x)["x"], np.array([0.5, 2.0, 2.0, 0.25]) / 4)
+    both = (2 * log + Mean("x")).climb(x)["x"]
+    np.testing.assert_allclose(both, 2 * log.climb(x)["x"] + 0.25)

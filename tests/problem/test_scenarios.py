@@ -196,3 +196,13 @@ def test_supplied_paths_are_given_back():
         drawn(Supplied(noise[:6]), [0])
     with pytest.raises(ValueError, match="path 5 was asked for"):
         drawn(Supplied(noise), [5])
+
+
+def test_an_odd_number_of_antithetic_paths_is_completed():
+    """65 paths were 32 pairs, and the total of the last path not a number."""
+    source = Pseudo(1)
+    assert (source.available(65), source.available(64)) == (66, 64)
+    assert Pseudo(1, antithetic=False).available(65) == 65
+    with pytest.raises(ValueError, match="65 antithetic paths; they come in pairs"):
+        source.blocks(65)
+    assert sorted(np.concatenate(source.blocks(66))) == list(range(66))

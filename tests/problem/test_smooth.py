@@ -47,11 +47,25 @@ def test_minimum_maximum_and_clip_stay_feasible(a, b, w):
         low, high = min(a, b), max(a, b)
         assert low - 3 * w / 16 - slack <= float(smooth.minimum(a, b)) <= low + slack
         assert high - slack <= float(smooth.maximum(a, b)) <= high + 3 * w / 16 + slack
-        for x in (a - 1.0, (a + b) / 2, b + 0.01):
+        for x in (low - 1.0, low, (a + b) / 2, high, high + 0.01):
             clipped, exact = float(smooth.clip(x, low, high)), float(np.clip(x, low, high))
-            # The lower end is kept to within the rounding of the upper corner.
-            assert clipped <= high + slack
-            assert abs(clipped - exact) <= 3 * w / 8 + slack
+            assert low - slack <= clipped <= high + slack
+            assert abs(clipped - exact) <= 3 * w / 16 + slack
+
+
+@quick
+@given(number, st.floats(0.0, 2.0), st.floats(-100.0, 100.0), width)
+def test_a_clip_to_less_than_its_width_stays_feasible(low, room, x, w):
+    """Wherever x lies, and however narrow the limits are; where they are wide, the corners are
+    those of minimum and maximum."""
+    with jax.enable_x64(True):
+        smooth, high, slack = Smooth(1.0), low + room, rounding(low, x, w)
+        clipped = float(smooth.clip(x, low, high, w))
+        assert low - slack <= clipped <= high + slack
+        assert abs(clipped - float(np.clip(x, low, high))) <= 3 * min(w, room) / 16 + slack
+        if room > 1.001 * w:
+            assert clipped == float(smooth.minimum(smooth.maximum(x, low, w), high, w))
+    assert float(Smooth(1.0).clip(-5.0, 0.0, 0.1)) >= 0
 
 
 @quick

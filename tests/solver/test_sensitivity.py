@@ -7,7 +7,7 @@ import pytest
 
 import snapo
 from snapo.engine import Xla
-from snapo.solver.sensitivity import Estimate
+from snapo.solver.statistics import Estimate
 
 
 class Sale(snapo.Simulator):

@@ -161,3 +161,83 @@ def test_an_engine_is_given_by_name_or_as_itself():
 def test_what_a_problem_has_is_not_given_twice():
     with pytest.raises(ValueError, match="its own inputs"):
         snapo.solve(PROBLEM, INPUTS)
+
+
+def test_halfway_of_a_run_that_stopped_early_is_a_trained_policy():
+    """It was the untrained one until half of all the steps asked for were done."""
+    wild = replace(SHORT, steps=400, learning_rate=0.5, patience=1)
+    done = run(wild)
+    assert done.status == "stopped early" and done.step < 200
+    for other in (fresh(wild).policy, done.average):
+        assert (parameters(done.halfway) != parameters(other)).any()
+    states = []
+    whole = run(SHORT, callbacks=[states.append])
+    middle = run(replace(SHORT, validation_every=6), callbacks=[states.append])
+    assert middle.step == whole.step == 12
+    assert states[3].step == 6
+    np.testing.assert_array_equal(parameters(whole.halfway), parameters(states[3].average))
+
+
+class Fragile(snapo.Simulator):
+    """Wealth after one noisy bet, lost where the noise is below minus `brink`."""
+
+    horizon: int = 1
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+    broken: float = float("nan")
+
+    def prepare(self, inputs):
+        return snapo.Schedule(inputs, {"one": np.ones(1)})
+
+    def initial(self, constants, noise):
+        return constants["wealth"]
+
+    def observe(self, constants, now, state):
+        return state[None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        bet = state * (1 + 0.1 * action[0] * noise[0])
+        return bet, {"wealth": jax.numpy.where(noise[0] < -constants["brink"], self.broken, bet)}
+
+
+def fragile(broken: float, objective: snapo.Objective, brink: float) -> snapo.Problem:
+    inputs = {"wealth": snapo.Input(1.0), "brink": snapo.Input(brink)}
+    return snapo.Problem(Fragile(broken=broken), inputs, objective)
+
+
+@pytest.mark.prove
+def test_paths_that_are_not_finite_are_counted_in_every_record(tmp_path):
+    """About 3e-4 of the paths break below -3.4 deviations; beyond one in a thousand none counts."""
+    training = replace(SHORT, paths=256)
+    evaluation = snapo.Evaluation(paths=16384, sensitivity_paths=8192, smooth_paths=4096)
+    given = {"training": training, "evaluation": evaluation, "engine": "xla"}
+    rare = snapo.solve(fragile(float("nan"), snapo.Mean("wealth"), 3.4), **given)
+    assert rare.status == "trained" and np.isfinite(rare.value)
+    assert rare.value == pytest.approx(1.0, abs=0.01)
+    assert 0 < rare.dropped["evaluate"] <= 16 and 0 < rare.dropped["sensitivities"] <= 12
+    assert rare.dropped["train"] == sum(record.bad_paths for record in rare.history)
+    assert "not finite" in str(rare) and rare.summary()["dropped"] == dict(rare.dropped)
+    # A hundredth of the wealth more is a hundredth of the value more, without the paths left out.
+    assert rare.sensitivities.held["wealth"].value == pytest.approx(rare.value, rel=1e-2)
+    assert np.isfinite(rare.sensitivities.held["wealth"].standard_error)
+    rare.save(tmp_path)
+    again = snapo.Solution.load(tmp_path)
+    assert again.dropped == rare.dropped and again.notes == rare.notes
+    often = snapo.solve(fragile(float("nan"), snapo.Mean("wealth"), 2.0), **given)
+    assert often.status == "not finite" and np.isnan(often.value)
+    assert np.isnan(often.sensitivities.held["wealth"].value)
+
+
+@pytest.mark.prove
+def test_ruin_is_an_outcome_with_the_worst_utility():
+    """Under a logarithm a path without wealth counts, in training and in the value."""
+    evaluation = snapo.Evaluation(paths=4096, sensitivity_paths=1024, smooth_paths=0)
+    utility = snapo.ExpectedUtility("wealth", snapo.CRRA(1.0))
+    given = {"training": replace(SHORT, paths=256), "evaluation": evaluation, "engine": "xla"}
+    ruined = snapo.solve(fragile(-0.5, utility, 2.5), **given)
+    assert ruined.status == "ruined" and ruined.value == -np.inf
+    assert sum(ruined.dropped.values()) == 0
+    assert any("ruin" in note for note in ruined.notes)
+    assert any(record.objective == -np.inf for record in ruined.history)
+    assert all(np.isfinite(record.gradient_norm) for record in ruined.history)
+    assert np.isnan(ruined.sensitivities.held["wealth"].value)

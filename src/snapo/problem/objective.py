@@ -62,6 +62,10 @@ class Objective(abc.ABC):
         """Its derivative with respect to every path total used: {name: [N]}."""
         return functional.weights(self, self.used(totals))
 
+    def climb(self, totals: Totals) -> Weights:
+        """The weights that training follows: its derivative wherever there is one."""
+        return self.weights(totals)
+
     def influence(self, totals: Totals) -> np.ndarray:
         """[N]: numbers whose mean is the value and whose spread is its sampling error."""
         return functional.influence(self, self.used(totals))
@@ -192,9 +196,20 @@ class Entropic(_OneOutput):
 
 @dataclass(frozen=True)
 class ExpectedUtility(_OneOutput):
-    """Mean utility of the total, such as `CRRA(5.0)`."""
+    """Mean utility of the total, such as `CRRA(5.0)`.
+
+    Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
+    has no derivative. Training leads away from it: a path of ruin has the weight of the path for
+    which a unit more is worth most.
+    """
 
     utility: "CRRA"
+
+    def climb(self, totals: Totals) -> Weights:
+        (weight,) = self.weights(totals).values()
+        alive = np.isfinite(weight)
+        most = weight[alive].max() if alive.any() else 1 / weight.size
+        return {self.output: np.where(alive, weight, most)}
 
     def _slope(self, x):
         return self.utility.slope(x)
@@ -284,9 +299,15 @@ class Weighted(Objective):
         return sum(factor * term.value(totals) for factor, term in self.terms)
 
     def weights(self, totals: Totals) -> Weights:
+        return self._combined([term.weights(totals) for _, term in self.terms])
+
+    def climb(self, totals: Totals) -> Weights:
+        return self._combined([term.climb(totals) for _, term in self.terms])
+
+    def _combined(self, weights: list[Weights]) -> Weights:
         combined: Weights = {}
-        for factor, term in self.terms:
-            for name, weight in term.weights(totals).items():
+        for (factor, _), found in zip(self.terms, weights):
+            for name, weight in found.items():
                 combined[name] = combined.get(name, 0.0) + factor * weight
         return combined
 

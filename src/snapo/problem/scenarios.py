@@ -37,7 +37,7 @@ class Scenarios(abc.ABC):
         raise ValueError(f"{type(self).__name__}: these scenarios are for evaluation only.")
 
     def available(self, wanted: int) -> int:
-        """How many of the paths that are wanted there are."""
+        """How many paths there are when so many are wanted."""
         return wanted
 
     @abc.abstractmethod
@@ -62,7 +62,11 @@ class Pseudo(Scenarios):
 
     def batch(self, step: int, paths: int, simulator: Simulator) -> Counter:
         fresh = replace(self, stream=self.stream + step)
-        return fresh.draws(np.arange(paths), simulator)
+        return fresh.draws(np.arange(fresh.available(paths)), simulator)
+
+    def available(self, wanted: int) -> int:
+        """As many as are wanted; of an odd number the last pair is completed."""
+        return wanted + wanted % 2 if self.antithetic else wanted
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
         uses = STEP_STREAM, INITIAL_STREAM
@@ -75,6 +79,11 @@ class Pseudo(Scenarios):
     def blocks(self, paths: int, count: int = BLOCKS) -> list[np.ndarray]:
         if not self.antithetic:
             return Scenarios.blocks(self, paths, count)
+        if paths % 2:
+            raise ValueError(
+                f"Pseudo: {paths} antithetic paths; they come in pairs. `available` completes the "
+                "last one."
+            )
         pairs = Scenarios.blocks(self, paths // 2, count)
         return [np.stack([2 * p, 2 * p + 1], axis=-1).reshape(-1) for p in pairs]
 

@@ -29,7 +29,7 @@ from jaxtyping import Array, Float
 
 
 class Constraints(eqx.Module):
-    """The vocabulary of limits; `Smooth` and `Exact` differ in three primitives."""
+    """The vocabulary of limits; `Smooth` and `Exact` differ in few of its words."""
 
     @abc.abstractmethod
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
@@ -68,7 +68,11 @@ class Constraints(eqx.Module):
         return jnp.where(finite, b + self.positive_part(gap, scale), jnp.maximum(a, b))
 
     def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
-        """x within [low, high], low <= high. Smooth: within, off by at most 3 w / 16."""
+        """x within [low, high], low <= high. Smooth: within, off by at most 3 w / 16.
+
+        Between limits that are closer than w the corners are rounded over high - low: two wider
+        ones would overlap and lead out of the limits.
+        """
         return self.minimum(self.maximum(x, low, scale), high, scale)
 
     def choose(
@@ -132,6 +136,12 @@ class Smooth(Constraints):
         u = jnp.where(rounded, x, 0.0) / jnp.where(width > 0, width, 1.0)
         corner = width * (u + 1) ** 3 * (3 - u) / 16
         return jnp.where(rounded, corner, jnp.where(jnp.asarray(x) < 0, 0.0, x))
+
+    def clip(self, x: ArrayLike, low: ArrayLike, high: ArrayLike, scale: ArrayLike = 1.0) -> Array:
+        room, finite = _finite_difference(high, low)
+        narrow = finite & (self.temperature * scale > room)
+        least = jnp.where(narrow, room, 0.0) / jnp.where(narrow, self.temperature, 1.0)
+        return super().clip(x, low, high, jnp.where(narrow, least, scale))
 
     def indicator(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         scaled, hot = self._scaled(x, scale)

@@ -7,12 +7,16 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import FuncFormatter, NullLocator
 
+from snapo.problem.scenarios import BLOCKS
+from snapo.solver.statistics import critical
+
 from .axes import date_axis, number_axis
 from .drawing import legend_above, unit_above
 from .quantity import number
 from .theme import LIGHT
 
-INTERVAL = 1.96  # standard errors to either side: 95 %
+# Standard errors to either side for 95 %, of a value and of a sensitivity from 32 blocks.
+INTERVAL, BLOCK_INTERVAL = critical(), critical(BLOCKS - 1)
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ import numpy as np
 from . import charts
 from .drawing import draw
 from .folder import Folder
-from .page import Chart, Facts, Mark, Missing, Section, Table
+from .page import Chart, Facts, Mark, Missing, Section, Table, Text
 from .quantity import finite, number, percent, power, seconds
 
 HISTORY = (
@@ -54,9 +54,24 @@ def history(run: Folder, unit: str) -> Section:
     count = 0 if bad is None else float(np.nansum(bad))
     caption = (
         "The policy kept is the one with the best exact value on the validation paths, not the"
-        f" last. Paths masked because a number was not finite: {number(count, 0)}."
+        f" last. Paths left out because a number was not finite: {number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
+
+
+def notes(run: Folder) -> list[Text]:
+    """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
+    return [Text(str(each), caveat=True) for each in run.result.get("notes") or ()]
+
+
+def gradient(run: Folder) -> list[tuple[str, str, str]]:
+    """The norm of the policy's gradient with its noise, as a fact; none where it is not known."""
+    norm = finite(run.result.get("policy_gradient_norm"))
+    noise = finite(run.result.get("policy_gradient_noise"))
+    if norm is None:
+        return []
+    known = "" if noise is None else f"; noise of {number(noise)} is taken off"
+    return [("Policy gradient norm", number(norm), f"zero at an optimum{known}")]
 
 
 def checks(run: Folder) -> list[tuple[str, bool]]:

@@ -65,7 +65,8 @@ def value_and_gradient(
     """
     bound = (engine or Xla(precision="float64")).bind(problem)
     smooth = Exact() if smooth is None else smooth
-    draws = problem.sources.evaluation.draws(np.arange(paths), problem.simulator)
+    source = problem.sources.evaluation
+    draws = source.draws(np.arange(source.available(paths)), problem.simulator)
     value, result = weighted_adjoint(bound, policy, draws, smooth, problem.objective, held=held)
     moved = pull_back(problem.simulator, problem.inputs, [result.schedule])
     gradient = {name: array[0] for name, array in moved.items()}
@@ -85,7 +86,8 @@ def weighted_adjoint(
 ) -> tuple[float, Adjoint]:
     """The objective on these paths, and the adjoint of its weights.
 
-    A linear objective knows its weights beforehand; any other costs one more forward sweep.
+    A linear objective knows its weights beforehand; any other costs one more forward sweep. Where
+    the objective has no derivative, as under ruin, the weights are those that lead away from it.
     """
     actions = None
     if held or not objective.linear:
@@ -93,7 +95,7 @@ def weighted_adjoint(
         window = {key: options[key] for key in ("window", "start") if key in options}
         first = bound.values(policy, draws, smooth, record=record, **window)
         actions = first.record.get("action")
-        weights = objective.weights(float64(first.totals))
+        weights = objective.climb(float64(first.totals))
     else:
         weights = flat_weights(objective, draws.size)
     decider = None if held else policy

@@ -17,7 +17,7 @@ from jaxtyping import PyTree
 
 from .train import Progress, Record
 
-_TREES = ("policy", "average", "best", "halfway", "optimiser")
+_TREES = ("policy", "average", "best", "halfway", "recent", "optimiser")
 
 
 class CheckpointError(ValueError):

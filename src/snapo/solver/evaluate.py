@@ -11,18 +11,24 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS, Scenarios
 from snapo.problem.smooth import Exact
 
+from . import statistics
 from .adjoint import float64
+from .finite_paths import DROPPED, finite
 
 
 class Value(NamedTuple):
-    """An estimate, the standard error of its mean, and how much the control variates explained.
+    """An estimate, its standard error, and how much the control variates explained.
 
-    `control` is the share of the variance that they removed (0 without any).
+    - `control`: the share of the variance that they removed (0 without any).
+    - `dropped`: the paths left out, since they are not finite.
+    - `refused`: controls whose mean is not zero, and which therefore were not used.
     """
 
     value: float
     standard_error: float
     control: float = 0.0
+    dropped: int = 0
+    refused: tuple[str, ...] = ()
 
 
 def evaluate(
@@ -68,14 +74,16 @@ def estimate(
 ) -> Value:
     """The objective on these totals, with the controls' known mean of zero taken out.
 
-    Errors come from independent groups of paths (antithetic pairs, Sobol scrambles).
+    Errors come from independent groups of paths (antithetic pairs, Sobol scrambles). Paths that
+    are not finite are left out and counted; more than a thousandth of them make the value NaN.
     """
-    plain = worth_of_groups(objective, totals, scenarios)
-    mean = worth_of_groups(objective, totals, scenarios, controls)
-    spread = mean.std(ddof=1 + len(controls)) if mean.size > 2 else np.nan
-    total = plain.std(ddof=1)
-    explained = 1 - (spread / total) ** 2 if controls and total > 0 else 0.0
-    return Value(float(mean.mean()), float(spread / np.sqrt(mean.size)), float(explained))
+    _, false, found = _controlled(objective, totals, scenarios, controls)
+    plain = statistics.of_shares(_shares(objective, totals, scenarios))
+    used, explained = len(controls) - len(false), 0.0
+    if used and plain.standard_error > 0:
+        explained = 1 - (found.standard_error / plain.standard_error) ** 2
+    dropped = int(np.sum(~finite(totals, objective.outputs)))
+    return Value(found.value, found.standard_error, explained, dropped, false)
 
 
 def worth_of_groups(
@@ -83,20 +91,54 @@ def worth_of_groups(
 ) -> np.ndarray:
     """[groups]: the share of each independent group of paths in the objective; its mean is it.
 
-    The controls' coefficients are found by regression on the groups' means.
+    The controls' coefficients are found by regression on the groups' shares.
     """
-    influence = objective.influence(totals)
-    groups = scenarios.groups(np.arange(influence.size))
-    mean = _group_means(influence, groups)
-    if not controls:
-        return mean
-    design = np.stack([_group_means(np.asarray(totals[name]), groups) for name in controls], 1)
-    beta = np.linalg.lstsq(design - design.mean(0), mean - mean.mean(), rcond=None)[0]
-    return mean - design @ beta
+    return _controlled(objective, totals, scenarios, controls)[0]
 
 
-def _group_means(values: np.ndarray, groups: np.ndarray) -> np.ndarray:
-    return np.bincount(groups, values) / np.bincount(groups)
+def kept(objective: Objective, totals: Totals) -> dict[str, np.ndarray]:
+    """The totals of the paths that are finite; none where too many are not."""
+    good = finite(totals, objective.outputs)
+    few = np.sum(~good) <= DROPPED * good.size
+    return {name: np.asarray(total)[good if few else []] for name, total in totals.items()}
+
+
+def worth(objective: Objective, totals: Totals) -> float:
+    """The objective over the paths that are finite; NaN where too many are not."""
+    left = kept(objective, totals)
+    return objective.value(left) if len(left[objective.outputs[0]]) else np.nan
+
+
+def ruined(objective: Objective, totals: Totals) -> int:
+    """The number of paths whose totals are finite, and whose worth is minus infinity."""
+    left = kept(objective, totals)
+    if not len(left[objective.outputs[0]]):
+        return 0
+    with np.errstate(invalid="ignore"):
+        return int(np.sum(objective.influence(left) == -np.inf))
+
+
+def _controlled(objective: Objective, totals: Totals, scenarios: Scenarios, controls):
+    plain = _shares(objective, totals, scenarios)
+    taken = [_of_groups(objective, totals, scenarios, totals[name]) for name in controls]
+    left, false, found = statistics.controlled(plain, taken)
+    return left, tuple(controls[i] for i in false), found
+
+
+def _shares(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.ndarray:
+    left = kept(objective, totals)
+    if not len(left[objective.outputs[0]]):
+        return np.full(2, np.nan)
+    influence = np.zeros(len(totals[objective.outputs[0]]))
+    influence[finite(totals, objective.outputs)] = objective.influence(left)
+    return _of_groups(objective, totals, scenarios, influence)
+
+
+def _of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values) -> np.ndarray:
+    """Shares of the groups in the mean over the paths that are finite."""
+    good = finite(totals, objective.outputs)
+    groups = scenarios.groups(np.arange(good.size))
+    return statistics.ratio_shares(np.where(good, values, 0.0), good, groups)
 
 
 CHUNK = 8192  # paths in one call of an engine

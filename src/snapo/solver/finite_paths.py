@@ -1,4 +1,12 @@
-"""The adjoint over the paths that are finite: one bad path must not cost a step of training."""
+"""The adjoint over the paths that are finite: one bad path must not cost a whole run.
+
+A path is bad where a total that the objective uses, or the path's own adjoint, is not finite. Bad
+paths are counted wherever they are left out, and of all paths at most `DROPPED` may be: what is
+left out may be what matters. A path of ruin, whose total is finite, is never left out: it has the
+utility that it has, minus infinity.
+"""
+
+from collections.abc import Iterable, Mapping
 
 import jax
 import numpy as np
@@ -6,9 +14,16 @@ from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Objective, Totals, Weights
 
 from .adjoint import float64, weighted_adjoint
+
+DROPPED = 1e-3  # the largest share of the paths that may be left out
+
+
+def finite(totals: Totals, names: Iterable[str]) -> np.ndarray:
+    """[N] booleans: the paths whose totals of these names are finite."""
+    return np.logical_and.reduce([np.isfinite(totals[name]) for name in names])
 
 
 def adjoint_of_finite_paths(
@@ -16,54 +31,78 @@ def adjoint_of_finite_paths(
 ) -> tuple[float, Adjoint, int]:
     """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
 
-    Zero weight would not silence a path that is not finite (0 x inf is NaN), so such a path is
-    replaced by a copy of a finite one that counts for nothing.
+    Where no path is finite, or the objective is not a number on paths that all are, that number is
+    of all paths.
     """
     value, result = weighted_adjoint(bound, policy, draws, smooth, objective, **options)
-    if np.isfinite(value) and _all_finite(result.policy):
+    if not np.isnan(value) and _all_finite(result, objective.outputs):
         return value, result, 0
-    good = _finite_paths(bound, policy, draws, smooth, objective, options)
+    good = _good(bound, policy, draws, smooth, objective.outputs, options)
     bad = int(np.sum(~good))
     if bad == 0 or bad == good.size:
         return value, result, good.size
-    source = np.where(good, np.arange(good.size), np.argmax(good))
-    draws, options = _only(source, draws, options)
+    draws, options = _replaced(good, draws, options)
     window = {key: options[key] for key in ("window", "start") if key in options}
     totals = float64(bound.values(policy, draws, smooth, **window).totals)
     kept = {name: total[good] for name, total in totals.items()}
-    weights = objective.weights(kept)
-    spread = {name: np.zeros(good.size) for name in weights}
-    for name, weight in weights.items():
-        spread[name][good] = weight
-    result = bound.adjoint(policy, draws, smooth, spread, **options)
+    weights = _spread(objective.climb(kept), good)
+    result = bound.adjoint(policy, draws, smooth, weights, **options)
     return objective.value(kept), result, bad
 
 
-def _finite_paths(bound: Bound, policy, draws, smooth, objective, options) -> np.ndarray:
-    """Which paths have a finite value and a finite adjoint, found by looking at each alone.
+def adjoint_of_good_weights(
+    bound: Bound, policy, draws: Draws, smooth, weights: Weights, **options
+) -> tuple[Adjoint, int]:
+    """The adjoint for weights {output: [N]} that are known, and the number of bad paths.
 
-    One forward sweep finds most of them; only paths that pass it are examined one by one.
+    Those count for nothing; the weights of the others stay what they are.
     """
-    window = {key: options[key] for key in ("window", "start") if key in options}
-    totals = float64(bound.values(policy, draws, smooth, **window).totals)
-    with np.errstate(invalid="ignore", over="ignore", divide="ignore"):
-        good = np.array([_finite_alone(objective, totals, path) for path in range(draws.size)])
-    weights = {name: np.ones(1) for name in objective.outputs}
+    result = bound.adjoint(policy, draws, smooth, weights, **options)
+    if _all_finite(result, weights) or not _finite_leaves(weights):
+        return result, 0
+    good = _good(bound, policy, draws, smooth, tuple(weights), options)
+    if good.all() or not good.any():
+        return result, good.size
+    draws, options = _replaced(good, draws, options)
+    weights = _spread({name: np.asarray(weight)[good] for name, weight in weights.items()}, good)
+    return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~good))
+
+
+def _good(bound: Bound, policy, draws, smooth, names, options) -> np.ndarray:
+    """Which paths have a finite value and a finite adjoint.
+
+    A forward sweep finds most of the others; only where the adjoint of the rest is not finite
+    either, each path is looked at alone.
+    """
+    given = {key: options[key] for key in ("window", "start", "actions") if key in options}
+    good = finite(float64(bound.values(policy, draws, smooth, **given).totals), names)
+    if not good.all() and good.any():
+        rest, given = _replaced(good, draws, options)
+        weights = {name: np.ones(good.size) for name in names}
+        if _all_finite(bound.adjoint(policy, rest, smooth, weights, **given), names):
+            return good
+    weights = {name: np.ones(1) for name in names}
     for path in np.flatnonzero(good):
         alone, given = _only(np.array([path]), draws, options)
-        result = bound.adjoint(policy, alone, smooth, weights, **given)
-        good[path] &= _all_finite(result.policy)
+        good[path] = _all_finite(bound.adjoint(policy, alone, smooth, weights, **given), names)
     return good
 
 
-def _finite_alone(objective, totals, path: int) -> bool:
-    """Whether one path's totals and its share of the objective are finite."""
-    alone = {name: total[path : path + 1] for name, total in totals.items()}
-    return _all_finite(alone) and bool(np.isfinite(objective.influence(alone)).all())
+def _replaced(good: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
+    """Bad paths become copies of a good one: zero weight would not silence them (0 x inf)."""
+    return _only(np.where(good, np.arange(good.size), np.argmax(good)), draws, options)
+
+
+def _spread(weights: Mapping[str, np.ndarray], good: np.ndarray) -> Weights:
+    """Weights of the good paths, and zeros for the others."""
+    spread = {name: np.zeros(good.size) for name in weights}
+    for name, weight in weights.items():
+        spread[name][good] = weight
+    return spread
 
 
 def _only(chosen: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
-    """The noise and the starting states of chosen paths alone."""
+    """The noise, the starting states and the recorded actions of chosen paths alone."""
     axes = draws.axes()
     picked = jax.tree.map(
         lambda leaf, axis: leaf if axis is None else np.take(leaf, chosen, axis),
@@ -71,11 +110,19 @@ def _only(chosen: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]
         axes,
         is_leaf=lambda leaf: leaf is None,
     )
-    start = options.get("start")
-    if start is None:
-        return picked, options
-    return picked, options | {"start": jax.tree.map(lambda leaf: leaf[chosen], start)}
+    given = dict(options)
+    if options.get("start") is not None:
+        given["start"] = jax.tree.map(lambda leaf: leaf[chosen], options["start"])
+    if options.get("actions") is not None:
+        given["actions"] = options["actions"][:, chosen]
+    return picked, given
 
 
-def _all_finite(tree: PyTree) -> bool:
+def _all_finite(result: Adjoint, names: Iterable[str]) -> bool:
+    """Whether an adjoint, and the totals of these names, are finite."""
+    totals = [result.totals[name] for name in names]
+    return _finite_leaves((result.policy, result.schedule, totals))
+
+
+def _finite_leaves(tree: PyTree) -> bool:
     return all(bool(np.all(np.isfinite(np.asarray(leaf)))) for leaf in jax.tree.leaves(tree))

@@ -19,6 +19,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
 from .evaluate import path_totals
+from .statistics import independent, mean
 
 MOVE = 0.01  # of every number of an input
 SURE = 3.0  # standard errors
@@ -70,7 +71,7 @@ class Verdict(NamedTuple):
 
     def _agrees(self, value: float, error: float) -> bool:
         low, high = min(self.up, self.down), max(self.up, self.down)
-        room = SURE * float(np.hypot(self.error, error))
+        room = SURE * float(independent(self.error, error))
         return bool(low - room <= value <= high + room)
 
 
@@ -118,8 +119,6 @@ def _differences(problem: Problem, low: Totals, centre: Totals, high: Totals):
     objective, source = problem.objective, problem.sources.evaluation
     below, middle, above = (objective.value(each) for each in (low, centre, high))
     spread = (objective.influence(high) - objective.influence(low)) / 2
-    groups = source.groups(np.arange(spread.size))
-    means = np.bincount(groups, spread) / np.bincount(groups)
-    error = float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else np.nan
+    error = mean(spread, source.groups(np.arange(spread.size))).standard_error
     round_off = ROUND_OFF * (abs(above) + abs(middle) + abs(below))
-    return above - middle, middle - below, float(np.hypot(error, round_off))
+    return above - middle, middle - below, float(independent(error, round_off))

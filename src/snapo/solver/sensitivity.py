@@ -15,41 +15,19 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from snapo.engine import Bound, Engine, Xla
+from snapo.engine import Engine, Xla
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Weights
-from snapo.problem.policy import Policy, trainable
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact
 
-from .adjoint import flat_weights, float64, pull_back
+from .adjoint import float64
+from .by_block.passes import Way
 from .judge import Verdict
-
-
-class Estimate(NamedTuple):
-    """Derivatives for one input from independent blocks of paths: `blocks` [B, *shape]."""
-
-    blocks: np.ndarray
-
-    @property
-    def value(self) -> np.ndarray:
-        """The derivatives, shaped like the input."""
-        return self.blocks.mean(0)
-
-    @property
-    def standard_error(self) -> np.ndarray:
-        """Their standard errors, of the same shape (Student's t has B - 1 degrees of freedom)."""
-        if len(self.blocks) < 2:
-            return np.full(self.blocks.shape[1:], np.nan)
-        return self.blocks.std(0, ddof=1) / np.sqrt(len(self.blocks))
-
-    def along(self, direction: np.ndarray) -> tuple[float, float]:
-        """The derivative along a direction of the input, and its standard error."""
-        joined = Estimate((self.blocks * direction).reshape(len(self.blocks), -1).sum(1))
-        return float(joined.value), float(joined.standard_error)
+from .statistics import Estimate
 
 
 class Row(NamedTuple):
@@ -77,7 +55,9 @@ class Sensitivities(NamedTuple):
     - `held`: exact simulator, decisions held (reported as delta).
     - `smooth`: through the policy's reaction, or None when it was not asked for.
     - `moved`: how far `held` moved since an earlier policy, {input: array}, or None.
-    - `policy_gradient`: norm of the policy's gradient at this policy, and of its standard error.
+    - `policy_gradient`: norm of the policy's gradient at this policy, without that of the noise
+      in it, which comes second.
+    - `dropped`: the paths of either table that were left out, since they are not finite.
     - `verdicts`: which of the two derivatives a move of the input supports, {input: Verdict}.
     """
 
@@ -86,6 +66,7 @@ class Sensitivities(NamedTuple):
     smooth: dict[str, Estimate] | None = None
     moved: dict[str, np.ndarray] | None = None
     policy_gradient: tuple[float, float] | None = None
+    dropped: int = 0
     verdicts: dict[str, Verdict] | None = None
 
     def believed(self, name: str) -> str:
@@ -181,71 +162,18 @@ def sensitivities(
     bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
     paths = source.available(paths)
     blocks = source.blocks(paths)
-
-    def held(policy: Policy) -> dict[str, np.ndarray]:
-        return pull_back(problem.simulator, problem.inputs, _held(problem, bound, policy, blocks))
-
-    found = held(policy)
+    held = Way(problem, bound, policy, Exact(), held=True).derivatives(blocks)
     moved = None
     if earlier is not None:
-        before = held(earlier)
-        moved = {name: found[name].mean(0) - before[name].mean(0) for name in found}
-    result = Sensitivities(problem.named, _estimates(found), moved=moved)
+        before = Way(problem, bound, earlier, Exact(), held=True).derivatives(blocks).inputs
+        moved = {name: held.inputs[name].value - before[name].value for name in before}
+    result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if smooth is None:
         return result
-    blocks = source.blocks(min(smooth_paths, paths))
-    passes, gradients = _smooth(problem, bound, policy, blocks, smooth)
-    through = _estimates(pull_back(problem.simulator, problem.inputs, passes))
-    norm = float(np.linalg.norm(gradients.mean(0)))
-    noise = float(np.linalg.norm(gradients.std(0, ddof=1)) / np.sqrt(len(gradients)))
-    return result._replace(smooth=through, policy_gradient=(norm, noise))
-
-
-def _estimates(blocks: Mapping[str, np.ndarray]) -> dict[str, Estimate]:
-    """The leading axis of every array is that of the blocks."""
-    return {name: Estimate(x) for name, x in blocks.items()}
-
-
-def _held(problem: Problem, bound: Bound, policy: Policy, blocks) -> list:
-    """The schedule's derivatives block by block, decisions recorded and replayed."""
-    passes, exact = [], Exact()
-    for block, weight in zip(blocks, _weights(problem, bound, policy, blocks, exact)):
-        draws = problem.sources.evaluation.draws(block, problem.simulator)
-        actions = bound.values(policy, draws, exact, record=("action",)).record["action"]
-        result = bound.adjoint(None, draws, exact, weight, actions=actions, wrt=("schedule",))
-        passes.append(jax.tree.map(np.asarray, result.schedule))
-    return passes
-
-
-def _smooth(problem: Problem, bound: Bound, policy: Policy, blocks, smooth):
-    """The schedule's derivatives block by block through the policy, and the policy's own [B, P]."""
-    passes, gradients = [], []
-    for block, weight in zip(blocks, _weights(problem, bound, policy, blocks, smooth)):
-        draws = problem.sources.evaluation.draws(block, problem.simulator)
-        result = bound.adjoint(policy, draws, smooth, weight)
-        passes.append(jax.tree.map(np.asarray, result.schedule))
-        leaves = jax.tree.leaves(trainable(result.policy)[0])
-        gradients.append(np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in leaves)]))
-    return passes, np.stack(gradients)
-
-
-def _weights(problem: Problem, bound: Bound, policy: Policy, blocks, smooth) -> list[Weights]:
-    """Each block's path weights, such that every block estimates the whole derivative.
-
-    A risk measure's weights come from all paths together and are held.
-    """
-    objective, source = problem.objective, problem.sources.evaluation
-    if objective.linear:
-        return [flat_weights(objective, len(block)) for block in blocks]
-    draws = [source.draws(block, problem.simulator) for block in blocks]
-    parts = [float64(bound.values(policy, each, smooth).totals) for each in draws]
-    sizes = [len(block) for block in blocks]
-    joined = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    whole = objective.weights(joined)
-    edges = np.cumsum(sizes)[:-1]
-    split = {name: np.split(weight, edges) for name, weight in whole.items()}
-    scale = [sum(sizes) / size for size in sizes]
-    return [{name: split[name][i] * scale[i] for name in split} for i in range(len(blocks))]
+    blocks = source.blocks(source.available(min(smooth_paths, paths)))
+    soft = Way(problem, bound, policy, smooth, held=False).derivatives(blocks)
+    dropped = held.dropped + soft.dropped
+    return result._replace(smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped)
 
 
 def second_order(

@@ -14,7 +14,8 @@ from snapo.problem.policy import Policy
 from . import checkpoint
 from .files import write_csv, write_text
 from .judge import Verdict
-from .sensitivity import Estimate, Row, Sensitivities
+from .sensitivity import Row, Sensitivities
+from .statistics import Estimate
 from .train import Record
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
@@ -27,11 +28,15 @@ class Solution:
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
     - `smooth_value`, `smoothing_gap`: the smooth simulator on the same paths, and exact - smooth.
-    - `policy`: the trained policy; `policy_gradient_norm`: it vanishes at an optimum.
+    - `policy`: the trained policy; `policy_gradient_norm`: it vanishes at an optimum. The noise in
+      it, `policy_gradient_noise`, is taken off: a norm below its noise may be zero.
     - `sensitivities`: held and smooth derivatives by every input, with standard errors.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
-    - `status`: "trained", "stopped early" or "diverged".
+    - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
+      infinity, "not finite" where it is no number.
+    - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
+      `notes`: sentences on what a reader of the value must know.
     """
 
     value: float
@@ -50,6 +55,9 @@ class Solution:
     seed: int
     status: str
     control: float = 0.0
+    policy_gradient_noise: float = float("nan")
+    dropped: Mapping[str, int] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
     halfway: Policy | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
 
@@ -65,6 +73,7 @@ class Solution:
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {self.status}",
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
+            *self.notes,
         ]
 
     def summary(self) -> dict[str, Any]:
@@ -75,6 +84,9 @@ class Solution:
             "smooth_value": self.smooth_value,
             "smoothing_gap": self.smoothing_gap,
             "policy_gradient_norm": self.policy_gradient_norm,
+            "policy_gradient_noise": self.policy_gradient_noise,
+            "dropped": dict(self.dropped),
+            "notes": list(self.notes),
             "seconds": dict(self.seconds),
             "engine": self.engine,
             "paths": dict(self.paths),
@@ -100,6 +112,7 @@ class Solution:
                 "history": self.history,
                 "inputs": {} if found is None else _described(found.inputs),
                 "policy_gradient": None if found is None else found.policy_gradient,
+                "left_out": 0 if found is None else found.dropped,
                 "verdicts": None if found is None else found.verdicts,
             }
         )
@@ -123,6 +136,7 @@ class Solution:
         found = _sensitivities(arrays, header) if header["inputs"] else None
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
+        plain["notes"] = tuple(plain["notes"])
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 
     def _beside(self) -> dict[str, Any]:
@@ -136,8 +150,9 @@ class Solution:
 
 
 PLAIN = (
-    "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm", "seconds",
-    "engine", "reason", "paths", "seed", "status", "control", "versions",
+    "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm",
+    "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
+    "status", "control", "versions",
 )  # fmt: skip
 KINDS = ("held", "smooth")
 
@@ -176,5 +191,11 @@ def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
     if verdicts is not None:
         verdicts = {name: Verdict.of(numbers) for name, numbers in verdicts.items()}
     return Sensitivities(
-        inputs, held, smooth or None, table("moved") or None, gradient and tuple(gradient), verdicts
+        inputs,
+        held,
+        smooth or None,
+        table("moved") or None,
+        gradient and tuple(gradient),
+        header["left_out"],
+        verdicts,
     )

@@ -3,7 +3,7 @@
 A run is three plain stages on one problem: `train`, `path_totals`, `sensitivities`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -20,7 +20,7 @@ from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact, Smooth
 
 from .clock import Clock
-from .evaluate import estimate, path_totals
+from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .sensitivity import sensitivities
 from .solution import Solution
@@ -108,7 +108,6 @@ def solve(
         engine=engines.name,
         reason=engines.reason,
         seed=training.seed,
-        status=progress.status,
         versions=versions(),
     )
 
@@ -121,12 +120,14 @@ def measure(
     engines: Engines,
 ) -> dict[str, Any]:
     """Value, smoothing gap and sensitivities of the best policy, as fields of a `Solution`."""
-    policy, engine, source = progress.best, engines.evaluate, problem.sources.evaluation
+    policy, engine, objective = progress.best, engines.evaluate, problem.objective
+    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
     smooth = Smooth(np.float64(training.temperature(training.steps)))
     exact = path_totals(problem, policy, evaluation.paths, engine=engine)
-    value = estimate(problem.objective, exact, source, problem.simulator.control_variates())
+    value = estimate(objective, exact, source, controls)
     soft = path_totals(problem, policy, evaluation.paths, smooth=smooth, engine=engine)
-    gap = problem.objective.value(exact) - problem.objective.value(soft)
+    with np.errstate(invalid="ignore"):
+        gap = float(np.subtract(worth(objective, exact), worth(objective, soft)))
     table = sensitivities(
         problem,
         policy,
@@ -140,7 +141,12 @@ def measure(
         paths = min(evaluation.judge_paths, evaluation.sensitivity_paths)
         verdicts = judge(problem, policy, paths, table.held, table.smooth, engine=engine)
         table = table._replace(verdicts=verdicts)
-    norm = table.policy_gradient[0] if table.policy_gradient else float("nan")
+    norm, noise = table.policy_gradient or (float("nan"), float("nan"))
+    dropped = {
+        "train": sum(record.bad_paths for record in progress.history),
+        "evaluate": value.dropped,
+        "sensitivities": table.dropped,
+    }
     return {
         "value": value.value,
         "standard_error": value.standard_error,
@@ -148,10 +154,37 @@ def measure(
         "smooth_value": value.value - gap,
         "smoothing_gap": gap,
         "policy_gradient_norm": norm,
+        "policy_gradient_noise": noise,
         "sensitivities": table,
         "totals": exact,
         "paths": {"train": training.paths, "evaluate": source.available(evaluation.paths)},
+        "dropped": dropped,
+        "notes": _notes(value, dropped, ruined(objective, exact)),
+        "status": _status(value.value, progress.status),
     }
+
+
+def _status(value: float, status: str) -> str:
+    """The status of a run: that of its training, unless its value is no number."""
+    if np.isfinite(value):
+        return status
+    return "ruined" if value < 0 else "not finite"
+
+
+def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ...]:
+    """Sentences that a reader of the value must see."""
+    notes = [
+        f"The control variate {name!r} is not used: its mean is not zero." for name in value.refused
+    ]
+    if ruin:
+        notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
+    if any(dropped.values()):
+        told = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
+        notes.append(f"Paths left out since they are not finite: {told}.")
+    return tuple(notes)
+
+
+WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
 
 def _only_output(simulator: Simulator, inputs: PyTree) -> Objective:

@@ -25,9 +25,10 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
-from .finite_paths import adjoint_of_finite_paths
+from .evaluate import worth
+from .finite_paths import DROPPED, adjoint_of_finite_paths
 
-DIVERGED_SHARE = 0.05  # more than this share of paths not finite: the run has diverged
+DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 
 
 @dataclass(frozen=True)
@@ -81,13 +82,18 @@ class Record(NamedTuple):
 
 @dataclass(frozen=True)
 class Progress:
-    """Everything that a stopped run needs to go on: the whole state of the loop."""
+    """Everything that a stopped run needs to go on: the whole state of the loop.
+
+    `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
+    steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
+    """
 
     step: int
     policy: Policy
     average: Policy
     best: Policy
     halfway: Policy
+    recent: Policy
     optimiser: PyTree
     best_value: float
     stale: int
@@ -103,7 +109,7 @@ def begin(policy: Policy, training: Training) -> Progress:
     moving, _ = trainable(policy)
     state = _optimiser(training).init(_flat(moving))
     nothing = float("-inf")
-    return Progress(0, policy, policy, policy, policy, state, nothing, 0, (), "training")
+    return Progress(0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training")
 
 
 class Loop(NamedTuple):
@@ -166,7 +172,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     value, result, bad = adjoint_of_finite_paths(
         loop.bound, progress.policy, draws, smooth, problem.objective, **options
     )
-    if bad > DIVERGED_SHARE * training.paths:
+    lost = bad + sum(record.bad_paths for record in progress.history)
+    if bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training):
         return replace(progress, status="diverged")
     policy, average, optimiser, norm = loop.update(
         progress.policy, progress.average, progress.optimiser, result.policy, np.float32(step)
@@ -174,16 +181,29 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
     record = Record(step + 1, value, float(norm), temperature, bad, exact, best, seconds)
+    kept = (progress.recent, average) if _marks(step + 1, training.steps) else ()
+    halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
         progress,
         step=step + 1,
         policy=policy,
         average=average,
-        halfway=average if step + 1 == training.steps // 2 else progress.halfway,
+        halfway=halfway,
+        recent=recent,
         optimiser=optimiser,
         history=(*progress.history, record),
         status="training" if np.isfinite(norm) else "diverged",
     )
+
+
+def most_dropped(training: Training) -> float:
+    """How many paths of a whole run may be not finite, and are left out, before it diverges."""
+    return DROPPED * training.steps * training.paths
+
+
+def _marks(step: int, steps: int) -> bool:
+    """Whether a step is one of steps, steps / 2, steps / 4, …, rounded down."""
+    return step in (steps >> k for k in range(steps.bit_length()))
 
 
 def _options(loop: Loop, progress: Progress, draws, smooth) -> dict:
@@ -209,7 +229,7 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
     paths = np.arange(source.available(loop.training.validation_paths))
     draws = source.draws(paths, problem.simulator)
     totals = loop.bound.values(progress.average, draws, Exact()).totals
-    value = problem.objective.value(float64(totals))
+    value = worth(problem.objective, float64(totals))
     better = np.isfinite(value) and value > progress.best_value
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value

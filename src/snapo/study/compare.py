@@ -8,9 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.solver import checkpoint
-from snapo.solver.sensitivity import Estimate
+from snapo.solver import checkpoint, statistics
 from snapo.solver.solution import Solution
+from snapo.solver.statistics import Estimate
 
 from . import run_folder
 from .run_folder import GROUPS, Difference, differences, in_words
@@ -164,10 +164,10 @@ def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
 def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> float | None:
     """The standard error of the difference of the values."""
     if groups is not None and groups.size > 1:
-        return float(groups.std(ddof=1) / np.sqrt(groups.size))
+        return statistics.of_shares(groups).standard_error
     if errors[0] is None or errors[1] is None:
         return None
-    return float(np.hypot(errors[0], errors[1]))
+    return float(statistics.independent(errors[0], errors[1]))
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
@@ -193,7 +193,7 @@ def _of_input(given, name: str, first: Estimate, second: Estimate, paired: bool)
     if paired and first.blocks.shape == second.blocks.shape:
         errors = Estimate(second.blocks - first.blocks).standard_error
     else:
-        errors = np.hypot(first.standard_error, second.standard_error)
+        errors = statistics.independent(first.standard_error, second.standard_error)
     moves = np.abs(given.value) * SHARE if given.move is None else np.full_like(errors, given.move)
     columns = (first.value, second.value, difference, errors, difference * moves)
     rows = zip(given.names(), *(np.ravel(each).tolist() for each in columns))

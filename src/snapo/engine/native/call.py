@@ -2,6 +2,7 @@
 
 import math
 from collections import OrderedDict
+from time import perf_counter
 from typing import Any
 
 import jax
@@ -27,6 +28,7 @@ from .rollout import traced
 from .runtime import Inputs, Runner
 
 KEPT = 64  # compiled kernels in memory
+COMPILED = "/snapo/compile"  # the event that tells how long a kernel took, as JAX tells of its own
 
 _runners: OrderedDict[Any, Runner] = OrderedDict()
 
@@ -76,8 +78,10 @@ class Call:
         starts = tree, tuple((x.shape, x.dtype) for x in leaves)
         key = setup, self.shared.key(), self.steps.key(1), starts, type(self.simulator)
         if key not in _runners:
+            started = perf_counter()
             kernel = self.kernel(setup, like)
             _runners[key] = Runner(kernel, linked(kernel))
+            jax.monitoring.record_event_duration_secs(COMPILED, perf_counter() - started)
             while len(_runners) > KEPT:
                 _runners.popitem(last=False)
         _runners.move_to_end(key)

@@ -1,6 +1,6 @@
 """The value of a run with its standard error, and the numbers that stand beside it."""
 
-from ..evidence import checks
+from ..evidence import checks, gradient, notes
 from ..folder import Folder
 from ..page import Block, Facts, Headline, Mark, Section
 from ..quantity import SPACE, decimals, finite, number, percent, plus_minus
@@ -24,7 +24,7 @@ def headline(run: Folder) -> Section:
     objective = str(run.get("objective", "the objective"))
     note = f"{objective}, of the exact simulator on fresh paths; ± one standard error"
     known = plus_minus(error, places)
-    blocks: list[Block] = [Headline("Value", text, known, note, marks=_marks(run))]
+    blocks: list[Block] = [Headline("Value", text, known, note, marks=_marks(run)), *notes(run)]
     facts = _facts(run, value, places)
     return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
 
@@ -48,7 +48,4 @@ def _facts(run: Folder, value: float, places: int) -> list[tuple[str, str, str]]
     if gap is not None:
         share = f"{percent(gap / abs(value), 2)} of the value; " if value else ""
         facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))
-    norm = finite(run.result.get("policy_gradient_norm"))
-    if norm is not None:
-        facts.append(("Policy gradient norm", number(norm), "it vanishes at an optimum"))
-    return facts
+    return [*facts, *gradient(run)]

@@ -3,6 +3,7 @@
 from typing import Any
 
 from ..bands import Swing, tornado
+from ..charts import BLOCK_INTERVAL
 from ..drawing import draw
 from ..folder import Folder, Sensitivity
 from ..page import Block, Chart, Missing, Section, Table, Text
@@ -11,7 +12,6 @@ from .distribution import words
 from .lacking import lacking
 
 LONGEST = 15  # bars of the tornado
-INTERVAL = 1.96  # standard errors to either side: 95 %
 ROWS = 400  # derivatives in the table; all stand in sensitivities.csv
 CAVEAT = (
     "To first order. Held: the exact simulator with the decisions held, the derivative of the "
@@ -51,7 +51,7 @@ def _tornado(run: Folder, moves: list[dict[str, Any]]) -> Chart | Missing:
             f"{words(each['input'])} {amount(each)}",
             float(each["effect"]),
             f"{number(each['effect'], places, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
-            INTERVAL * (finite(each.get("standard_error")) or 0.0),
+            BLOCK_INTERVAL * (finite(each.get("standard_error")) or 0.0),
         )
         for each in shown
     ]

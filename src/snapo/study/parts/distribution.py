@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from snapo.solver import statistics
+
 from ..study import Part, StudyRun
 
 BINS = 60
@@ -24,9 +26,11 @@ def distribution_part(units: Mapping[str, str]) -> Part:
 def _work(units: Mapping[str, str]) -> Callable[[StudyRun], dict[str, Any]]:
     def work(run: StudyRun) -> dict[str, Any]:
         totals = run.solution.totals
+        paths = np.arange(run.solution.paths["evaluate"])
+        groups = run.setup.problem.sources.evaluation.groups(paths)
         return {
             "distribution": [
-                {"name": name, "unit": units.get(name, ""), **described(np.asarray(total))}
+                {"name": name, "unit": units.get(name, ""), **described(np.asarray(total), groups)}
                 for name, total in totals.items()
             ]
         }
@@ -34,9 +38,13 @@ def _work(units: Mapping[str, str]) -> Callable[[StudyRun], dict[str, Any]]:
     return work
 
 
-def described(total: np.ndarray) -> dict[str, Any]:
-    """Moments, quantiles and a histogram of totals [paths] that are finite."""
-    total = total[np.isfinite(total)]
+def described(total: np.ndarray, groups: np.ndarray) -> dict[str, Any]:
+    """Moments, quantiles and a histogram of totals [paths] that are finite, with standard errors.
+
+    `groups`: the independent group of each path.
+    """
+    good = np.isfinite(total)
+    total, groups = total[good], groups[good]
     if not total.size:
         return {"paths": 0}
     # The outermost paths would only stretch the histogram.
@@ -48,8 +56,14 @@ def described(total: np.ndarray) -> dict[str, Any]:
         "paths": total.size,
         "mean": total.mean(),
         "standard_deviation": total.std(ddof=1) if total.size > 1 else 0.0,
+        "standard_error": statistics.mean(total, groups).standard_error,
         "tail_mean": tail.mean(),
+        "tail_error": statistics.tail(total, 1 - TAIL, groups).standard_error,
         "quantiles": dict(zip(QUANTILES, np.quantile(total, list(QUANTILES.values())))),
+        "quantile_errors": {
+            name: statistics.quantile(total, level, groups).standard_error
+            for name, level in QUANTILES.items()
+        },
         "edges": edges,
         "counts": counts,
     }

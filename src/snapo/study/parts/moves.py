@@ -7,7 +7,8 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.solver.judge import UNKNOWN, Verdict, hundredth
-from snapo.solver.sensitivity import Estimate, Sensitivities
+from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.statistics import Estimate
 
 from ..study import Part, StudyRun
 

@@ -64,7 +64,11 @@ def test_the_map_is_the_normal_probability(linear):
     allowed = 4 * np.sqrt(np.maximum(truth * (1 - truth), 1e-4) / SAMPLES) + 1e-9
     assert (np.abs(found.at.probability - truth) < allowed).all()
     p = found.at.probability
-    assert found.at.error == pytest.approx(np.sqrt(p * (1 - p) / SAMPLES))
+    # Binomial, and above zero where no draw, or every draw, broke a limit.
+    middle = (p > 0.05) & (p < 0.95)
+    binomial = np.sqrt(p * (1 - p) / SAMPLES)
+    assert found.at.error[middle] == pytest.approx(binomial[middle], rel=0.01)
+    assert (found.at.error > 0).all()
     assert set(np.unique(found.at.binding)) <= {-1, 0}
     assert (found.at.binding[p < 1] == 0).all()
     assert found.at.mean[4, 4, 0] == pytest.approx(100, abs=0.1)

@@ -36,11 +36,7 @@ def _facts(run: Run) -> list[tuple[str, str, str]]:
         value = finite(run.result.get("value"))
         share = f" ({percent(gap / abs(value), 2)})" if value else ""
         facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
-    norm = finite(
-        run.get("certificate.policy_gradient_norm", run.result.get("policy_gradient_norm"))
-    )
-    if norm is not None:
-        facts.append(("Policy gradient norm", number(norm), "zero at an optimum"))
+    facts += evidence.gradient(run)
     left, right, error = (
         finite(run.get(f"certificate.homogeneity.{key}")) for key in ("left", "right", "error")
     )
@@ -87,7 +83,7 @@ def _glossary(run: Run) -> Table:
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
         ("Smooth delta", gas, "through the smooth policy's own reaction; a diagnostic"),
         ("Volatility", "per √year", "of the logarithm of the price; 1 point is 0.01"),
-        ("Standard error", "", "one standard deviation of the estimate; ± 1.96 of them is 95 %"),
+        ("Standard error", "", "of the estimate; 95 % is ± 1.96 of them, of a delta ± 2.04"),
         ("Cycles", "", "volume injected over the life, divided by the working volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

@@ -1,5 +1,6 @@
 """The first screen: the worth of the contract and the decision of today."""
 
+from snapo.report.evidence import notes
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
 from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
 from snapo.report.sections.lacking import lacking
@@ -30,7 +31,7 @@ def headline(run: Run) -> Section:
         when=_when(run),
         marks=_marks(run),
     )
-    blocks: list[Block] = [block]
+    blocks: list[Block] = [block, *notes(run)]
     if not action:
         blocks.append(lacking(run, "profile"))
     if facts := _facts(run, value, places):

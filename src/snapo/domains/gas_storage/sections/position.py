@@ -129,7 +129,7 @@ def month_painter(run: Run, rows, values):
     intrinsic = array([each.get("intrinsic") for each in rows])
     options = {
         "names": ("Long: sell", "Short: buy"),
-        "half": None if errors is None else charts.INTERVAL * np.nan_to_num(errors),
+        "half": None if errors is None else charts.BLOCK_INTERVAL * np.nan_to_num(errors),
         "moved": array([each.get("moved") for each in rows]),
         "compare": None if intrinsic is None else ("Intrinsic plan", intrinsic),
     }
@@ -199,7 +199,7 @@ def daily(run: Run) -> Section:
     half = None
     if error is not None and discounted is not None:
         factor = np.divide(values, discounted, out=np.ones_like(values), where=discounted != 0)
-        half = charts.INTERVAL * np.nan_to_num(error * np.abs(factor))
+        half = charts.BLOCK_INTERVAL * np.nan_to_num(error * np.abs(factor))
     plan = run.numbers("deltas_daily.intrinsic")
     compare = None if plan is None else ("Intrinsic plan", plan)
     names = ("Long: sell", "Short: buy")

@@ -10,7 +10,8 @@ from snapo.problem.objective import CRRA, ExpectedUtility, Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
-from snapo.solver.evaluate import path_totals
+from snapo.solver import statistics
+from snapo.solver.evaluate import path_totals, worth
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin, train
 from snapo.study.study import Setup, StudyRun, Tell
@@ -92,10 +93,12 @@ def tuned(setup: Setup, policy: AnyPolicy) -> AnyPolicy:
 def _row(problem: Problem, key: str, name: str, totals, own) -> dict[str, Any]:
     objective, source = problem.objective, problem.sources.evaluation
     case = problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
-    value, mine = objective.value(totals), objective.value(own)
+    value, mine = worth(objective, totals), worth(objective, own)
     row: dict[str, Any] = {"key": key, "name": name, "value": value}
-    spread = objective.influence(own) - objective.influence(totals)
-    error = _error(spread, source)
+    with np.errstate(invalid="ignore"):
+        # Ruin in both is no difference that can be measured.
+        spread = objective.influence(own) - objective.influence(totals)
+        error = _error(spread, source)
     row |= {"difference": mine - value, "difference_error": error}
     ratio, best = equivalent(objective, value), equivalent(objective, mine)
     if ratio is not None and best is not None:
@@ -115,6 +118,4 @@ def _row(problem: Problem, key: str, name: str, totals, own) -> dict[str, Any]:
 
 def _error(values: np.ndarray, source: Scenarios) -> float:
     """The standard error of a mean over independent groups of paths (antithetic pairs)."""
-    groups = source.groups(np.arange(values.size))
-    means = np.bincount(groups, values) / np.bincount(groups)
-    return float(means.std(ddof=1) / np.sqrt(means.size)) if means.size > 1 else math.nan
+    return statistics.mean(values, source.groups(np.arange(values.size))).standard_error

@@ -31,15 +31,8 @@ def certificate(run: PensionRun) -> Section:
         text = "This run was not certified."
         return Section("certificate", title, "Certificate", [Missing(text)])
     gap = number(run.get("certificate.smoothing_gap"))
-    norm = number(run.get("certificate.policy_gradient_norm"))
-    blocks: list[Block] = [
-        Facts(
-            [
-                ("Smoothing gap", gap, "exact less smooth, in the objective"),
-                ("Policy gradient norm", norm, "zero at an optimum"),
-            ]
-        )
-    ]
+    facts = [("Smoothing gap", gap, "exact less smooth, in the objective")]
+    blocks: list[Block] = [Facts([*facts, *evidence.gradient(run)]), *evidence.notes(run)]
     blocks += [
         evidence.bump_table(run, "", name_of),
         evidence.limit_table(run, "", "Step", _step),
@@ -75,6 +68,9 @@ def _glossary() -> Table:
         ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),
         ("CVaR 95 %", "the mean of the worst 5 % of paths"),
-        ("Standard error", "one standard deviation of an estimate; ± 1.96 of them is 95 %"),
+        (
+            "Standard error",
+            "one standard deviation of an estimate; 95 %: ± 1.96, of a sensitivity ± 2.04",
+        ),
     ]
     return Table([("Term", ""), ("Meaning", "")], rows, "Terms", 2)

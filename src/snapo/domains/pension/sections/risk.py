@@ -3,6 +3,7 @@
 import numpy as np
 
 from snapo.report.bands import Bars, Swing, grouped, tornado
+from snapo.report.charts import BLOCK_INTERVAL
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import decimals, finite, number, plus_minus
@@ -59,7 +60,7 @@ def _tornado(families: list[dict], scale: float, unit: str) -> Chart:
     swings = []
     for each in order:
         value = scale * (finite(each["effect"]) or 0.0)
-        half = 1.96 * scale * (finite(each.get("standard_error")) or 0.0)
+        half = BLOCK_INTERVAL * scale * (finite(each.get("standard_error")) or 0.0)
         count = f", all {each['count']}" if each["count"] > 1 else ""
         name = f"{name_of(each['input'])}{count}: + {each['move']}"
         swings.append(Swing(name, value, number(value, places, True), half))

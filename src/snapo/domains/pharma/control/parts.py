@@ -9,6 +9,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.engine import Engines, choose
 from snapo.problem.problem import Problem
+from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
@@ -95,13 +96,15 @@ class ClosedLoop:
         ours, theirs = np.asarray(solution.totals["success"]), np.asarray(fixed["success"])
         with jax.enable_x64(True):
             baseline_goal = float(goal.value(fixed))
+        groups = self.problem.sources.evaluation.groups(np.arange(ours.size))
+        means = [statistics.mean(each, groups) for each in (ours, theirs, ours - theirs)]
         table = {
-            "value": float(ours.mean()),
-            "standard_error": _error(ours),
-            "baseline": float(theirs.mean()),
-            "baseline_error": _error(theirs),
-            "gain": float((ours - theirs).mean()),
-            "gain_error": _error(ours - theirs),
+            "value": means[0].value,
+            "standard_error": means[0].standard_error,
+            "baseline": means[1].value,
+            "baseline_error": means[1].standard_error,
+            "gain": means[2].value,
+            "gain_error": means[2].standard_error,
             "goal": in_words(self.case.goal),
             "objective": solution.value,
             "objective_error": solution.standard_error,
@@ -125,7 +128,3 @@ class ClosedLoop:
                 unit = self.loop.inputs[item.input].unit
                 rows.append({"input": item.input, "unit": unit, "values": values.astype(float)})
         return rows
-
-
-def _error(values: np.ndarray) -> float:
-    return float(values.std(ddof=1) / np.sqrt(values.size))

@@ -4,6 +4,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from snapo.solver.statistics import proportion
+
 from ..flowsheet.case import PharmaCase
 from . import batches
 from .limits import Limits
@@ -17,7 +19,7 @@ class Capability(NamedTuple):
 
     - `cpk`: min(high - mean, mean - low) / (3 deviation), which takes the attribute for normal;
       NaN without a limit. `sigmas`: the distance to the edge of failure in deviations, 3 Cpk.
-    - `outside`: share of batches beyond the limits, with its binomial standard error `error`.
+    - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.
     - `joint`: share of batches beyond any limit, and `joint_error`.
     """
@@ -58,10 +60,10 @@ def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
         cpk=sigmas / 3,
         sigmas=sigmas,
         outside=outside,
-        error=np.sqrt(outside * (1 - outside) / count),
+        error=proportion(count * outside, count)[1],
         quantiles=np.quantile(finite, [0.01, 0.5, 0.99], axis=0).T,
         joint=joint,
-        joint_error=float(np.sqrt(joint * (1 - joint) / count)),
+        joint_error=float(proportion(count * joint, count)[1]),
         batches=count,
         failed=int(count - good.sum()),
     )

@@ -5,6 +5,8 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
+from snapo.solver.statistics import proportion
+
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from . import batches
@@ -18,7 +20,7 @@ if TYPE_CHECKING:
 class Point(NamedTuple):
     """What n draws say at one set point or more: leading axes are the points'.
 
-    - `probability`: that all limits hold; `error`: its standard error, binomial.
+    - `probability`: that all limits hold; `error`: its standard error.
     - `each`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
     - `binding`: the attribute that most often breaks its limits, -1 where none does.
     - `failed`: the share of runs without a finite result; they break every limit.
@@ -80,7 +82,7 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
         mean = total / finite.sum(1)[:, None]
     return Point(
         probability=all_kept,
-        error=np.sqrt(all_kept * (1 - all_kept) / samples),
+        error=proportion(samples * all_kept, samples)[1],
         each=kept.mean(1),
         mean=mean,
         binding=np.where(broken.max(-1) > 0, broken.argmax(-1), -1),

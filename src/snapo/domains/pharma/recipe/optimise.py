@@ -7,6 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.solver.statistics import proportion
+
 from ..derivatives.jacobian import choose
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
@@ -216,8 +218,8 @@ def _at(process: Process, ask: Optimise, x: np.ndarray, seed: int):
         batches.varied(case), np.concatenate([nominal, rows]), chunk=batches.CHUNK, inputs=inputs
     )
     kept = Limits.of(case).hold(found.values[batches.CHUNK :]).all(-1)
-    share = float(kept.mean())
-    return found.values[0], (share, float(np.sqrt(share * (1 - share) / BATCHES)))
+    share, error = proportion(kept.sum(), BATCHES)
+    return found.values[0], (float(share), float(error))
 
 
 def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> list[dict[str, Any]]:

@@ -1,0 +1,144 @@
+"""Standard errors of an objective's derivatives: each block of paths is left out in turn.
+
+The derivative of a functional of all paths is D = sum_i w_i dX_i, and the weights depend on all
+paths too: they are normalised, ranked or measured from a mean. A block's part of that sum alone
+does not scatter as D does: with dX = 1 the derivative of a tail mean is one whatever the paths
+are. Without block b the derivative is D_b = sum_{i not in b} w_i^b dX_i, where w^b are the
+weights of the paths that are left; the scatter of D_b is that of D (Shao and Wu, A general theory
+for jackknife variance estimation, 1989; blocks of different sizes: Busing, Meijer and van der
+Leeden, Delete-m jackknife for unequal m, 1999).
+
+It costs no adjoint pass for every block. With N / (N - n_b) times the old weights the new sum
+follows from the blocks' own parts; the rest of the change is, to first order, the same few
+functions of the paths for every block, times a number (the shift of a mean, of a quantile): the
+leading ones are kept, and each is pulled back once, on a sample of paths.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.objective import Objective, Weights
+
+ENOUGH = 512  # paths on which the common changes of the weights are pulled back
+FURTHER = 3  # changes kept beside that of the weights' sum
+SMALL, NOTHING = 0.05, 1e-12  # relative: of a further change that is left out, and of round-off
+
+
+class Plan(NamedTuple):
+    """The weights of all paths, in the order of the blocks, and their changes.
+
+    - `whole`: {output: [N]}; `sizes`: [B] of the blocks.
+    - `sample`: [R] positions of paths; `pieces`: weights {output: [R]} of K pulls on them.
+    - `parts`: [B, K], by how much of each piece the weights change without a block.
+    """
+
+    whole: Weights
+    sizes: np.ndarray
+    sample: np.ndarray
+    pieces: list[Weights]
+    parts: np.ndarray
+
+    def estimate(self, sums: np.ndarray, further: np.ndarray) -> np.ndarray:
+        """[B, *shape]: numbers whose mean is the derivative and whose spread is its error.
+
+        From the blocks' own sums of w_i dX_i [B, *shape], and those of the pieces [K, *shape].
+        """
+        blocks, shape = len(sums), (len(sums), *(1,) * (sums.ndim - 1))
+        value = sums.sum(0)
+        if blocks < 2:
+            return np.broadcast_to(value, sums.shape)
+        times = self.sizes.sum() / self.sizes.reshape(shape)
+        left = (value - sums) * times / (times - 1)
+        left = left + np.tensordot(self.parts, further, axes=1)
+        apart = (times - 1) * (value - left)
+        apart = (apart - apart.mean(0)) * np.sqrt((blocks - 1) / (times - 1))
+        return value + apart - apart.mean(0)
+
+
+def plan(objective: Objective, totals: Weights, sizes: Sequence[int]) -> Plan:
+    """How the weights of these totals change without each block; blocks follow one another."""
+    whole, ends = objective.weights(totals), np.cumsum(sizes)
+    none = Plan(whole, np.asarray(sizes), np.zeros(0, int), [], np.zeros((len(sizes), 0)))
+    if objective.linear or len(sizes) < 2:
+        return none
+    names = list(whole)
+    change = _changes(objective, totals, whole, ends)
+    size = np.sqrt(np.mean(change**2, axis=0))
+    largest = max(np.max(np.abs(weight)) for weight in whole.values())
+    if not np.max(size) > NOTHING * largest:
+        return none
+    room = max(int(sizes[0]), min(int(ends[-1]), ENOUGH))
+    sample, worth = _sample(size.sum(0), room)
+    owners = np.searchsorted(ends, sample, side="right")
+    parts, pieces = _common(change, size, sample, worth, owners)
+    split = [dict(zip(names, piece)) for piece in pieces]
+    return none._replace(sample=sample, pieces=split, parts=parts)
+
+
+def _changes(objective: Objective, totals, whole: Weights, ends: np.ndarray) -> np.ndarray:
+    """[B, outputs, N]: weights without block b, less N / (N - n_b) times the old ones."""
+    names, count = list(whole), int(ends[-1])
+    change = np.zeros((len(ends), len(names), count))
+    for b, (first, last) in enumerate(zip([0, *ends[:-1]], ends)):
+        kept = np.r_[0:first, last:count]
+        left = objective.weights({name: total[kept] for name, total in totals.items()})
+        for k, name in enumerate(names):
+            change[b, k, kept] = left[name] - whole[name][kept] * (count / len(kept))
+    return change
+
+
+def _sample(size: np.ndarray, room: int) -> tuple[np.ndarray, np.ndarray]:
+    """Positions of paths, those that change more the more often, and what each stands for.
+
+    Systematic sampling with probabilities in proportion to `size` [N], at most one.
+    """
+    chance = np.zeros(len(size))
+    sure = np.zeros(len(size), bool)
+    while True:
+        rest = size[~sure].sum()
+        chance[sure] = 1.0
+        chance[~sure] = size[~sure] * ((room - sure.sum()) / rest) if rest > 0 else 0.0
+        if not np.any(chance > 1 + NOTHING):
+            break
+        sure |= chance >= 1
+    steps = np.floor(np.cumsum(np.minimum(chance, 1.0)) + 0.5)
+    taken = np.diff(steps, prepend=0.0) > 0
+    # As many paths as there is room for: those without a change fill it.
+    spare = np.flatnonzero(~taken)[: max(0, room - int(taken.sum()))]
+    sample = np.union1d(np.flatnonzero(taken), spare)
+    worth = np.where(taken, 1 / np.where(taken, chance, 1.0), 0.0)[sample]
+    return sample, worth
+
+
+def _common(change, size, sample, worth, owners) -> tuple[np.ndarray, np.ndarray]:
+    """`parts` [B, K] and `pieces` [K, outputs, R] whose product is nearly the change.
+
+    The sum of the change over paths is kept exactly, in one piece for each output that changes.
+    """
+    blocks, outputs = change.shape[:2]
+    sums = change.sum(2)
+    shape = size[:, sample] * worth
+    norm = shape.sum(1)
+    chosen = np.flatnonzero(norm > 0)
+    pieces = np.zeros((len(chosen), outputs, len(sample)))
+    pieces[np.arange(len(chosen)), chosen] = shape[chosen] / norm[chosen, None]
+    seen = _filled(change[:, :, sample], owners) * worth
+    rest = seen - np.tensordot(seen.sum(2)[:, chosen], pieces, axes=1)
+    left, scale, right = np.linalg.svd(rest.reshape(blocks, -1), full_matrices=False)
+    few = min(FURTHER, int(np.sum(scale > SMALL * np.linalg.norm(seen))))
+    parts = np.concatenate([sums[:, chosen], left[:, :few] * scale[:few]], 1)
+    return parts, np.concatenate([pieces, right[:few].reshape(few, outputs, len(sample))])
+
+
+def _filled(change: np.ndarray, owners: np.ndarray) -> np.ndarray:
+    """[B, outputs, R] with a number for the one block of each path that has none, its own.
+
+    To first order the changes of a path add up to zero over the blocks.
+    """
+    filled = change.copy()
+    most = np.max(np.abs(change), axis=0)
+    paths = np.arange(len(owners))
+    filled[owners, :, paths] = np.clip(-np.sum(change, axis=0), -most, most).T
+    return filled

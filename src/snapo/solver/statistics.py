@@ -1,0 +1,182 @@
+"""Every standard error of the package: what is independent, and how far an estimate may be off.
+
+Paths are independent in groups only: an antithetic pair is one draw, and so is a Sobol scramble
+(`Scenarios.groups`). Numbers [N] of paths become `shares`, one of each group, whose mean is the
+estimate and whose spread is its error: sums and ratios by the linearised ratio (Cochran,
+Sampling Techniques, 1977, section 6.3), what is no mean by its influence function. Numbers that
+are found block by block become an `Estimate`, by a jackknife that leaves out each block
+(`by_block`). Intervals are Student's.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from snapo.problem.objective import CVaR
+
+LEVEL = 0.95  # of an interval, where nothing else is said
+
+
+class Sampled(NamedTuple):
+    """An estimate, its standard error, and the degrees of freedom of Student's t."""
+
+    value: float
+    standard_error: float
+    degrees: float = np.inf
+
+    def interval(self, level: float = LEVEL, comparisons: int = 1) -> tuple[float, float]:
+        """The limits between which the true number lies with probability `level`."""
+        half = critical(self.degrees, level, comparisons) * self.standard_error
+        return self.value - half, self.value + half
+
+    def holds(self, expected: float, level: float = LEVEL, comparisons: int = 1) -> bool:
+        """Whether a number lies within the interval."""
+        low, high = self.interval(level, comparisons)
+        return low <= expected <= high
+
+
+class Estimate(NamedTuple):
+    """Numbers of any shape from independent blocks of paths: `blocks` [B, *shape].
+
+    The mean over the blocks is the estimate, their spread its standard error.
+    """
+
+    blocks: np.ndarray
+
+    @property
+    def value(self) -> np.ndarray:
+        """The numbers."""
+        return self.blocks.mean(0)
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """Their standard errors, of the same shape; Student's t has B - 1 degrees of freedom."""
+        return _error(self.blocks)
+
+    def along(self, direction: np.ndarray) -> tuple[float, float]:
+        """The sum of the numbers times a direction, and its standard error."""
+        joined = Estimate((self.blocks * direction).reshape(len(self.blocks), -1).sum(1))
+        return float(joined.value), float(joined.standard_error)
+
+    def norm(self) -> tuple[float, float]:
+        """The Euclidean norm, and the norm of the noise in it.
+
+        Noise adds the sum of the squared standard errors to the square of a norm: it is taken
+        off, and a norm that is within its noise may be zero.
+        """
+        noise = float(np.linalg.norm(self.standard_error))
+        square = float(np.sum(self.value**2)) - noise**2
+        return float(np.sqrt(max(square, 0.0))), noise
+
+
+def critical(degrees: float = np.inf, level: float = LEVEL, comparisons: int = 1) -> float:
+    """Standard errors to either side of an estimate; of all `comparisons` estimates together.
+
+    Bonferroni's bound: each has (1 - level) / comparisons to spare.
+    """
+    spare = (1 - level) / max(1, comparisons)
+    return float(stats.t.isf(spare / 2, degrees)) if degrees > 0 else np.nan
+
+
+def independent(*errors: float | np.ndarray) -> np.ndarray:
+    """The standard error of a sum or difference of independent estimates."""
+    return np.sqrt(np.sum(np.square(np.broadcast_arrays(*errors)), axis=0))
+
+
+def shares(values: np.ndarray, groups: np.ndarray | None = None) -> np.ndarray:
+    """[G]: the mean over paths as a mean over groups; `groups` [N] are numbers from 0."""
+    return ratio_shares(values, np.ones(len(values)), groups)
+
+
+def ratio_shares(
+    top: np.ndarray, bottom: np.ndarray, groups: np.ndarray | None = None
+) -> np.ndarray:
+    """[G]: sum(top) / sum(bottom) as a mean over groups, linearised at it."""
+    top, bottom = np.asarray(top, np.float64), np.asarray(bottom, np.float64)
+    if groups is not None:
+        top, bottom = np.bincount(groups, top), np.bincount(groups, bottom)
+    whole = bottom.sum()
+    with np.errstate(invalid="ignore", divide="ignore"):
+        value = top.sum() / whole
+        if not np.isfinite(value):
+            return np.full(len(top), value)
+        return value + (top - value * bottom) * (len(top) / whole)
+
+
+def of_shares(found: np.ndarray, fitted: int = 0) -> Sampled:
+    """The estimate of shares [G]; `fitted` coefficients cost as many degrees of freedom."""
+    degrees = len(found) - 1 - fitted
+    with np.errstate(invalid="ignore"):
+        error = float(_error(found)) if degrees > 0 else np.nan
+        value = float(np.mean(found))
+    return Sampled(value, error * np.sqrt((len(found) - 1) / max(degrees, 1)), max(degrees, 0))
+
+
+def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
+    """The mean over paths; of a difference of two runs on the same paths, the paired one."""
+    return of_shares(shares(values, groups))
+
+
+def ratio(top: np.ndarray, bottom: np.ndarray, groups: np.ndarray | None = None) -> Sampled:
+    """sum(top) / sum(bottom) over paths."""
+    return of_shares(ratio_shares(top, bottom, groups))
+
+
+def tail(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
+    """The mean of the smallest 1 - level of the paths."""
+    return mean(CVaR("", level).influence({"": np.asarray(values)}), groups)
+
+
+def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None) -> Sampled:
+    """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
+    found = float(np.quantile(values, level))
+    below = mean(np.asarray(values) <= found, groups)
+    half = critical(below.degrees) * below.standard_error
+    low, high = np.quantile(values, np.clip([level - half, level + half], 0.0, 1.0))
+    return Sampled(found, float(high - low) / (2 * critical(below.degrees)), below.degrees)
+
+
+def proportion(count, of: int):
+    """The share of independent draws that were counted, and its standard error: arrays like it.
+
+    The error is that of two draws more of either kind (Agresti and Coull 1998): none of a
+    hundred is not surely none at all.
+    """
+    count = np.asarray(count, np.float64)
+    moved = (count + 2) / (of + 4)
+    return count / of, np.sqrt(moved * (1 - moved) / (of + 4))
+
+
+def controlled(
+    found: np.ndarray, controls: list[np.ndarray]
+) -> tuple[np.ndarray, list[int], Sampled]:
+    """Shares [G] less what controls of mean zero explain by regression, and the estimate of it.
+
+    A control whose own mean is not zero, beyond chance in a million, is not used: it would take
+    a part of the value away with the noise. The numbers of those are given.
+    """
+    false = []
+    for i, control in enumerate(controls):
+        low, high = of_shares(control).interval(1 - CHANCE, len(controls))
+        none = ROUND_OFF * (np.max(np.abs(control)) + np.max(np.abs(found)))
+        if not low - none <= 0 <= high + none:
+            false.append(i)
+    used = [each for i, each in enumerate(controls) if i not in false]
+    if not used or len(found) < len(used) + 3 or not np.isfinite(found).all():
+        return found, false, of_shares(found)
+    design = np.stack(used, 1)
+    beta = np.linalg.lstsq(design - design.mean(0), found - found.mean(), rcond=None)[0]
+    left = found - design @ beta
+    return left, false, of_shares(left, len(used))
+
+
+CHANCE = 1e-6  # of refusing a control that is right
+ROUND_OFF = 1e-12  # relative
+
+
+def _error(blocks: np.ndarray) -> np.ndarray:
+    """The standard error of a mean over independent rows."""
+    if len(blocks) < 2:
+        return np.full(np.shape(blocks)[1:], np.nan)
+    return np.asarray(np.std(blocks, axis=0, ddof=1) / np.sqrt(len(blocks)))
