@@ -13,12 +13,17 @@ from snapo.report.sections.fans import fans
 from snapo.report.sections.headline import headline
 from snapo.report.sections.proof import certificate, history, making
 from snapo.report.sections.sensitivities import amount, sensitivities
-from snapo.study.parts.distribution import described
+from snapo.study.parts import distribution as totals
 from snapo.study.parts.moves import direction
 from snapo.study.parts.profile import bands
 from snapo.study.run_folder import plain_json
 
 SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, making)
+
+
+def described(total):
+    """Every path is a group of its own."""
+    return totals.described(total, np.arange(total.size))
 
 
 def test_a_distribution_is_that_of_its_paths():
@@ -81,7 +86,9 @@ def test_sections_of_a_whole_run(tmp_path):
     total = np.random.default_rng(0).normal(1000, 50, 512)
     fan = {"name": "water", "kind": "state", "unit": "hm3", **bands(np.ones((5, 1)) * total[:40])}
     moved = {"input": "rain", "words": "of a week", "amount": 1.0, "share": None, "unit": "hm3",
-             "effect": 12.5, "standard_error": 0.5, "smooth": 12.0, "smooth_error": 1.0}  # fmt: skip
+             "effect": 12.5, "standard_error": 0.5, "held": 12.5, "held_error": 0.5,
+             "smooth": 12.0, "smooth_error": 1.0, "tried": 12.4, "tried_error": 0.1,
+             "more": 12.0, "less": 12.8, "believed": "held"}  # fmt: skip
     parts = {
         "distribution": {"distribution": [{"name": "cash", "unit": "EUR", **described(total)}]},
         "profile": {"profile": {"series": [fan], "paths": 40, "notes": ["a remark"]}},

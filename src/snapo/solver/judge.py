@@ -25,6 +25,9 @@ MOVE = 0.01  # of every number of an input
 SURE = 3.0  # standard errors
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 HELD, SMOOTH, UNKNOWN = "held", "smooth", "not known"
+COLUMNS = (
+    "input", "believed", "held", "held_error", "smooth", "smooth_error", "more", "less", "error",
+)  # fmt: skip
 
 
 class Slope(Protocol):
@@ -59,7 +62,18 @@ class Verdict(NamedTuple):
 
     @property
     def change(self) -> float:
+        """The mean of the two sides."""
         return (self.up + self.down) / 2
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether more and less of the input differ: a tie, or a strong curvature."""
+        return abs(self.up - self.down) > SURE * self.error
+
+    def row(self, name: str) -> tuple:
+        """The verdict as a line of verdicts.csv, see `COLUMNS`."""
+        smooth = self.smooth or (np.nan, np.nan)
+        return name, self.supported, *self.held, *smooth, self.up, self.down, self.error
 
     @property
     def supported(self) -> str:

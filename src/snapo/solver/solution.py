@@ -13,13 +13,14 @@ from snapo.problem.policy import Policy
 
 from . import checkpoint
 from .files import write_csv, write_text
-from .judge import Verdict
+from .judge import COLUMNS, Verdict
 from .sensitivity import Row, Sensitivities
 from .statistics import Estimate
 from .train import Record
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
-SENSITIVITIES, HISTORY, RESULT = "sensitivities.csv", "history.csv", "result.json"
+SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
+HISTORY, RESULT = "history.csv", "result.json"
 
 
 @dataclass(frozen=True)
@@ -95,12 +96,14 @@ class Solution:
         }
 
     def save(self, folder: Path | str) -> None:
-        """Writes result.json, sensitivities.csv, history.csv, and the arrays of everything."""
+        """Writes result.json, tables as CSV (sensitivities, verdicts, history), and all arrays."""
         folder = Path(folder)
         folder.mkdir(parents=True, exist_ok=True)
         write_text(folder / RESULT, json.dumps(self.summary() | self._beside(), indent=1))
         if self.sensitivities is not None:
             write_csv(folder / SENSITIVITIES, Row._fields, self.sensitivities.rows())
+            verdicts = (self.sensitivities.verdicts or {}).items()
+            write_csv(folder / VERDICTS, COLUMNS, (each.row(name) for name, each in verdicts))
         write_csv(folder / HISTORY, Record._fields, self.history)
         policies = {"policy": self.policy, "halfway": self.halfway}
         checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})

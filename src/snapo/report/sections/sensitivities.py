@@ -18,8 +18,9 @@ CAVEAT = (
     "optimal value where decisions are optimal, see the whole state and cause no jump. Smooth: "
     "through the policy's reaction in the smooth simulator. Tried: the change of the exact value, "
     "policy reacting, when all numbers of the input are moved by a hundredth on the same paths, "
-    "scaled to the move of the row. Believed: the first of the two that lies between the changes "
-    "upwards and downwards, but for three standard errors; not known where neither does. "
+    "scaled to the move of the row; more and less apart where they differ. Believed: the first of "
+    "the two that lies between the changes upwards and downwards, but for three standard errors; "
+    "not known where neither does. "
     "Moved: by how much the held one moved in the second half of training."
 )
 
@@ -74,7 +75,8 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
             amount(each),
             *_with_error(each, "held", places),
             *_with_error(each, "smooth", places),
-            *_with_error(each, "tried", places),
+            _tried(each, places),
+            plus_minus(each.get("tried_error"), places),
             each.get("believed") or "",
         )
         for each in moves
@@ -87,6 +89,12 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
 
 def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
     return number(each.get(name), places), plus_minus(each.get(f"{name}_error"), places)
+
+
+def _tried(each: dict[str, Any], places: int) -> str:
+    """The change at a move; of more and of less apart, where they differ."""
+    sides = [number(each.get(name), places) for name in ("more", "less")]
+    return f"{sides[0]} more, {sides[1]} less" if all(sides) else number(each.get("tried"), places)
 
 
 def _table(run: Folder) -> Table:

@@ -24,7 +24,8 @@ def work(run: StudyRun) -> dict[str, Any]:
       `smooth`, `smooth_error`: through the policy's reaction.
     - `believed`: which of the two a move by a hundredth supports, "held" or "smooth", or "not
       known" ("" where none was made); `tried`, `tried_error`: the change of the exact value that
-      was seen, scaled to the size of this move, where it is along the same direction.
+      was seen, scaled to the size of this move, where it is along the same direction; `more`,
+      `less`: of the move and of its opposite alone, where they differ.
     - `effect`, `standard_error`: the believed one; where neither is, the one that was tried.
     """
     table = run.solution.sensitivities
@@ -46,10 +47,11 @@ def direction(given: Input) -> np.ndarray:
 
 def _row(name: str, given: Input, table: Sensitivities) -> dict[str, Any]:
     along = direction(given)
+    tried = _tried(given, table.verdicts, name, along)
     found = {
         "held": table.held[name].along(along),
         "smooth": _along(table.smooth, name, along),
-        "tried": _tried(given, table.verdicts, name, along),
+        "tried": (tried.change, tried.error) if tried else (None, None),
     }
     believed = table.believed(name)
     chosen = believed or "held"
@@ -69,20 +71,24 @@ def _row(name: str, given: Input, table: Sensitivities) -> dict[str, Any]:
         "believed": believed,
         **{name: value for name, (value, _) in found.items()},
         **{f"{name}_error": error for name, (_, error) in found.items()},
+        "more": tried.up if tried and tried.two_sided else None,
+        "less": tried.down if tried and tried.two_sided else None,
     }
 
 
 def _tried(
     given: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
-) -> tuple[float | None, float | None]:
-    """The change that was seen, scaled to a move along the same or the opposite direction."""
+) -> Verdict | None:
+    """The judging move scaled to this one, where it has the same or the opposite direction."""
     found = (verdicts or {}).get(name)
     if found is None:
-        return None, None
+        return None
     by = hundredth(given)
     times = float(np.sum(along * by) / np.sum(by * by))
-    same = np.allclose(along, times * by)
-    return (times * found.change, abs(times) * found.error) if same else (None, None)
+    if not np.allclose(along, times * by):
+        return None
+    up, down = (found.up, found.down) if times > 0 else (found.down, found.up)
+    return found._replace(up=times * up, down=times * down, error=abs(times) * found.error)
 
 
 def _along(

@@ -269,7 +269,7 @@ CERTIFICATE = {
 def _sensitivities():
     yield SENSITIVITIES
     for name, label, value, error, unit in _held():
-        yield (name, label, unit, value, error, value * 1.01, error, 0.001 * value)
+        yield (name, label, unit, value, error, value * 1.01, error, 0.001 * value, "held")
 
 
 def _held():
