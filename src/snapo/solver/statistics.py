@@ -133,6 +133,8 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
     found = float(np.quantile(values, level))
     below = mean(np.asarray(values) <= found, groups)
     half = critical(below.degrees) * below.standard_error
+    if not np.isfinite(half):
+        return Sampled(found, np.nan, below.degrees)
     low, high = np.quantile(values, np.clip([level - half, level + half], 0.0, 1.0))
     return Sampled(found, float(high - low) / (2 * critical(below.degrees)), below.degrees)
 
