@@ -6,6 +6,7 @@ import pytest
 from jax.scipy.special import ndtr
 
 import snapo
+from snapo.solver.certificate import certify_derivatives
 from snapo.solver.judge import UNKNOWN, Verdict, judge
 
 PATHS = 4096
@@ -133,7 +134,13 @@ def test_at_a_tie_both_sides_are_told():
         verdict = table.verdicts[name]
         assert verdict.up == pytest.approx(0, abs=1e-12)
         assert verdict.down == pytest.approx(0.1, abs=3 * verdict.error + 1e-12)
-        assert verdict.supported == "held"
+        assert verdict.supported == "held" and verdict.two_sided
+    problem = snapo.Problem(Sale(), inputs, snapo.Mean("cash"))
+    bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), 64)}
+    # The adjoint at the reported inputs is one of the two sides.
+    for name in ("stock", "room"):
+        assert bumps[name].passed and bumps[name].kink
+        assert sorted((bumps[name].up, bumps[name].down))[0] == pytest.approx(0, abs=1e-9)
 
 
 def test_three_standard_errors_decide():

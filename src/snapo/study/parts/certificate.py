@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
-from snapo.solver.certificate import bump_check, feasibility, nudged
+from snapo.solver.certificate import certify_derivatives, feasibility
 
 from ..study import Part, StudyRun
 
@@ -16,14 +16,14 @@ ROUND_OFF = 1e-9  # of the largest number among the inputs, at least of one
 def work(run: StudyRun) -> dict[str, Any]:
     """ "certificate": {"bump_check", "feasibility", "smoothing_gap", "policy_gradient_norm"}.
 
-    Bumps are made near the inputs, not at them, since round numbers lie on kinks. Limits are those
+    Bumps are made at the inputs, and near them too where most paths lie on kinks. Limits are those
     of the simulator's `slack`.
     """
     setup, solution = run.setup, run.solution
     problem, policy, engine = setup.problem, solution.policy, setup.engines.evaluate
     if policy is None:
         raise ValueError("the run has no policy")
-    bumps = bump_check(nudged(problem), policy, PATHS, engine=engine)
+    bumps = certify_derivatives(problem, policy, PATHS, engine=engine)
     limits = feasibility(problem, policy, engine=engine)
     round_off = ROUND_OFF * largest(problem)
     return {

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
-from snapo.solver.certificate import bump_check, feasibility, nudged
+from snapo.solver.certificate import certify_derivatives, feasibility, nudged
 from snapo.solver.solution import Solution
 from snapo.study.study import Part, Setup, StudyRun
 
@@ -19,7 +19,9 @@ def work(run: StudyRun) -> dict[str, Any]:
     """The adjoint against bumps, limits kept, the smoothing gap, and homogeneity in the curve."""
     setup, solution = run.setup, run.solution
     problem, engine = beside(setup), setup.engines.evaluate
-    bumps = bump_check(off_ties(problem), policy_of(solution), BUMP_PATHS, engine=engine)
+    bumps = certify_derivatives(
+        problem, policy_of(solution), BUMP_PATHS, near=off_ties, engine=engine
+    )
     limits = feasibility(problem, policy_of(solution), LIMIT_PATHS, engine=engine)
     slack = 1e-6 * float(problem.schedule.constants.rate_scale)
     return {

@@ -2,7 +2,7 @@
 
 from typing import Any
 
-from snapo.solver.certificate import bump_check, feasibility, nudged
+from snapo.solver.certificate import certify_derivatives, feasibility
 from snapo.study.study import StudyRun
 
 BUMP_PATHS, LIMIT_PATHS = 256, 4096
@@ -10,12 +10,12 @@ SLACK = 1e-9  # of a share: round-off
 
 
 def work(run: StudyRun) -> dict[str, Any]:
-    """ "certificate": bumps near the inputs, limits on the paths of the evaluation."""
+    """ "certificate": bumps at the inputs, limits on the paths of the evaluation."""
     setup, solution = run.setup, run.solution
     problem, policy, engine = setup.problem, solution.policy, setup.engines.evaluate
     assert policy is not None
     available = min(LIMIT_PATHS, setup.evaluation.paths)
-    bumps = bump_check(nudged(problem), policy, min(BUMP_PATHS, available), engine=engine)
+    bumps = certify_derivatives(problem, policy, min(BUMP_PATHS, available), engine=engine)
     limits = feasibility(problem, policy, available, engine=engine)
     return {
         "certificate": {
