@@ -23,6 +23,7 @@ def run(options: argparse.Namespace) -> int:
         "new": _new,
         "check": _check,
         "solve": _solve,
+        "certify": _certify,
         "report": _report,
         "compare": _compare,
         "bench": _bench,
@@ -92,6 +93,20 @@ def _solve(options: argparse.Namespace) -> Answer:
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
 
 
+def _certify(options: argparse.Namespace) -> Answer:
+    result = commands.certify(
+        options.run,
+        say,
+        paths=options.paths,
+        penalty=options.penalty,
+        engine=options.engine,
+        simulator=options.simulator,
+    )
+    failed = (result.get("failures") or {}).get("bound")
+    code = FAILED if failed else OK
+    return result, bounds(result) if not failed else summary(result), code
+
+
 def _report(options: argparse.Namespace) -> Answer:
     file = commands.report(options.run)
     return {"status": "ok", "report": file}, str(file), OK
@@ -125,6 +140,19 @@ def summary(result: Mapping[str, Any]) -> str:
     lines += [f"{part}: {note}" for part, note in (result.get("failures") or {}).items()]
     if result.get("run"):
         lines.append(f"report: {Path(result['run']) / 'report.html'}")
+    return "\n".join(lines)
+
+
+def bounds(result: Mapping[str, Any]) -> str:
+    """The bounds for a person: each with its 95 % interval."""
+    found = result.get("bound") or {}
+    lines = [f"{result.get('kind', '')}: 95 % intervals, {found.get('paths', 0):,} paths"]
+    for name in ("lower", "upper", "gap"):
+        each = found.get(name)
+        if each:
+            low, high = _figure(each["low"]), _figure(each["high"])
+            lines.append(f"{name:<8}{_figure(each['value']):>16}   {low} to {high}")
+    lines.append(f"report: {Path(result['run']) / 'report.html'}")
     return "\n".join(lines)
 
 

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 ENGINES = ("auto", "xla", "native")
+PENALTIES = ("none", "value", "trained")
 CASE = "a TOML file, or a folder with case.toml"
 
 
@@ -28,7 +29,15 @@ def _parser() -> argparse.ArgumentParser:
         epilog="start with: snapo new gas-storage mystore && snapo solve mystore",
     )
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
-    for add in (_add_new, _add_check, _add_solve, _add_report, _add_compare, _add_bench):
+    for add in (
+        _add_new,
+        _add_check,
+        _add_solve,
+        _add_certify,
+        _add_report,
+        _add_compare,
+        _add_bench,
+    ):
         add(commands)
     for each in commands.choices.values():
         each.add_argument("--json", action="store_true", help="print one JSON object on stdout")
@@ -66,6 +75,20 @@ def _add_solve(commands) -> None:
     solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
 
 
+def _add_certify(commands) -> None:
+    certify = commands.add_parser("certify", help="bound the value of a run from both sides")
+    certify.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    certify.add_argument("--paths", metavar="N", type=_paths, help="to bound on (default: 1024)")
+    certify.add_argument(
+        "--penalty",
+        choices=PENALTIES,
+        default="value",
+        help="on hindsight: none, a fitted value function, or one scaled by descent on the bound",
+    )
+    certify.add_argument("--engine", choices=ENGINES, default="auto")
+    _add_simulator(certify)
+
+
 def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
@@ -95,12 +118,22 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
         "assets.equity.weight=0.4 (an element of an array by its name or number); repeatable",
     )
     parser.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
+    _add_simulator(parser)
+
+
+def _add_simulator(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--simulator",
         metavar="MODULE:CLASS",
         type=_simulator,
         help='the code of a case of kind "own", beside the case or where you are',
     )
+
+
+def _paths(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
+        raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
+    return int(text)
 
 
 def _seed(text: str) -> int:

@@ -7,12 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.solver.bound import Penalty
 from snapo.solver.files import write_text
 
 from . import run_folder
 from .domain import Domain
+from .parts.bound import BOUND, bounded
 from .report import write_report
 from .study import Part, Study, StudyRun, Tell
+from .training import TRAINING
 
 OFTEN = 20.0  # a report is written again when the work since took this many times its own time
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
@@ -39,6 +42,29 @@ def carry_out(
         writer.write()
         raise
     return writer.write()
+
+
+def certify(
+    domain: Domain, study: Study, out: Path, tell: Tell, paths: int, penalty: Penalty
+) -> dict[str, Any]:
+    """The bounds of a run that was carried out, kept with it: what its result.json says now.
+
+    **Raises:** `CaseError` where the study has no bound, or the run no policy.
+    """
+    if isinstance(study.relaxation, str):
+        raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")
+    record = run_folder.read(out)
+    if record["parts"].get(TRAINING.name, {}).get("state") != DONE:
+        what = "this run has no trained policy: solve its case again, or go on with --resume"
+        raise CaseError(str(out), "", None, what)
+    run = StudyRun(study, out, tell, True)
+    run.found |= record["about"]
+    for part in study.parts:
+        if part.name != BOUND.name:
+            run.found |= run_folder.read_part(out, part) or {}
+    record["parts"].pop(BOUND.name, None)
+    _do(BOUND._replace(work=lambda run: bounded(run, paths, penalty)), run, record)
+    return _Writer(domain, run, record).write()
 
 
 def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:

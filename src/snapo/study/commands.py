@@ -9,6 +9,8 @@ from snapo.case.error import CaseError, Unquoted
 from .domain import Domain, Options, RunsCode, find, installed
 
 if TYPE_CHECKING:
+    from snapo.solver.bound import Penalty
+
     from .study import Tell
 
 
@@ -141,6 +143,36 @@ def solve(
         run_folder.check_same(out, decides)
     run_folder.copy_case(loaded.file, out)
     return carry_out(loaded.domain, study, out, decides, resume, tell)
+
+
+def certify(
+    run: Path,
+    tell: "Tell",
+    *,
+    paths: int | None = None,
+    penalty: "Penalty" = "value",
+    engine: str = "auto",
+    simulator: tuple[str, str] | None = None,
+) -> dict[str, Any]:
+    """Bounds the value of a run from both sides; returns what its result.json says now.
+
+    **Raises:** `CaseError` where there is no such run, or nothing bounds its value; it says why.
+    """
+    from . import run_folder
+    from .again import case_of_run
+    from .cores import use_every_core
+
+    record = run_folder.read(run)
+    domain = find(record.get("kind"), str(run / run_folder.RUN))
+    file, data = case_of_run(run, record)
+    if simulator is not None and isinstance(domain, RunsCode):
+        domain = domain.with_simulator(*simulator)
+    use_every_core()
+    from .carry_out import certify as certified
+    from .parts.bound import PATHS
+
+    study = domain.study(domain.read(file, data), Options(engine))
+    return certified(domain, study, run, tell, paths or PATHS, penalty)
 
 
 def report(run: Path) -> Path:

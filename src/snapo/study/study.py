@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 from snapo.engine import Engines
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.solver.bound import Relaxation
 from snapo.solver.files import write_csv
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
@@ -58,6 +59,7 @@ class Study:
     - `parts`: in the order in which they are done.
     - `result`: what result.json says, from the run so far: "value", "standard_error", "status" …
     - `setup`: gives what training takes, the same object every time; None where nothing trains.
+    - `relaxation`: gives the inner problem of the bound from above; or says why there is none.
     """
 
     kind: str
@@ -65,6 +67,9 @@ class Study:
     parts: Sequence[Part]
     result: "Callable[[StudyRun], Mapping[str, Any]]"
     setup: Callable[[], Setup] | None = None
+    relaxation: Callable[[], Relaxation] | str = (
+        "no bound from above is known for this kind of case"
+    )
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

@@ -27,7 +27,7 @@ from snapo.study.run_folder import decisive
 
 HEAD = {"kind", "value", "standard_error", "references", "status", "seconds", "failures", "run"}
 PARTS = ["intrinsic value", "training", "profile", "deltas", "shadow prices", "certificate"]
-PARTS += ["dynamic programming", "value ladder"]
+PARTS += ["bound", "dynamic programming", "value ladder"]
 STEPS, EVERY = 300, 10
 
 # Whoever starts the tests in the background passes on that interrupts are ignored.
@@ -160,6 +160,40 @@ def test_the_certificate_passes(whole):
     assert all(row["passed"] for row in details["feasibility"])
     left, error = details["homogeneity"]["left"], details["homogeneity"]["error"]
     assert abs(error) <= 1e-9 * abs(left)
+
+
+@pytest.mark.prove
+def test_the_exact_value_lies_between_the_bounds(whole):
+    found = details_of(whole[1])["bound"]
+    exact = whole[0]["references"]["dynamic_programming"]
+    assert found["lower"]["low"] <= exact <= found["upper"]["high"]
+    assert 0 <= found["gap"]["value"] <= 0.02 * exact
+    assert whole[0]["references"]["upper_bound"] == found["upper"]["value"]
+    page = (whole[1] / "report.html").read_text(encoding="utf-8")
+    assert "No policy whatever earns more than" in page
+
+
+@pytest.mark.prove
+def test_a_run_is_certified_again_with_another_penalty(whole, tmp_path):
+    out = Path(shutil.copytree(whole[1], tmp_path / "run"))
+    result = commands.certify(out, lambda text: None, paths=64, penalty="none", engine="native")
+    wide, narrow = result["bound"], whole[0]["bound"]
+    assert (wide["paths"], wide["penalty"], narrow["penalty"]) == (64, "none", "value")
+    assert wide["gap"]["value"] > 10 * narrow["gap"]["value"]
+    assert result["value"] == whole[0]["value"] and result["status"] == "trained"
+    assert json.loads((out / "result.json").read_text())["bound"] == wide
+
+
+@pytest.mark.prove
+def test_a_run_that_nothing_bounds_says_why(whole, folder, tmp_path):
+    out = Path(shutil.copytree(whole[1], tmp_path / "run"))
+    record = json.loads((out / "run.json").read_text())
+    record["decides"]["case"]["objective"] = {"kind": "cvar"}
+    (out / "run.json").write_text(json.dumps(record))
+    with pytest.raises(CaseError, match=r'only a mean is bounded from above, .* "cvar"'):
+        commands.certify(out, lambda text: None)
+    with pytest.raises(CaseError, match="not the folder of a run"):
+        commands.certify(folder, lambda text: None)
 
 
 @pytest.mark.prove

@@ -7,6 +7,7 @@ import numpy as np
 from snapo.report import charts
 from snapo.report.drawing import draw_alone
 from snapo.report.quantity import array, decimals, finite, long_date
+from snapo.report.sections.bound import bound
 from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
 from snapo.study.domain import Report
@@ -18,6 +19,7 @@ HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"
 SECTIONS = (
     headline.headline,
     value.value_ladder,
+    bound,
     position.curve,
     position.inventory,
     position.monthly,

@@ -5,9 +5,11 @@ from typing import Any
 
 from snapo.problem.problem import Problem
 from snapo.study.domain import Options
+from snapo.study.parts.bound import BOUND
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from .bounds.relaxation import StoreRelaxation
 from .contract.expiry import fixed_costs_value, value_without_decisions
 from .contract.records import StorageCase
 from .references.intrinsic import intrinsic
@@ -44,11 +46,22 @@ def study(case: StorageCase, options: Options) -> Study:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Ready(case, options.engine), bare_problem(case)
     parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
+    relaxation = _relaxation(ready)
+    if callable(relaxation):
+        parts.append(BOUND)
     if options.reference:
         parts.append(DYNAMIC_PROGRAMMING)
     parts.append(VALUES)
     about = _about(case, bare)
-    return Study(KIND, about, tuple(parts), _result, lambda: ready.setup)
+    return Study(KIND, about, tuple(parts), _result, lambda: ready.setup, relaxation)
+
+
+def _relaxation(ready: "_Ready"):
+    """The store of known prices; or the reason why a run has no bound from above."""
+    kind = ready.case.objective.kind
+    if kind != "mean":
+        return f'only a mean is bounded from above, and the objective is "{kind}"'
+    return lambda: StoreRelaxation(ready.setup.problem)
 
 
 class _Ready:
@@ -122,8 +135,9 @@ def _result(run: StudyRun) -> dict[str, Any]:
     references = {
         "intrinsic": run.get("intrinsic.value"),
         "dynamic_programming": run.get("dynamic_programming"),
+        "upper_bound": run.get("bound.upper.value"),
     }
-    return trained(run, references)
+    return trained(run, references) | {"bound": run.get("bound")}
 
 
 def _expired(case: StorageCase):

@@ -2,6 +2,7 @@
 
 from snapo.report.folder import Folder
 from snapo.report.quantity import number
+from snapo.report.sections.bound import bound
 from snapo.report.sections.distribution import distribution
 from snapo.report.sections.fans import fans
 from snapo.report.sections.headline import headline
@@ -9,7 +10,7 @@ from snapo.report.sections.proof import certificate, history, making
 from snapo.report.sections.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, making)
+SECTIONS = (headline, sensitivities, distribution, fans, bound, history, certificate, making)
 
 
 def about(run: Folder) -> list[tuple[str, str]]:

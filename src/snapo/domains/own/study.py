@@ -12,14 +12,16 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
+from snapo.solver.bound import Relaxable
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.domain import Options
+from snapo.study.parts.bound import BOUND
 from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import leaves, profile_part
-from snapo.study.study import Setup, Study
+from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
 from .records import OwnCase
@@ -90,7 +92,9 @@ def study(case: OwnCase, options: Options) -> Study:
         raise CaseError("--reference", "", None, what)
     findings = checked(case)
     setup = make_setup(case, options.engine)
-    parts = (TRAINING, distribution_part(case.units), profile_part(case.units), MOVES, CERTIFICATE)
+    parts = [TRAINING, distribution_part(case.units), profile_part(case.units), MOVES, CERTIFICATE]
+    if isinstance(setup.problem.simulator, Relaxable):
+        parts.append(BOUND)
     notes = [*case.notes, *(f"{each.where}: {each.what}" for each in findings.warnings)]
     about = {
         "title": case.title,
@@ -102,7 +106,19 @@ def study(case: OwnCase, options: Options) -> Study:
         "objective_output": case.output,
         "notes": notes,
     }
-    return Study("own", about, parts, trained, lambda: setup)
+    return Study("own", about, tuple(parts), _result, lambda: setup, _relaxation(setup.problem))
+
+
+def _result(run: StudyRun) -> dict[str, Any]:
+    return trained(run) | ({"bound": run.get("bound")} if run.get("bound") else {})
+
+
+def _relaxation(problem: Problem):
+    """What the simulator's `relaxation` gives; or the reason why a run has no bound from above."""
+    simulator = problem.simulator
+    if isinstance(simulator, Relaxable):
+        return lambda: simulator.relaxation(problem)
+    return "its simulator has no method `relaxation`; see docs/bounds.md"
 
 
 def make_setup(case: OwnCase, engine: str) -> Setup:

@@ -101,6 +101,15 @@ def sample_details() -> dict:
             _rung("Dynamic programming", 78370.0, None, "reference on a lattice"),
             _rung("After fixed costs", 64241.6, 38.4, "trained policy less fixed costs"),
         ],
+        "bound": {
+            "lower": _estimate(78262.6, 10.3),
+            "upper": _estimate(78466.6, 9.4),
+            "gap": _estimate(204.0, 5.2),
+            "penalty": "value",
+            "words": "the surprises of a fitted value of the store",
+            "scale": [1.0, 1.0, 1.0],
+            "paths": 1024,
+        },
         "break_even_fee": 11.1774,
         "fixed_costs": 14000.0,
         "forward": forward.tolist(),
@@ -148,6 +157,11 @@ def sample_details() -> dict:
 
 
 FLOW_BAND = (("mean", 0.0), ("p05", -120.0), ("p95", 120.0))
+
+
+def _estimate(value: float, error: float) -> dict:
+    low, high = value - 1.96 * error, value + 1.96 * error
+    return {"value": value, "standard_error": error, "low": low, "high": high}
 
 
 def _rung(name, value, error, note):

@@ -18,6 +18,7 @@ from snapo.study.report import write_report
 NAMES = [
     "headline",
     "ladder",
+    "bound",
     "curve",
     "inventory",
     "deltas",

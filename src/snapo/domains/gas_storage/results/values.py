@@ -48,6 +48,10 @@ def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     if exact is not None:
         note = "lattice in at most two price factors"
         ladder.append(rung("Dynamic programming", exact, note=note))
+    above = run.get("bound.upper")
+    if above is not None:
+        note = "hindsight with a penalty: no policy earns more"
+        ladder.append(rung("Upper bound", above["value"], above["standard_error"], note))
     if fees:
         after = solution.value - fees
         ladder.append(rung("After fixed costs", after, error, "less their present value"))

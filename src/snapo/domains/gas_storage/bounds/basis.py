@@ -1,0 +1,256 @@
+"""Functions of Gaussian price factors whose conditional expectations are known in closed form.
+
+Products of normalised Hermite polynomials he_n = He_n / sqrt(n!) in whitened factors y, and hinges
+(y - k)+ in the fast one, since every decision leaves a kink there; all times the exponential g of
+the factors that move all prices alike (a martingale of mean 1). Beside such an exponential stands
+the constant: proportional costs do not scale with it.
+
+    Y(t + 1) = R Y(t) + noise,   E[he_a(Y(t + 1)) | Y(t)] = sum over |b| = |a| of M[a, b] he_b(Y(t))
+
+with M = rho^a on the diagonal where the factors are independent (Mehler's formula); otherwise M
+follows from the generating function exp(s.y - s.s / 2), whose expectation is that at R' s. With
+mean m and deviation s of y(t + 1), E[(y(t + 1) - k)+] = s phi(d) + (m - k) Phi(d), d = (m - k) / s.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import product
+
+import numpy as np
+from scipy.special import ndtr
+
+from ..prices.process import GaussianFactors
+
+DEGREES = {1: 6, 2: 4, 3: 4}  # of products of so many factors, in all; of more of them: 3
+# Hinges, in standard deviations of the fast factor: many where it is alone.
+ALONE, FEW = np.arange(-3.0, 3.1, 0.25), np.arange(-1.75, 2.0, 0.5)
+NOTHING = 1e-14  # a variance below this is none
+
+
+@dataclass(frozen=True, eq=False)
+class Basis:
+    """K functions of the price factors on the T days and the end date.
+
+    - `of`: all factors; `kept`: indices of those in the polynomials, the fast one first.
+    - `common`: indices of the factors in the exponential; there may be none.
+    - `powers`: [n, kept] degrees of the polynomials; K = n, or n + 1 with the constant.
+    """
+
+    of: GaussianFactors
+    kept: tuple[int, ...]
+    common: tuple[int, ...]
+    powers: np.ndarray
+
+    @property
+    def size(self) -> int:
+        return len(self.powers) + len(self.hinges) + bool(self.common)
+
+    def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
+        """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
+        days = slice(first, first + len(states))
+        found = self.of_whitened(self._whitened(states, days), days)
+        return self._assemble(found, self._level(states, days))
+
+    def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
+        """[days, K, paths] expectations, given the factors, of the functions a day later."""
+        days = slice(first, first + len(states))
+        found = self.ahead_of_whitened(self._whitened(states, days), days)
+        return self._assemble(found, self._level(states, days))
+
+    def increments(self, states: np.ndarray) -> np.ndarray:
+        """[T + 1, K, paths] functions less their expectation a day before: of mean zero, given it.
+
+        `states` [T + 1, F, paths]. The first row is against the valuation date.
+        """
+        found = self.functions(states)
+        found[1:] -= self.expected(states[:-1])
+        found[0] -= self.first[:, None]
+        return found
+
+    @property
+    def hinges(self) -> np.ndarray:
+        """[hinges] where they are, in standard deviations of the fast factor."""
+        return ALONE if len(self.kept) == 1 else FEW
+
+    @property
+    def first(self) -> np.ndarray:
+        """[K] expectations on the valuation date of the functions on the first day."""
+        constant = np.all(self.powers == 0, axis=1).astype(float)
+        hinges = _hinge_means(self.hinges, np.zeros(()), np.ones(())) * self._moving[0, 0]
+        found = np.append(constant, hinges)
+        return np.append(found, 1.0) if self.common else found
+
+    def of_whitened(self, y: np.ndarray, days: slice) -> np.ndarray:
+        """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths].
+
+        A factor that does not vary on a day counts as zero, and functions of it as nothing.
+        """
+        plain = self._polynomials(y) * self._alive[days][:, :, None]
+        hinges = np.maximum(y[:, :1] - self.hinges[:, None], 0.0) * self._moving[days, :1, None]
+        return np.concatenate([plain, hinges], axis=1)
+
+    def ahead_of_whitened(self, y: np.ndarray, days: slice) -> np.ndarray:
+        """The same as expected for the day after each of `days`, which are not the last."""
+        after = slice(days.start + 1, days.stop + 1)
+        now, moves = self._polynomials(y) * self._alive[days][:, :, None], self._moves[after]
+        plain = moves * now if moves.shape[-1] == 1 else moves @ now
+        row = self._turn[after][:, 0]
+        deviation = np.sqrt(np.maximum(1 - np.sum(row**2, axis=1), NOTHING))
+        mean = np.einsum("tj,tjp->tp", row, y)
+        hinges = np.moveaxis(_hinge_means(self.hinges, mean, deviation[:, None]), 0, 1)
+        return np.concatenate([plain, hinges * self._moving[after, :1, None]], axis=1)
+
+    def _whitened(self, states: np.ndarray, days: slice) -> np.ndarray:
+        return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.kept])
+
+    def _polynomials(self, y: np.ndarray) -> np.ndarray:
+        """[..., n, paths] products of Hermite polynomials, from whitened factors."""
+        most = self.powers.max(axis=0)
+        tables = [_hermite(y[..., i, :], degree) for i, degree in enumerate(most)]
+        found = np.empty((*y.shape[:-2], len(self.powers), y.shape[-1]))
+        for k, degrees in enumerate(self.powers):
+            factors = [tables[i][d] for i, d in enumerate(degrees) if d]
+            found[..., k, :] = math.prod(factors[1:], start=factors[0]) if factors else 1.0
+        return found
+
+    def back(self, t: int) -> np.ndarray:
+        """[kept, kept] the factors of day t per unit of the whitened ones."""
+        return self._cholesky[t]
+
+    def level_deviation(self, t: int) -> float:
+        """The standard deviation of ln g on day t."""
+        return float(np.sqrt(self._level_variance[t]))
+
+    def _level(self, states, days) -> np.ndarray | None:
+        if not self.common:
+            return None
+        log = np.einsum("i,tip->tp", self._common_loading, states[:, self.common])
+        return np.exp(log - self._level_variance[days, None] / 2)
+
+    def _assemble(self, found, level) -> np.ndarray:
+        if level is None:
+            return found
+        one = np.ones((*level.shape[:-1], 1, level.shape[-1]))
+        return np.concatenate([level[..., None, :] * found, one], axis=-2)
+
+    @property
+    def _common_loading(self) -> np.ndarray:
+        return self.of.loading[0, list(self.common)]
+
+    @cached_property
+    def _covariance(self) -> np.ndarray:
+        size = self.of.decay.shape[1]
+        covariance, found = np.zeros((size, size)), []
+        for decay, shock in zip(self.of.decay, self.of.shock, strict=True):
+            covariance = np.outer(decay, decay) * covariance + shock @ shock.T
+            found.append(covariance)
+        return np.array(found)
+
+    @cached_property
+    def _level_variance(self) -> np.ndarray:
+        part = self._covariance[:, self.common][:, :, self.common]
+        return np.einsum("i,tij,j->t", self._common_loading, part, self._common_loading)
+
+    @cached_property
+    def _moving(self) -> np.ndarray:
+        """[T + 1, kept] whether the factor varies on the day."""
+        return np.diagonal(self._covariance, axis1=1, axis2=2)[:, self.kept] > NOTHING
+
+    @cached_property
+    def _alive(self) -> np.ndarray:
+        return np.all(self._moving[:, None, :] | (self.powers == 0)[None], axis=2)
+
+    @cached_property
+    def _cholesky(self) -> np.ndarray:
+        part = self._covariance[:, self.kept][:, :, self.kept]
+        both = self._moving[:, :, None] & self._moving[:, None, :]
+        still = ~self._moving[:, :, None] & np.eye(len(self.kept), dtype=bool)
+        root = np.linalg.cholesky(np.where(both, part, 0.0) + still)
+        return np.where(both, root, 0.0)
+
+    @cached_property
+    def _whiten(self) -> np.ndarray:
+        still = ~self._moving[:, :, None] & np.eye(len(self.kept), dtype=bool)
+        both = self._moving[:, :, None] & self._moving[:, None, :]
+        return np.where(both, np.linalg.inv(self._cholesky + still), 0.0)
+
+    @cached_property
+    def _turn(self) -> np.ndarray:
+        """[T + 1, kept, kept] R into each date."""
+        before = np.concatenate([np.zeros_like(self._cholesky[:1]), self._cholesky[:-1]])
+        return self._whiten @ (self.of.decay[:, self.kept][:, :, None] * before)
+
+    @cached_property
+    def _moves(self) -> np.ndarray:
+        """[T + 1, n, 1] factors or [T + 1, n, n] matrices that lead into each date."""
+        turn = self._turn
+        if np.all(np.abs(turn * (1 - np.eye(len(self.kept)))) < 1e-12):
+            own = np.diagonal(turn, axis1=1, axis2=2)
+            return np.prod(own[:, None, :] ** self.powers[None], axis=2)[:, :, None]
+        return np.array([_mehler(each, self.powers) for each in turn])
+
+
+def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
+    """The functions for these factors; `priced`: whether the end date has a price."""
+    loading = of.loading if priced else of.loading[:-1]
+    increments = np.max(np.abs(of.shock @ np.swapaxes(of.shock, 1, 2)), axis=0)
+    alone = np.count_nonzero(increments > 1e-12 * increments.max(), axis=1) <= 1
+    alike = np.ptp(loading, axis=0) <= 1e-12 * np.abs(loading).max()
+    common = alone & alike & np.all(of.decay == 1, axis=0)
+    silent = (np.abs(loading).max(axis=0) == 0) | (np.diagonal(increments) == 0)
+    speed = np.argsort(of.decay.mean(axis=0), kind="stable")
+    kept = tuple(int(i) for i in speed if not common[i] and not silent[i]) or (int(speed[0]),)
+    common = tuple(int(i) for i in speed if common[i] and not silent[i] and i not in kept)
+    return Basis(of, kept, common, _powers(len(kept)))
+
+
+def _powers(count: int) -> np.ndarray:
+    """[n, count] degrees of all products up to a total degree: `_mehler` needs all."""
+    total = DEGREES.get(count, 3)
+    every = product(range(total + 1), repeat=count)
+    return np.array([each for each in every if sum(each) <= total])
+
+
+def _hermite(y: np.ndarray, degree: int) -> list[np.ndarray]:
+    """Normalised polynomials up to a degree: sqrt(n + 1) he_(n+1) = y he_n - sqrt(n) he_(n-1)."""
+    found = [np.ones_like(y), y]
+    for n in range(1, degree):
+        found.append((y * found[n] - math.sqrt(n) * found[n - 1]) / math.sqrt(n + 1))
+    return found
+
+
+def _hinge_means(hinges: np.ndarray, mean: np.ndarray, deviation: np.ndarray) -> np.ndarray:
+    """[hinges, ...] expectations of (y - k)+, y normal."""
+    above = mean - hinges.reshape(-1, *[1] * mean.ndim)
+    d = above / deviation
+    return deviation * np.exp(-(d**2) / 2) / math.sqrt(2 * math.pi) + above * ndtr(d)
+
+
+def _mehler(turn: np.ndarray, powers: np.ndarray) -> np.ndarray:
+    """[n, n] expectations of the polynomials after y' = turn y + noise, y and y' both standard.
+
+    For all polynomials up to a total degree. The coefficient of s^a in prod_j ((turn' s)_j)^b_j.
+    """
+    place = {tuple(map(int, each)): k for k, each in enumerate(powers)}
+    root = np.sqrt([math.prod(math.factorial(d) for d in each) for each in place])
+    matrix = np.zeros((len(powers), len(powers)))
+    for b, column in place.items():
+        terms = {(0,) * len(b): 1.0}
+        for j, power in enumerate(b):
+            for _ in range(power):
+                terms = _times(terms, turn[:, j])
+        for a, coefficient in terms.items():
+            matrix[place[a], column] = coefficient * root[place[a]] / root[column]
+    return matrix
+
+
+def _times(terms: dict[tuple[int, ...], float], line: np.ndarray) -> dict[tuple[int, ...], float]:
+    """A polynomial in s times the linear form line.s."""
+    found: dict[tuple[int, ...], float] = {}
+    for powers, coefficient in terms.items():
+        for i, slope in enumerate(line):
+            if slope:
+                raised = (*powers[:i], powers[i] + 1, *powers[i + 1 :])
+                found[raised] = found.get(raised, 0.0) + coefficient * slope
+    return found

@@ -1,0 +1,206 @@
+"""One day of a store on a grid of inventories: which ends of the day each start can reach.
+
+Nothing here depends on prices: all paths share it. Positions at the end of the day are counted in
+nodes of the grid there.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..references.day_terms import Interpolation, Rates, holding_cost, moves, rates, volume_scale
+from ..references.intrinsic import values_after
+from ..references.lattice_day import inventory_nodes
+from ..references.piecewise import Line, visited
+
+BENDS = 0.5  # most nodes at bends of the intrinsic value, of the regular ones
+SLIGHT = 1e-3  # bends below this part of the sharpest one are left out
+NEAR = 0.02  # in spacings: nodes are not nearer to one another than this
+ON_NODE = 1e-9  # in spacings: a position this near to a node is that node
+
+
+Rows = slice | np.ndarray  # numbers of rows: a slice where they follow one another
+
+
+class Reach(NamedTuple):
+    """The ends of the day that one direction of flow leads to, by start-of-day node.
+
+    - `inside`: (k, rows, first, last) in groups: 2^k nodes from `first` and 2^k nodes up to `last`
+      cover all nodes within reach.
+    - `ends`: (rows, left, right, share): ends of the reach that lie between two nodes.
+    """
+
+    inside: list[tuple[int, Rows, Rows, Rows]]
+    ends: list[tuple[Rows, Rows, Rows, np.ndarray]]
+
+
+class Bends(NamedTuple):
+    """Inventories between nodes where an end of the reach meets a node: the value may bend there.
+
+    Sorted by cell, which lies between nodes `left` and `right`; `share` of the way to the right,
+    `target` the node met, `keep` the inventory without any flow. `cells` are those with bends,
+    `starts` the first bend of each, None where each has one.
+    """
+
+    left: Rows
+    right: Rows
+    share: np.ndarray
+    target: Rows
+    keep: np.ndarray
+    cells: Rows
+    starts: np.ndarray | None
+
+
+class DayGrid(NamedTuple):
+    """A decision day between two grids.
+
+    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: what is left
+      without a flow, and the present value of keeping it.
+    - `buy`, `sell`, and the bends of each.
+    """
+
+    nodes: np.ndarray
+    after: np.ndarray
+    keep: np.ndarray
+    cost: np.ndarray
+    buy: Reach
+    sell: Reach
+    buy_bends: Bends | None
+    sell_bends: Bends | None
+
+
+def day_grids(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:
+    """All T days; `inventories` points from 0 to the largest inventory, and others beside them.
+
+    Only inventories that the one in store can become. Ratchet rows are nodes, and so are the
+    inventories where the intrinsic value bends most: those that just can be emptied or filled in
+    time keep their bend whatever prices do, and a bend between nodes costs most.
+    """
+    horizon = len(schedule.steps.forward)
+    low, high = visited(schedule, interpolation)
+    spacing = volume_scale(schedule) / (inventories - 1)
+    most = int(BENDS * inventories)
+    ends = [_bent(each, most) for each in values_after(schedule, interpolation, low, high)]
+    day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
+    levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
+    nodes = [inventory_nodes(low[0], high[0], spacing, levels[0])]
+    for t in range(horizon):
+        regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
+        nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
+    return [_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1]) for t in range(horizon)]
+
+
+def _bent(line: Line, most: int) -> np.ndarray:
+    """Where a line bends most, at most so many of its inner breakpoints."""
+    if len(line.at) < 3:
+        return np.zeros(0)
+    change = np.abs(np.diff(np.diff(line.value) / np.diff(line.at)))
+    chosen = np.argsort(-change, kind="stable")[:most]
+    return np.sort(line.at[1:-1][chosen[change[chosen] > SLIGHT * change.max()]])
+
+
+def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np.ndarray:
+    """Regular nodes, those near a bend replaced by it; ends and ratchet rows stay."""
+    bent = bent[(bent > regular[0] + NEAR * spacing) & (bent < regular[-1] - NEAR * spacing)]
+    fixed = np.concatenate([regular[[0, -1]], levels])
+    for others in (fixed, bent):
+        if len(bent):
+            apart = np.abs(bent[:, None] - others[None, :])
+            if others is bent:  # the first of near ones stays
+                apart[np.triu_indices(len(bent))] = np.inf
+            bent = bent[~np.any(apart < NEAR * spacing, axis=1)]
+    if not len(bent):
+        return regular
+    near = np.abs(regular[:, None] - bent[None, :]).min(axis=1) < spacing / 3
+    return np.union1d(regular[~near | np.isin(regular, fixed)], bent)
+
+
+def _day(schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarray) -> DayGrid:
+    keep, down, _, up = moves(schedule, day_rates, t, nodes)
+    near = ON_NODE * volume_scale(schedule)
+    return DayGrid(
+        nodes,
+        after,
+        keep,
+        holding_cost(schedule, t, nodes),
+        _reach(after, np.minimum(np.maximum(down, keep), up), up, up >= keep - near),
+        _reach(after, down, np.maximum(np.minimum(up, keep), down), down <= keep + near),
+        *_bends(schedule, day_rates, t, nodes, after),
+    )
+
+
+def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarray) -> Reach:
+    """The nodes and the ends between `low` and `high`, where `valid`; all [n]."""
+    places = [np.interp(each, after, np.arange(len(after), dtype=float)) for each in (low, high)]
+    ends = []
+    for place in places:
+        whole = np.round(place)
+        between = valid & (np.abs(place - whole) > ON_NODE)
+        rows = np.flatnonzero(between)
+        left = np.floor(place[rows]).astype(int)
+        if len(rows):
+            share = (place[rows] - left)[:, None]
+            ends.append((_rows(rows), _rows(left), _rows(left + 1), share))
+    first = np.ceil(places[0] - ON_NODE).astype(int)
+    last = np.floor(places[1] + ON_NODE).astype(int)
+    count = np.where(valid, last - first + 1, 0)
+    inside = []
+    for k in range(int(np.max(count, initial=0)).bit_length()):
+        rows = np.flatnonzero((count >> k) == 1)
+        if len(rows):
+            ending = last[rows] - (1 << k) + 1
+            inside.append((k, _rows(rows), _rows(first[rows]), _rows(ending)))
+    return Reach(inside, ends)
+
+
+def _bends(schedule, day_rates: Rates, t: int, nodes, after) -> tuple[Bends | None, Bends | None]:
+    """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
+    steps = schedule.steps
+    keep = nodes * (1 - steps.inventory_loss[t])
+    out = np.interp(nodes, day_rates.levels, day_rates.withdrawal)
+    into = np.interp(nodes, day_rates.levels, day_rates.injection)
+    least = steps.min_injection[t] if steps.min_injection[t] > 0 else -out
+    most = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else into
+    down, up = keep + least, keep + most
+    found = [_meetings(each, after) for each in (down, up, keep)]
+    cell, share, target = (np.concatenate(each) for each in zip(*found, strict=True))
+
+    def at(line: np.ndarray) -> np.ndarray:
+        return (1 - share) * line[cell] + share * line[cell + 1] if len(nodes) > 1 else share
+
+    near, goal, kept = ON_NODE * volume_scale(schedule), after[target], at(keep)
+    possible = (goal >= at(down) - near) & (goal <= at(up) + near)
+    rising = goal >= kept
+    order = np.argsort(cell, kind="stable")
+    table = cell, share, target, kept
+    return tuple(  # pyright: ignore[reportReturnType]
+        _sorted(*(each[order[(possible & side)[order]]] for each in table))
+        for side in (rising, ~rising)
+    )
+
+
+def _meetings(ends: np.ndarray, after: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(cell, share, node) wherever a line through `ends` [n] crosses a node inside a cell."""
+    low, high = np.minimum(ends[:-1], ends[1:]), np.maximum(ends[:-1], ends[1:])
+    first = np.searchsorted(after, low, side="right")
+    count = np.maximum(np.searchsorted(after, high, side="left") - first, 0)
+    cell = np.repeat(np.arange(len(low)), count)
+    node = np.arange(len(cell)) - np.repeat(np.cumsum(count) - count, count) + first[cell]
+    share = (after[node] - ends[cell]) / (ends[cell + 1] - ends[cell])
+    inner = (share > ON_NODE) & (share < 1 - ON_NODE)
+    return cell[inner], share[inner], node[inner]
+
+
+def _sorted(cell, share, target, keep) -> Bends | None:
+    if not len(cell):
+        return None
+    cells, starts = np.unique(cell, return_index=True)
+    several = starts if len(cells) < len(cell) else None
+    places = _rows(cell), _rows(cell + 1), share[:, None], _rows(target)
+    return Bends(*places, keep[:, None], _rows(cells), several)
+
+
+def _rows(numbers: np.ndarray) -> Rows:
+    if np.all(np.diff(numbers) == 1):
+        return slice(int(numbers[0]), int(numbers[-1]) + 1)
+    return numbers

@@ -1,0 +1,81 @@
+"""The bound of a storage problem: its store of known prices, behind the core's `Relaxation`."""
+
+import jax
+import numpy as np
+
+from snapo.problem.problem import Problem
+
+from ..contract.schedule import of_prices
+from ..contract.simulator import simulator_of
+from .hindsight import INVENTORIES, Hindsight, Scale
+from .value_iteration import FittedValue, fit_value
+
+PARTS = 3  # of the penalty: polynomials, hinges, the constant
+
+
+class StoreRelaxation:
+    """See `snapo.solver.bound.Relaxation`; `fitted` is the value function of the penalty, if any.
+
+    Without `fitted` it is found here, where the price process has Gaussian factors.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        fitted: FittedValue | None = None,
+        inventories: int = INVENTORIES,
+    ):
+        simulator = simulator_of(problem)
+        self.process, schedule = simulator.process, problem.schedule
+        self.prices = of_prices(schedule)
+        kind = simulator.case.contract.ratchets.interpolation
+        factors = self.process.factors(self.prices)
+        self.exact = factors is not None and factors.exact
+        if fitted is None and factors is not None:
+            fitted = fit_value(schedule, factors, kind)
+        self.fitted = fitted
+        self.inner = Hindsight(schedule, kind, fitted, inventories)
+
+    @property
+    def terms(self) -> int:
+        return 0 if self.fitted is None else PARTS
+
+    @property
+    def words(self) -> str:
+        return "the surprises of a fitted value of the store"
+
+    def best(self, rolled, draws, scale: np.ndarray) -> np.ndarray:
+        states = self._path(rolled, "price")
+        return self.inner.best(self._spots(states), self._factors(states), self._scales(scale))
+
+    def charged(self, rolled, draws, scale: np.ndarray) -> np.ndarray:
+        states, inventory = self._path(rolled, "price"), self._path(rolled, "inventory")
+        return self.inner.charged(inventory, self._factors(states), self._scales(scale))
+
+    def _path(self, rolled, name: str):
+        """A part of the state on the T days and on the end date, leaves [T + 1, N, …]."""
+        days, end = getattr(rolled.record["state"], name), getattr(rolled.state, name)
+        return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
+
+    def _spots(self, states) -> np.ndarray:
+        """[T + 1, N] spot prices; NaN-free also where the end date needs none."""
+        with jax.enable_x64(True):
+            level = jax.vmap(self.process.level, in_axes=(None, None, 0))
+            daily = jax.vmap(level, in_axes=(None, 0, 0))
+            return np.asarray(daily(self.prices.constants, self.prices.steps, states))
+
+    def _factors(self, states) -> np.ndarray:
+        """[T + 1, F, N] the price factors of the penalty."""
+        if self.exact:
+            return np.ascontiguousarray(np.moveaxis(np.asarray(states), 1, 2))
+        with jax.enable_x64(True):
+            fast = jax.vmap(jax.vmap(self.process.fast))(states)
+            return np.asarray(fast)[:, None, :]
+
+    def _scales(self, scale: np.ndarray) -> Scale:
+        """The scale of each function of the basis, from those of the penalty's parts."""
+        if self.fitted is None or not len(scale):
+            return 1.0
+        basis = self.fitted.basis
+        counts = [len(basis.powers), len(basis.hinges), bool(basis.common)]
+        return np.repeat(scale, counts)

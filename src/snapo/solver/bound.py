@@ -1,0 +1,252 @@
+"""A bound from above: what the best decisions of each path would earn with hindsight, penalised.
+
+    value of every policy <= value of the best <= E[max over decisions of (earnings - penalty)]
+
+for every penalty whose mean is zero under every policy that does not see the future (Rogers 2002;
+Haugh and Kogan 2004; Brown, Smith and Sun, Operations Research 58, 2010). A penalty charges each
+decision with the surprise that it profits from: V(next state) - E[V(next state) | now], for some V.
+Whatever V is, the bound holds; with the exact value function it is the exact value on every path.
+
+The same penalty along the policy's own path has mean zero, so it is taken from the policy's
+earnings as a control variate, and the gap of a path, hindsight less policy, is never negative.
+"""
+
+import math
+from collections.abc import Callable
+from dataclasses import asdict, dataclass
+from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+
+import numpy as np
+from scipy.special import stdtrit
+
+from snapo.engine import Engine, Rollout, Xla
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Mean
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
+from snapo.problem.smooth import Exact
+
+Penalty = Literal["none", "value", "trained"]
+CHUNK = 1024  # paths in one call of an engine and of the inner problem
+TRAINED, BOUND = (
+    256,
+    257,
+)  # streams of the evaluation: of the paths that train a penalty, of the bound
+SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
+
+
+class Relaxation(Protocol):
+    """The inner problem of a simulator: best decisions of one path in hindsight, penalised.
+
+    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
+    - `words`: the penalty in a phrase, for a report.
+    """
+
+    @property
+    def terms(self) -> int: ...
+
+    @property
+    def words(self) -> str: ...
+
+    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the most that each path can earn, or more, never less; the penalties subtracted.
+
+        `rolled` has the policy's states ("state": leaves [T, N, …]) and final states on the same
+        paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
+        penalty's parts (zeros: perfect foresight).
+        """
+        ...
+
+    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        """[N] the penalties of the policy's own decisions: of mean zero."""
+        ...
+
+
+@runtime_checkable
+class Relaxable(Protocol):
+    """A simulator that knows its relaxation."""
+
+    def relaxation(self, problem: Problem) -> Relaxation: ...
+
+
+class Estimate(NamedTuple):
+    """A mean, its standard error, and its 95 % interval (Student, independent groups of paths)."""
+
+    value: float
+    standard_error: float
+    low: float
+    high: float
+
+
+@dataclass(frozen=True)
+class Bound:
+    """A value between two bounds, all on the same paths of the exact simulator.
+
+    - `lower`: the policy's value; `upper`: a bound of every policy's value.
+    - `gap`: upper less lower, paired path by path.
+    - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
+    """
+
+    lower: Estimate
+    upper: Estimate
+    gap: Estimate
+    penalty: Penalty
+    words: str
+    scale: tuple[float, ...]
+    paths: int
+
+    def row(self) -> dict[str, Any]:
+        """As plain data."""
+        found = asdict(self)
+        for name in ("lower", "upper", "gap"):
+            found[name] = getattr(self, name)._asdict()
+        return found
+
+    def __str__(self) -> str:
+        names = {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}
+        lines = [
+            f"{name:<16}{each.value:>16,.7g} ± {each.standard_error:<10.3g}"
+            f"95 %: {each.low:,.7g} to {each.high:,.7g}"
+            for name, each in names.items()
+        ]
+        return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])
+
+
+def bound(
+    problem: Problem,
+    policy: Policy,
+    relaxation: Relaxation,
+    paths: int = 1024,
+    *,
+    penalty: Penalty = "value",
+    engine: Engine | None = None,
+    source: Scenarios | None = None,
+    training_paths: int = 256,
+) -> Bound:
+    """Lower and upper bound of the value of the best policy, on fresh paths.
+
+    **Arguments:**
+
+    - `relaxation`: the inner problem; see `Relaxation`.
+    - `penalty`: "none" is perfect foresight; "value" the approximate value function as it is;
+      "trained" scales its parts by descent on the bound, on `training_paths` other paths.
+    - `source`: scenarios, by default ones that nothing else uses.
+
+    **Raises:** `ValueError` where the objective is not a mean, or the inner problem earns less
+    than the policy on some path: then it is not a relaxation.
+    """
+    if not isinstance(problem.objective, Mean):
+        kind = type(problem.objective).__name__
+        raise ValueError(f"bound: the objective is {kind}; only a mean is bounded from above.")
+    fresh = _Paths(problem, policy, relaxation, engine or Xla(precision="float64"))
+    seed = getattr(problem.sources.evaluation, "seed", 0)
+    source = source or _fresh(problem, seed, BOUND)
+    scale = np.full(relaxation.terms, 0.0 if penalty == "none" else 1.0)
+    if penalty == "trained" and relaxation.terms:
+        learning = _fresh(problem, seed, TRAINED)
+        sample = fresh.rolled(learning, learning.available(training_paths))
+        scale = _descended(lambda each: float(np.mean(fresh.best(sample, each))), scale)
+    paths = source.available(paths)
+    sample = fresh.rolled(source, paths)
+    upper, lower = fresh.best(sample, scale), fresh.policy(sample, scale)
+    _check(upper - lower, np.abs(lower).max(initial=1.0))
+    order = np.argsort(np.concatenate([block for block, _, _ in sample]))
+    groups = source.groups(np.arange(paths))
+    below, above = _estimate(lower[order], groups), _estimate(upper[order], groups)
+    gap = _estimate((upper - lower)[order], groups)
+    words = relaxation.words if scale.any() else "none: each path knows its own future"
+    used: Penalty = penalty
+    if not scale.any():
+        used = "none"
+    return Bound(below, above, gap, used, words, tuple(scale.tolist()), paths)
+
+
+def nested_mean(
+    value: Callable[[np.ndarray], np.ndarray], size: int, paths: int, draws: int, seed: int
+) -> np.ndarray:
+    """[paths] the mean of `value` over nested draws, for an expectation without a closed form.
+
+    `value` takes standard normals [size, paths] and returns [..., paths]. Each path has draws of
+    its own, in antithetic pairs. The estimate is unbiased, so a penalty made with it still has
+    mean zero; its noise only widens the bound (Andersen and Broadie 2004).
+    """
+    random = np.random.default_rng(seed)
+    total = 0.0
+    for _ in range(max(draws // 2, 1)):
+        noise = random.standard_normal((size, paths))
+        total = total + value(noise) + value(-noise)
+    return np.asarray(total / (2 * max(draws // 2, 1)))
+
+
+Sample = list[tuple[np.ndarray, Draws, Rollout]]
+
+
+class _Paths:
+    """The policy's paths, and the two numbers of each."""
+
+    def __init__(self, problem: Problem, policy: Policy, relaxation: Relaxation, engine: Engine):
+        self.problem, self.policy_, self.relaxation = problem, policy, relaxation
+        self.bound = engine.bind(problem)
+
+    def rolled(self, source: Scenarios, paths: int) -> Sample:
+        found: Sample = []
+        for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
+            draws = source.draws(block, self.problem.simulator)
+            rolled = self.bound.values(self.policy_, draws, Exact(), record=("state",))
+            found.append((block, draws, rolled))
+        return found
+
+    def best(self, sample: Sample, scale: np.ndarray) -> np.ndarray:
+        return np.concatenate([self.relaxation.best(r, d, scale) for _, d, r in sample])
+
+    def policy(self, sample: Sample, scale: np.ndarray) -> np.ndarray:
+        name = self.problem.objective.outputs[0]
+        earned = np.concatenate([np.asarray(r.totals[name], np.float64) for _, _, r in sample])
+        return earned - np.concatenate([self.relaxation.charged(r, d, scale) for _, d, r in sample])
+
+
+def _fresh(problem: Problem, seed: int, use: int) -> Scenarios:
+    """Paths that no other part uses, where they can be drawn; else those of the validation or of
+    the evaluation."""
+    if isinstance(problem.sources.training, Pseudo):
+        return Pseudo(seed, stream=stream(EVALUATE, use))
+    return problem.sources.validation if use == TRAINED else problem.sources.evaluation
+
+
+def _descended(value: Callable[[np.ndarray], float], scale: np.ndarray) -> np.ndarray:
+    """Scales at which the bound, convex in them, is lower: one at a time, by parabolas."""
+    least = value(scale)
+    for sweep in range(SWEEPS):
+        width = STEP / 2**sweep
+        for i in range(len(scale)):
+            left, right = (value(_moved(scale, i, side * width)) for side in (-1, 1))
+            bend = left - 2 * least + right
+            move = 0.5 * width * (left - right) / bend if bend > 0 else 0.0
+            tried = _moved(scale, i, float(np.clip(move, -2 * width, 2 * width)))
+            if (found := value(tried)) < least:
+                scale, least = tried, found
+    return scale
+
+
+def _moved(scale: np.ndarray, i: int, by: float) -> np.ndarray:
+    moved = scale.copy()
+    moved[i] += by
+    return moved
+
+
+def _check(gap: np.ndarray, size: float) -> None:
+    if not np.all(np.isfinite(gap)):
+        raise ValueError(f"bound: path {int(np.argmin(np.isfinite(gap)))} is not finite.")
+    if gap.min() < -1e-6 * size:
+        path = int(np.argmin(gap))
+        what = "the inner problem earns less than the policy"
+        raise ValueError(f"bound: on path {path} {what} ({gap[path]:.6g}): it is no relaxation.")
+
+
+def _estimate(values: np.ndarray, groups: np.ndarray) -> Estimate:
+    means = np.bincount(groups, values) / np.bincount(groups)
+    mean, count = float(means.mean()), means.size
+    error = float(means.std(ddof=1) / math.sqrt(count)) if count > 1 else math.nan
+    reach = error * float(stdtrit(max(count - 1, 1), 0.975))
+    return Estimate(mean, error, mean - reach, mean + reach)

@@ -1,0 +1,30 @@
+"""The value between two bounds: the policy's from below, hindsight with a penalty from above."""
+
+from typing import Any
+
+from snapo.solver.bound import Penalty, bound
+
+from ..study import Part, StudyRun
+
+PATHS = 1024
+
+
+def bounded(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> dict[str, Any]:
+    """ "bound": lower, upper and gap with their intervals; see `snapo.solver.bound`.
+
+    **Raises:** `ValueError` where the study has no bound; it says why.
+    """
+    relaxation, setup = run.study.relaxation, run.setup
+    if isinstance(relaxation, str):
+        raise ValueError(relaxation)
+    policy = run.solution.policy
+    if policy is None:
+        raise ValueError("the run has no policy")
+    found = bound(
+        setup.problem, policy, relaxation(), paths, penalty=penalty, engine=setup.engines.evaluate
+    )
+    run.tell(str(found))
+    return {"bound": found.row()}
+
+
+BOUND = Part("bound", bounded, needs=("training",))
