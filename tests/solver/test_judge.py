@@ -134,7 +134,7 @@ def test_at_a_tie_both_sides_are_told():
         verdict = table.verdicts[name]
         assert verdict.up == pytest.approx(0, abs=1e-12)
         assert verdict.down == pytest.approx(0.1, abs=3 * verdict.error + 1e-12)
-        assert verdict.supported == "held" and verdict.two_sided
+        assert verdict.supported == "held" and verdict.two_sided and verdict.tie
     problem = snapo.Problem(Sale(), inputs, snapo.Mean("cash"))
     bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), 64)}
     # The adjoint at the reported inputs is one of the two sides.
@@ -148,5 +148,6 @@ def test_three_standard_errors_decide():
     assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.8, 0.0)).supported == "smooth"
     assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.6, 0.0)).supported == UNKNOWN
     assert Verdict(1.0, 1.0, 0.1, (np.nan, 0.0), None).supported == UNKNOWN
-    assert Verdict(0.5, 1.5, 0.1, (1.6, 0.0), None).supported == "held"
-    assert Verdict.of([1, 2, 0.1, [1, 0], None]) == Verdict(1, 2, 0.1, (1, 0), None)
+    curved = Verdict(0.5, 1.5, 0.1, (1.6, 0.0), None)
+    assert (curved.supported, curved._replace(tie=True).supported) == (UNKNOWN, "held")
+    assert Verdict.of([1, 2, 0.1, [1, 0], None, True]) == Verdict(1, 2, 0.1, (1, 0), None, True)

@@ -23,6 +23,7 @@ from .statistics import independent, mean
 
 MOVE = 0.01  # of every number of an input
 SURE = 3.0  # standard errors
+CORNER = 0.375  # of the gap between the sides, at half the move: a kink leaves 1/2, curvature 1/4
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 HELD, SMOOTH, UNKNOWN = "held", "smooth", "not known"
 COLUMNS = (
@@ -44,8 +45,10 @@ class Verdict(NamedTuple):
     - `up`, `down`: value after the move less that before, and that before less that after the
       opposite move; `change` is their mean, `error` its standard error (paths are paired).
     - `held`, `smooth`: (change by the derivative, its standard error); `smooth` may be missing.
-    - `supported`: "held", "smooth" or "not known": the first that lies between `up` and `down`, but
-      for three standard errors of the difference.
+    - `tie`: half the move shows the same corner: `up` and `down` differ by a kink, where any
+      derivative between them is one, and not by curvature.
+    - `supported`: "held", "smooth" or "not known": the first that agrees with `change`, at a tie
+      with anything between `up` and `down`, but for three standard errors of the difference.
     """
 
     up: float
@@ -53,12 +56,13 @@ class Verdict(NamedTuple):
     error: float
     held: tuple[float, float]
     smooth: tuple[float, float] | None
+    tie: bool = False
 
     @classmethod
     def of(cls, numbers: Sequence) -> "Verdict":
         """The verdict that was written as a list of its fields."""
-        up, down, error, held, smooth = numbers
-        return cls(up, down, error, tuple(held), smooth and tuple(smooth))
+        up, down, error, held, smooth, tie = numbers
+        return cls(up, down, error, tuple(held), smooth and tuple(smooth), tie)
 
     @property
     def change(self) -> float:
@@ -84,7 +88,7 @@ class Verdict(NamedTuple):
         return UNKNOWN
 
     def _agrees(self, value: float, error: float) -> bool:
-        low, high = min(self.up, self.down), max(self.up, self.down)
+        low, high = sorted((self.up, self.down)) if self.tie else (self.change, self.change)
         room = SURE * float(independent(self.error, error))
         return bool(low - room <= value <= high + room)
 
@@ -103,18 +107,26 @@ def judge(
     An input whose numbers are all zero moves by its own `move`; without one it has no verdict.
     """
     centre = path_totals(problem, policy, paths, engine=engine)
+
+    def sides(name: str, by: np.ndarray) -> tuple[float, float, float]:
+        value = problem.named[name].value
+        low, high = (
+            path_totals(problem.at({name: value + move}), policy, paths, engine=engine)
+            for move in (-by, by)
+        )
+        return _differences(problem, low, centre, high)
+
     found = {}
     for name, given in problem.named.items():
         by = hundredth(given)
         if not by.any():
             continue
-        high, low = (
-            path_totals(problem.at({name: given.value + sign * by}), policy, paths, engine=engine)
-            for sign in (1, -1)
-        )
-        sides = _differences(problem, low, centre, high)
         reacting = None if smooth is None else smooth[name].along(by)
-        found[name] = Verdict(*sides, held[name].along(by), reacting)
+        verdict = Verdict(*sides(name, by), held[name].along(by), reacting)
+        if verdict.supported != HELD and verdict.two_sided:
+            up, down, _ = sides(name, by / 2)
+            verdict = verdict._replace(tie=abs(up - down) > CORNER * abs(verdict.up - verdict.down))
+        found[name] = verdict
     return found
 
 

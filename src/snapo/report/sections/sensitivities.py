@@ -19,8 +19,8 @@ CAVEAT = (
     "through the policy's reaction in the smooth simulator. Tried: the change of the exact value, "
     "policy reacting, when all numbers of the input are moved by a hundredth on the same paths, "
     "scaled to the move of the row; more and less apart where they differ. Believed: the first of "
-    "the two that lies between the changes upwards and downwards, but for three standard errors; "
-    "not known where neither does. "
+    "the two that agrees with it, at a kink with anything between more and less, but for three "
+    "standard errors; not known where neither does. "
     "Moved: by how much the held one moved in the second half of training."
 )
 
