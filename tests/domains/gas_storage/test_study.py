@@ -188,7 +188,7 @@ def test_a_run_is_certified_again_with_another_penalty(whole, tmp_path):
 def test_a_run_that_nothing_bounds_says_why(whole, folder, tmp_path):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     record = json.loads((out / "run.json").read_text())
-    record["decides"]["case"]["objective"] = {"kind": "cvar"}
+    record["decides"]["case"]["objective"] = {"kind": "cvar", "level": 0.9}
     (out / "run.json").write_text(json.dumps(record))
     with pytest.raises(CaseError, match=r'only a mean is bounded from above, .* "cvar"'):
         commands.certify(out, lambda text: None)

@@ -17,10 +17,13 @@ from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.study import Setup
 
+from .bounds.guide import fitted_marginal
+from .bounds.value_iteration import FittedValue, fit_value
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, simulator_of
+from .policy.fitted_guide import FittedKnots
 from .policy.network import GuidePolicy, PricingPolicy, StoragePolicy
 from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
@@ -28,6 +31,7 @@ from .references.marginal import marginal_values
 
 OUTPUT = "cash_flow"
 HEDGE_PATHS = 2048
+MOST_FACTORS = 3  # of a fitted guide, beside those that move all prices alike
 BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the value, of the hedge
 
 
@@ -37,16 +41,14 @@ def bare_problem(case: StorageCase) -> Problem:
     return Problem(simulator, storage_inputs(case), make_objective(case.objective, OUTPUT))
 
 
-def make_setup(case: StorageCase, engine: str = "auto") -> Setup:
+def make_setup(case: StorageCase, engine: str = "auto", fitted: FittedValue | None = None) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
     training = Training(**case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
-    kind = case.contract.ratchets.interpolation
-    found = marginal_values(problem.schedule, factors(problem), kind)
     # No hedge yet, but its place: the compiled `prepare` serves before and after.
     simulator = StorageSimulator(  # pyright: ignore[reportCallIssue]
-        case, ValueTable.of(found), np.zeros(len(case.days))
+        case, guide(problem, fitted), np.zeros(len(case.days))
     )
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = replace(problem, simulator=simulator, sources=sources)
@@ -59,6 +61,26 @@ def make_setup(case: StorageCase, engine: str = "auto") -> Setup:
         hedged = replace(simulator, hedge=_hedge(problem, engines, seed))
         problem = replace(problem, simulator=hedged)
     return Setup(problem, policy, training, evaluation, engines)
+
+
+def fitted_value(problem: Problem) -> FittedValue | None:
+    """The value by fitted value iteration, where the prices have Gaussian factors."""
+    found, kind = factors(problem), case_of_problem(problem).contract.ratchets.interpolation
+    return None if found is None else fit_value(problem.schedule, found, kind)
+
+
+def guide(problem: Problem, fitted: FittedValue | None) -> ValueTable:
+    """Marginal values: of the fitted value where several factors matter, else of the fast one."""
+    found, schedule = factors(problem), problem.schedule
+    if fitted is not None and 1 < len(fitted.basis.kept) <= MOST_FACTORS:
+        return ValueTable(FittedKnots(*fitted_marginal(schedule, fitted)))  # pyright: ignore
+    kind = case_of_problem(problem).contract.ratchets.interpolation
+    return ValueTable.of(marginal_values(schedule, found, kind))
+
+
+def case_of_problem(problem: Problem) -> StorageCase:
+    """The case of a problem."""
+    return simulator_of(problem).case
 
 
 def case_of(setup: Setup) -> StorageCase:

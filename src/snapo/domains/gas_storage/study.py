@@ -10,6 +10,7 @@ from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
 from .bounds.relaxation import StoreRelaxation
+from .bounds.value_iteration import FittedValue
 from .contract.expiry import fixed_costs_value, value_without_decisions
 from .contract.records import StorageCase
 from .references.intrinsic import intrinsic
@@ -19,7 +20,7 @@ from .results.deltas import DELTAS
 from .results.profile import PROFILE
 from .results.shadow_prices import SHADOW_PRICES
 from .results.values import VALUES
-from .setup import bare_problem, case_of, factors, make_setup
+from .setup import bare_problem, case_of, factors, fitted_value, make_setup
 
 KIND = "gas-storage"
 
@@ -61,7 +62,7 @@ def _relaxation(ready: "_Ready"):
     kind = ready.case.objective.kind
     if kind != "mean":
         return f'only a mean is bounded from above, and the objective is "{kind}"'
-    return lambda: StoreRelaxation(ready.setup.problem)
+    return lambda: StoreRelaxation(ready.setup.problem, ready.fitted)
 
 
 class _Ready:
@@ -72,7 +73,12 @@ class _Ready:
 
     @cached_property
     def setup(self) -> Setup:
-        return make_setup(self.case, self.engine)
+        return make_setup(self.case, self.engine, self.fitted)
+
+    @cached_property
+    def fitted(self) -> FittedValue | None:
+        """The value function of guide and bound."""
+        return fitted_value(bare_problem(self.case))
 
 
 def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:

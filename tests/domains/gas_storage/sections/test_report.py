@@ -91,7 +91,7 @@ def test_the_page_needs_nothing_else(full):
 def test_the_drawings_are_named_for_every_reader_and_their_references_resolve(full):
     outline = Outline(full)
     drawings = [attributes for tag, attributes in outline.tags if tag == "svg"]
-    assert len(drawings) == 8
+    assert len(drawings) == 9
     assert all(each["role"] == "img" and len(each["aria-label"]) > 40 for each in drawings)
     identifiers = [attributes["id"] for _, attributes in outline.tags if "id" in attributes]
     assert len(identifiers) == len(set(identifiers))
@@ -192,7 +192,7 @@ def test_nulls_and_numbers_that_are_not_finite_leave_gaps(tmp_path):
 def test_profile_csv_stands_in_for_details(tmp_path):
     taken = dict.fromkeys(("days", "forward", "inventory", "flow"))
     html = page(tmp_path, **taken)
-    assert html.count("<svg") == 8
+    assert html.count("<svg") == 9
 
 
 @pytest.mark.prove

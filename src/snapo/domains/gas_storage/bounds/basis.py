@@ -25,6 +25,7 @@ from ..prices.process import GaussianFactors
 DEGREES = {1: 6, 2: 4, 3: 4}  # of products of so many factors, in all; of more of them: 3
 # Hinges, in standard deviations of the fast factor: many where it is alone.
 ALONE, FEW = np.arange(-3.0, 3.1, 0.25), np.arange(-1.75, 2.0, 0.5)
+REACH = 4.0  # standard deviations of a factor beyond which nothing is fitted
 NOTHING = 1e-14  # a variance below this is none
 
 
@@ -114,6 +115,14 @@ class Basis:
             found[..., k, :] = math.prod(factors[1:], start=factors[0]) if factors else 1.0
         return found
 
+    def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """[T + 1, kept, F], [T + 1, F], [T + 1]: y = first f and ln g = second f - third."""
+        dates, size = self.of.decay.shape
+        whiten, common = np.zeros((dates, len(self.kept), size)), np.zeros((dates, size))
+        whiten[:, :, self.kept] = self._whiten
+        common[:, self.common] = self._common_loading
+        return whiten, common, self._level_variance / 2
+
     def back(self, t: int) -> np.ndarray:
         """[kept, kept] the factors of day t per unit of the whitened ones."""
         return self._cholesky[t]
@@ -202,10 +211,10 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> Basis:
     speed = np.argsort(of.decay.mean(axis=0), kind="stable")
     kept = tuple(int(i) for i in speed if not common[i] and not silent[i]) or (int(speed[0]),)
     common = tuple(int(i) for i in speed if common[i] and not silent[i] and i not in kept)
-    return Basis(of, kept, common, _powers(len(kept)))
+    return Basis(of, kept, common, powers(len(kept)))
 
 
-def _powers(count: int) -> np.ndarray:
+def powers(count: int) -> np.ndarray:
     """[n, count] degrees of all products up to a total degree: `_mehler` needs all."""
     total = DEGREES.get(count, 3)
     every = product(range(total + 1), repeat=count)

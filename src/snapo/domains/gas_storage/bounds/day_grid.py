@@ -78,7 +78,7 @@ def day_grids(schedule, interpolation: Interpolation, inventories: int) -> list[
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
-    spacing = volume_scale(schedule) / (inventories - 1)
+    spacing = _spacing(schedule, inventories)
     most = int(BENDS * inventories)
     ends = [_bent(each, most) for each in values_after(schedule, interpolation, low, high)]
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
@@ -88,6 +88,15 @@ def day_grids(schedule, interpolation: Interpolation, inventories: int) -> list[
         regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
         nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
     return [_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1]) for t in range(horizon)]
+
+
+def _spacing(schedule, inventories: int) -> float:
+    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node."""
+    steps = schedule.steps
+    spacing = volume_scale(schedule) / (inventories - 1)
+    rate = max(np.max(steps.injection_rate), np.max(steps.withdrawal_rate))
+    parts = round(rate / spacing)
+    return float(rate / parts) if parts else spacing
 
 
 def _bent(line: Line, most: int) -> np.ndarray:
@@ -103,12 +112,8 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
     """Regular nodes, those near a bend replaced by it; ends and ratchet rows stay."""
     bent = bent[(bent > regular[0] + NEAR * spacing) & (bent < regular[-1] - NEAR * spacing)]
     fixed = np.concatenate([regular[[0, -1]], levels])
-    for others in (fixed, bent):
-        if len(bent):
-            apart = np.abs(bent[:, None] - others[None, :])
-            if others is bent:  # the first of near ones stays
-                apart[np.triu_indices(len(bent))] = np.inf
-            bent = bent[~np.any(apart < NEAR * spacing, axis=1)]
+    bent = bent[np.abs(bent[:, None] - fixed).min(axis=1) > NEAR * spacing]
+    bent = bent[np.append(True, np.diff(bent) > NEAR * spacing)[: len(bent)]]
     if not len(bent):
         return regular
     near = np.abs(regular[:, None] - bent[None, :]).min(axis=1) < spacing / 3

@@ -14,6 +14,7 @@ import numpy as np
 from ..references.day_terms import Interpolation, end_value, unit_prices
 from .best_flow import best_value
 from .day_grid import DayGrid, day_grids
+from .product import product
 from .value_iteration import FittedValue
 
 Scale = float | np.ndarray
@@ -91,7 +92,7 @@ class Hindsight:
         for t in reversed(range(horizon)):
             day: DayGrid = self.days[t]
             if surprises is not None and self.coefficients is not None:
-                value -= self.coefficients[t + 1] @ surprises[t + 1]
+                value -= product(self.coefficients[t + 1], surprises[t + 1])
             prices = unit_prices(schedule, t, spots[t])
             value = best_value(day, prices, value, above=True)
         if surprises is not None and self.coefficients is not None:

@@ -30,7 +30,6 @@ class StoreRelaxation:
         self.prices = of_prices(schedule)
         kind = simulator.case.contract.ratchets.interpolation
         factors = self.process.factors(self.prices)
-        self.exact = factors is not None and factors.exact
         if fitted is None and factors is not None:
             fitted = fit_value(schedule, factors, kind)
         self.fitted = fitted
@@ -66,11 +65,9 @@ class StoreRelaxation:
 
     def _factors(self, states) -> np.ndarray:
         """[T + 1, F, N] the price factors of the penalty."""
-        if self.exact:
-            return np.ascontiguousarray(np.moveaxis(np.asarray(states), 1, 2))
         with jax.enable_x64(True):
-            fast = jax.vmap(jax.vmap(self.process.fast))(states)
-            return np.asarray(fast)[:, None, :]
+            found = jax.vmap(jax.vmap(self.process.gaussian))(states)
+        return np.ascontiguousarray(np.moveaxis(np.asarray(found), 1, 2))
 
     def _scales(self, scale: np.ndarray) -> Scale:
         """The scale of each function of the basis, from those of the penalty's parts."""

@@ -8,13 +8,13 @@ from scipy.stats import qmc
 
 from ..prices.process import GaussianFactors
 from ..references.day_terms import Interpolation, end_value, interpolation_matrix, unit_prices
-from .basis import Basis, gaussian_basis
+from .basis import REACH, Basis, gaussian_basis
 from .best_flow import best_value
 from .day_grid import day_grids
+from .product import product
 
 INVENTORIES = 101
 ALONE, FAST = 121, 37  # uniform nodes of the fast factor, to REACH standard deviations
-REACH = 4.0
 COUNTS = {
     1: (),
     2: (6,),
@@ -59,24 +59,24 @@ def fit_value(
     horizon = len(steps.forward)
     basis = gaussian_basis(factors, constants.end_fraction != 0)
     days = day_grids(schedule, interpolation, inventories)
-    y, level, weight = _states(basis)
+    y, level, weight = states_of(basis)
     nodes = [day.nodes for day in days] + [days[-1].after]
     spot = constants.end_forward * _noise(basis, horizon, y, level)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
-        here = _scaled(basis, t, basis.of_whitened(y[None], slice(t, t + 1))[0], level)
-        coefficients[t] = _regress(here, value, weight)
+        here = scaled(basis, t, basis.of_whitened(y[None], slice(t, t + 1))[0], level)
+        coefficients[t] = regress(here, value, weight)
         if t:
             ahead = basis.ahead_of_whitened(y[None], slice(t - 1, t))[0]
-            ahead = _scaled(basis, t - 1, ahead, level)
+            ahead = scaled(basis, t - 1, ahead, level)
             spot = steps.forward[t - 1] * _noise(basis, t - 1, y, level)
             prices = unit_prices(schedule, t - 1, spot)
-            value = best_value(days[t - 1], prices, coefficients[t] @ ahead, above=False)
+            value = best_value(days[t - 1], prices, product(coefficients[t], ahead), above=False)
     return FittedValue(basis, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
 
 
-def _states(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Whitened factors [kept, Q], standardised ln g [Q], and weights of the regression [Q]."""
     levels = LEVELS if basis.common else 1
     kept = len(basis.kept)
@@ -105,7 +105,7 @@ def _noise(basis: Basis, t: int, y: np.ndarray, level: np.ndarray) -> np.ndarray
     return np.exp(log - basis.of.variance[t] / 2)
 
 
-def _scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.ndarray:
+def scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.ndarray:
     """[K, Q] functions from their polynomials."""
     if not basis.common:
         return found
@@ -114,9 +114,9 @@ def _scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.nd
     return np.concatenate([scale * found, np.ones((1, found.shape[1]))])
 
 
-def _regress(functions: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
+def regress(functions: np.ndarray, value: np.ndarray, weight: np.ndarray) -> np.ndarray:
     """[n, K] coefficients of weighted least squares of values [n, Q]; small where undetermined."""
     weighed = functions * weight
-    normal = weighed @ functions.T
+    normal = product(weighed, functions.T)
     normal[np.diag_indices_from(normal)] += RIDGE * np.trace(normal)
-    return np.linalg.solve(normal, weighed @ value.T).T
+    return product(np.linalg.inv(normal), product(weighed, value.T)).T

@@ -12,7 +12,6 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..prices.process import YEAR, PriceProcess
-from .value_table import marginal_value
 
 
 class Economics(NamedTuple):
@@ -48,11 +47,9 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
         values = [jnp.asarray(1.0)] * 3
     else:
         # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
-        guide, x = jax.lax.stop_gradient(now.guide), process.fast(state.price)
-        at = (keep, keep + room_in, keep - room_out)
-        values = [
-            marginal_value(guide, inventory, x) * level / discount / scale for inventory in at
-        ]
+        guide, at = jax.lax.stop_gradient(now.guide), (keep, keep + room_in, keep - room_out)
+        found = guide.values(process, terms, now, state.price, at)
+        values = [each / discount / scale for each in found]
     buy = spot * (1 + now.injection_fuel)
     buy += now.injection_cost * now.injection_cost_discount / discount
     sell = spot * (1 - now.withdrawal_fuel)

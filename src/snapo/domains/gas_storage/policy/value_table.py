@@ -4,7 +4,7 @@ The policy is a network on top of this table. It is data, not a function of the 
 sensitivity moves the contract and the market, not the guide.
 """
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -22,11 +22,20 @@ class Knots(NamedTuple):
     reach: Array
     coefficients: Array
 
+    def values(self, process, terms, now, state, inventories) -> list[Array]:
+        """Marginal values, as present values, at these inventories at the end of the day.
+
+        The slow factors scale them all alike.
+        """
+        level = process.slow_level(terms.price, now.price, state)
+        x = process.fast(state)
+        return [marginal_value(self, inventory, x) * level for inventory in inventories]
+
 
 class ValueTable(eqx.Module):
-    """The table of `marginal.MarginalValues`, leaves with a leading axis of days."""
+    """A guide: `knots` has leaves with a leading axis of days, and a method `values`."""
 
-    knots: Knots
+    knots: Any
 
     @classmethod
     def of(cls, found: MarginalValues) -> "ValueTable":
@@ -36,6 +45,12 @@ class ValueTable(eqx.Module):
 
 def marginal_value(knots: Knots, inventory, x):
     """The guide's marginal value at an inventory and a fast factor's state."""
+    x = jnp.clip(x, -knots.reach, knots.reach)
+    return between(knots, inventory, lambda c: c[0] + x * (c[1] + x * c[2]))
+
+
+def between(knots, inventory, value):
+    """`value` of a row of coefficients, linear between the rows on either side of an inventory."""
     pieces = knots.coefficients.shape[0] - 1
     # A day may leave no choice of inventory; every level then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
@@ -45,7 +60,5 @@ def marginal_value(knots: Knots, inventory, x):
     # rounding does not decide about the slope there.
     share = place - left
     row = left.astype(jnp.int32)
-    ends = knots.coefficients[row], knots.coefficients[row + 1]
-    x = jnp.clip(x, -knots.reach, knots.reach)
-    low, high = (c[0] + x * (c[1] + x * c[2]) for c in ends)
+    low, high = (value(knots.coefficients[each]) for each in (row, row + 1))
     return low + share * (high - low)

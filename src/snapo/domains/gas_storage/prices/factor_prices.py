@@ -58,6 +58,9 @@ class FactorPrices(FactorPrice, PriceProcess):
     def fast(self, state):
         return state[self.fast_factor]
 
+    def gaussian(self, state):
+        return state
+
     def slow_level(self, constants, now, state):
         slow = np.arange(self.noise_size) != self.fast_factor
         if not slow.any():

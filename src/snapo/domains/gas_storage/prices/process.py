@@ -110,6 +110,10 @@ class PriceProcess(Process):
     def fast(self, state) -> Float[Array, ""]:
         """The coordinate of the state in which the one-factor dynamic program is written."""
 
+    def gaussian(self, state) -> Float[Array, " F"]:
+        """The factors that `factors` describes."""
+        return jnp.atleast_1d(self.fast(state))
+
     @abc.abstractmethod
     def slow_level(self, constants, now, state) -> Float[Array, ""]:
         """The price level without the fast factor, relative to the forward curve: about 1."""
