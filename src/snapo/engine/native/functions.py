@@ -95,6 +95,8 @@ class Functions:
         now, state = self.current(now), self._state(leaves)
         if not self.setup.actions:
             action = policy(simulator.observe(constants, now, state), smooth)
+            # The same step follows in a kernel that reads recorded actions.
+            action = jax.lax.optimization_barrier(jnp.asarray(action, self.dtype))
         after, outputs = simulator.step(constants, now, state, action, noise, smooth)
         outputs = {name: jnp.asarray(value, self.dtype) for name, value in outputs.items()}
         kept = {"state": state, "action": action, "outputs": outputs}

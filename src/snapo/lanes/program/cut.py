@@ -18,6 +18,9 @@ import numpy as np
 from ..jax_private import CALLS, SEARCH, apply, is_literal, traceback_of
 
 CONSTANT, CALL, STEP, PATH = range(4)
+# What comes after it is the same whatever comes before it: a number that arrives from memory in
+# another kernel is computed at the same level, and is not known while compiling.
+BARRIER = "optimization_barrier"
 # Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
 LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
 
@@ -119,6 +122,8 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
     for eqn in jaxpr.eqns:
         atoms = [a for a in eqn.invars if not is_literal(a)]
         top = max([level[a] for a in atoms], default=CONSTANT)
+        if eqn.primitive.name == BARRIER:
+            top = PATH
         for v in eqn.outvars:
             level[v], maker[v] = top, eqn
             if any(a in active for a in atoms) and jnp.issubdtype(v.aval.dtype, jnp.floating):
