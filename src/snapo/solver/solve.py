@@ -11,6 +11,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.checker.first import first_mistakes
 from snapo.engine import Choice, Engines, Xla, choose
 from snapo.problem.objective import Mean, Objective
 from snapo.problem.policy import MLP, Policy
@@ -23,7 +24,7 @@ from .clock import Clock
 from .evaluate import estimate, path_totals
 from .sensitivity import sensitivities
 from .solution import Solution
-from .train import Callback, Progress, Training, begin, train
+from .train import Callback, Progress, Training, begin, train, whole
 from .versions import versions
 
 SCENARIOS = ("pseudo-random", "sobol")
@@ -34,7 +35,7 @@ class Evaluation:
     """How a policy is measured.
 
     - `paths`: fresh scenarios for the value; `sensitivity_paths` for held derivatives,
-      `smooth_paths` for those through the policy (0: none).
+      `smooth_paths` for those through the policy (0: none, of either).
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
 
@@ -47,6 +48,8 @@ class Evaluation:
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
             raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
+        for name, least in (("paths", 2), ("sensitivity_paths", 0), ("smooth_paths", 0)):
+            whole(f"Evaluation: {name}", getattr(self, name), least)
 
     def sources(self, seed: int) -> Sources:
         """Fresh scenarios for every role, those of the evaluation as they are asked for here."""
@@ -66,6 +69,7 @@ def solve(
     engine: Choice = "auto",
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
+    check: bool = True,
 ) -> Solution:
     """Trains a policy and returns its value, with the derivative by every input.
 
@@ -79,6 +83,9 @@ def solve(
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
     - `engine`: "auto", "xla" or "native", or an engine.
     - `callbacks`: told the `Progress` at every validation; `progress`: one to go on from.
+    - `check`: looks for mistakes that tracing shows, in tenths of a second.
+
+    **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
     training, evaluation = training or Training(), evaluation or Evaluation()
     with Clock() as clock:
@@ -89,6 +96,8 @@ def solve(
         elif any(each is not None for each in (inputs, objective, scenarios)):
             raise ValueError("solve: a Problem has its own inputs, objective and scenarios.")
         policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
+        if check:
+            _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
         progress = progress or begin(policy, training)
         clock.stage("evaluate")
@@ -110,6 +119,13 @@ def solve(
     )
 
 
+def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
+    """Raises where the cheap part of the checker finds errors."""
+    if errors := first_mistakes(problem, policy).errors:
+        lines = "\n".join(map(str, errors))
+        raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
+
+
 def measure(
     problem: Problem,
     progress: Progress,
@@ -124,16 +140,17 @@ def measure(
     value = estimate(problem.objective, exact, source, problem.simulator.control_variates())
     soft = path_totals(problem, policy, evaluation.paths, smooth=smooth, engine=engine)
     gap = problem.objective.value(exact) - problem.objective.value(soft)
-    table = sensitivities(
+    paths = min(evaluation.sensitivity_paths, evaluation.paths)
+    table = paths and sensitivities(
         problem,
         policy,
-        min(evaluation.sensitivity_paths, evaluation.paths),
+        paths,
         smooth=smooth if evaluation.smooth_paths else None,
         smooth_paths=evaluation.smooth_paths,
         earlier=progress.halfway if progress.step > 1 else None,
         engine=engine,
     )
-    norm = table.policy_gradient[0] if table.policy_gradient else float("nan")
+    norm = table.policy_gradient[0] if table and table.policy_gradient else float("nan")
     return {
         "value": value.value,
         "standard_error": value.standard_error,
@@ -141,7 +158,7 @@ def measure(
         "smooth_value": value.value - gap,
         "smoothing_gap": gap,
         "policy_gradient_norm": norm,
-        "sensitivities": table,
+        "sensitivities": table or None,
         "totals": exact,
         "paths": {"train": training.paths, "evaluate": source.available(evaluation.paths)},
     }

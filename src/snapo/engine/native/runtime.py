@@ -75,10 +75,7 @@ class Runner:
         functions = self.machine.functions
 
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
-        held = inputs, memory, self.machine
-
-        def one(group: int, own: np.ndarray) -> None:
-            assert held
+        def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
             if adjoint:
                 _add_up_in(own, memory.where["sums"] + group * (calls + steps), calls)
             first, last = blocks * group // groups, blocks * (group + 1) // groups

@@ -84,7 +84,7 @@ def evaluate(closed, values, caller=None):
     Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
     """
     jaxpr = closed.jaxpr
-    env = dict(zip(jaxpr.constvars, closed.consts))
+    env = dict(zip(jaxpr.constvars, map(_fresh, closed.consts)))
     env.update(zip(jaxpr.invars, values))
 
     def read(atom):
@@ -99,6 +99,11 @@ def evaluate(closed, values, caller=None):
             outputs = apply(eqn, inputs, line)
         env.update(zip(eqn.outvars, outputs))
     return [read(a) for a in jaxpr.outvars]
+
+
+def _fresh(constant):
+    """A NumPy table as an array of its own: JAX remembers one by the precision it met it in."""
+    return constant.copy() if isinstance(constant, np.ndarray) else constant
 
 
 @dataclass(eq=False)
