@@ -29,6 +29,7 @@ from snapo.engine.native import Native
 from snapo.lanes.machine.linked import Linked
 from snapo.lanes.machine.pipeline import object_code
 from snapo.lanes.machine.processor import host
+from snapo.lanes.machine.threads import cores
 from snapo.problem.actions import Box
 from snapo.problem.noise import Stored
 from snapo.problem.policy import Network, Policy
@@ -284,7 +285,7 @@ def first_results() -> tuple[float, float]:
 
 def table(quick: bool = False, python: str = sys.executable) -> Iterator[str]:
     """The lines of the table, each as soon as it is known; `python` is one that may have torch."""
-    threads = len(os.sched_getaffinity(0))
+    threads = cores()
     spin, spun = multiply_adds(threads)
     (alone,) = alternate(spin)
     yield f"{threads} threads, {2e-6 * spun / alone:.0f} GFLOP/s in registers"

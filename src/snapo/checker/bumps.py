@@ -11,10 +11,10 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.engine.transpose import pull_back
 from snapo.problem import inputs as inputs_
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Simulator
-from snapo.solver.adjoint import pull_back
 
 from .derivatives import NOT_DIFFERENTIABLE
 from .findings import Notes

@@ -33,7 +33,7 @@ def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
         try:
             jax.block_until_ready(engine.adjoint(*given).totals)
             with engine.numbers():
-                others = sorted(set(_tables(simulator, run, engine.dtype)))
+                others = sorted(set(tables(simulator, _given(run, engine.dtype), engine.dtype)))
         except Exception as error:
             where, what, _ = notes.explained(error, "step")
             notes.error(where, f"It fails in {precision} after the other precision. {what}", TABLE)
@@ -48,13 +48,20 @@ def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
             return
 
 
-def _tables(simulator: Simulator, run: Run, dtype) -> Iterator[tuple[tuple[int, ...], str]]:
-    """Shape and type of the arrays in a step's program that have another precision."""
+def _given(run: Run, dtype) -> tuple:
+    """All that a step is given, of the first path and step."""
     schedule, states, actions, noise = cast(
         (run.schedule, run.states, run.actions, run.draws.step_noise), dtype
     )
     state = jax.tree.map(lambda leaf: leaf[0, 0], states)
-    given = (schedule.constants, at(schedule.steps, 0), state, actions[0, 0], noise[0, 0])
+    return schedule.constants, at(schedule.steps, 0), state, actions[0, 0], noise[0, 0]
+
+
+def tables(simulator: Simulator, given: tuple, dtype) -> Iterator[tuple[tuple[int, ...], str]]:
+    """Shape and type of the arrays in a step's program that have another precision.
+
+    `given` are its constants, numbers of a step, state, action and noise.
+    """
 
     def step(constants, now, state, action, drawn):
         return simulator.step(constants, now, state, action, drawn, Exact())

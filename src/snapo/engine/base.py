@@ -244,14 +244,14 @@ def check_draws(simulator: Simulator, draws: Draws) -> None:
 
 
 def check_schedule(simulator: Simulator, schedule: Schedule) -> None:
-    """Every step has its numbers: an array of one step must not stand for all."""
+    """Every step has its numbers: one must not stand for all, and none may be left over."""
     horizon = simulator.horizon
-    short = [
-        isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] < (horizon,)
+    other = [
+        isinstance(leaf, np.ndarray | jax.Array) and leaf.shape[:1] != (horizon,)
         for leaf in jax.tree.leaves(schedule.steps)
     ]
-    if any(short):
-        path, leaf = jax.tree.leaves_with_path(schedule.steps)[short.index(True)]
+    if any(other):
+        path, leaf = jax.tree.leaves_with_path(schedule.steps)[other.index(True)]
         raise ValueError(
             f"engine: schedule.steps{jax.tree_util.keystr(path)} has shape {leaf.shape}; its "
             f"first axis is that of the {horizon} steps."

@@ -10,17 +10,15 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound, Engine, Xla
-from snapo.problem import inputs as inputs_
+from snapo.engine.transpose import pull_back as pull_back
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
 
 
@@ -29,19 +27,6 @@ class Gradient(NamedTuple):
 
     policy: PyTree
     inputs: dict[str, np.ndarray]
-
-
-def pull_back(
-    simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
-) -> dict[str, np.ndarray]:
-    """Carries derivatives at the schedule on to the inputs: {name: [len(schedules), *shape]}.
-
-    The transpose of `prepare`.
-    """
-    with jax.enable_x64(True):
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
-        moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
-        return {entry.name: np.asarray(leaf) for entry, leaf in zip(inputs_.named(inputs), moved)}
 
 
 def value_and_gradient(
@@ -111,19 +96,3 @@ def flat_weights(objective: Objective, paths: int) -> Weights:
 def float64(totals: dict[str, Any]) -> dict[str, np.ndarray]:
     """Path totals as float64 NumPy, so that sums over paths lose nothing."""
     return {name: np.asarray(total, np.float64) for name, total in totals.items()}
-
-
-@eqx.filter_jit
-def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
-    def schedule(values):
-        # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.
-        made = jax.tree.map(jnp.asarray, simulator.prepare(inputs_.replace(inputs, values)))
-        return eqx.filter(made, eqx.is_inexact_array)
-
-    made, pull = jax.vjp(schedule, values)
-
-    def carry(cotangent):
-        # A leaf that the author made in float32 takes its cotangent in float32.
-        return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]
-
-    return jax.vmap(carry)(cotangents)

@@ -11,7 +11,8 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Choice, Engines, Xla, choose
+from snapo.checker.first import first_mistakes
+from snapo.engine import Choice, Engine, Engines, Xla, choose
 from snapo.problem.objective import Mean, Objective
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -22,9 +23,9 @@ from snapo.problem.smooth import Exact, Smooth
 from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
-from .sensitivity import sensitivities
+from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
-from .train import Callback, Progress, Training, begin, train
+from .train import Callback, Progress, Training, begin, train, whole
 from .versions import versions
 
 SCENARIOS = ("pseudo-random", "sobol")
@@ -35,8 +36,8 @@ class Evaluation:
     """How a policy is measured.
 
     - `paths`: fresh scenarios for the value; `sensitivity_paths` for held derivatives,
-      `smooth_paths` for those through the policy (0: none), `judge_paths` for the moves of every
-      input that judge between the two (0: none).
+      `smooth_paths` for those through the policy, `judge_paths` for the moves of every input that
+      judge between the two (0: none, of any).
     - `scenarios`: "pseudo-random" (antithetic) or "sobol".
     """
 
@@ -50,6 +51,8 @@ class Evaluation:
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
             raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
+        for name, least in (("paths", 2), ("sensitivity_paths", 0), ("smooth_paths", 0)):
+            whole(f"Evaluation: {name}", getattr(self, name), least)
 
     def sources(self, seed: int) -> Sources:
         """Fresh scenarios for every role, those of the evaluation as they are asked for here."""
@@ -69,6 +72,7 @@ def solve(
     engine: Choice = "auto",
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
+    check: bool = True,
 ) -> Solution:
     """Trains a policy and returns its value, with the derivative by every input.
 
@@ -82,6 +86,9 @@ def solve(
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
     - `engine`: "auto", "xla" or "native", or an engine.
     - `callbacks`: told the `Progress` at every validation; `progress`: one to go on from.
+    - `check`: looks for mistakes that tracing shows, in tenths of a second.
+
+    **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
     training, evaluation = training or Training(), evaluation or Evaluation()
     with Clock() as clock:
@@ -92,6 +99,8 @@ def solve(
         elif any(each is not None for each in (inputs, objective, scenarios)):
             raise ValueError("solve: a Problem has its own inputs, objective and scenarios.")
         policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
+        if check:
+            _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
         progress = progress or begin(policy, training)
         clock.stage("evaluate")
@@ -112,6 +121,13 @@ def solve(
     )
 
 
+def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
+    """Raises where the cheap part of the checker finds errors."""
+    if errors := first_mistakes(problem, policy).errors:
+        lines = "\n".join(map(str, errors))
+        raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
+
+
 def measure(
     problem: Problem,
     progress: Progress,
@@ -128,24 +144,12 @@ def measure(
     soft = path_totals(problem, policy, evaluation.paths, smooth=smooth, engine=engine)
     with np.errstate(invalid="ignore"):
         gap = float(np.subtract(worth(objective, exact), worth(objective, soft)))
-    table = sensitivities(
-        problem,
-        policy,
-        min(evaluation.sensitivity_paths, evaluation.paths),
-        smooth=smooth if evaluation.smooth_paths else None,
-        smooth_paths=evaluation.smooth_paths,
-        earlier=progress.halfway if progress.step > 1 else None,
-        engine=engine,
-    )
-    if evaluation.judge_paths:
-        paths = min(evaluation.judge_paths, evaluation.sensitivity_paths)
-        verdicts = judge(problem, policy, paths, table.held, table.smooth, engine=engine)
-        table = table._replace(verdicts=verdicts)
-    norm, noise = table.policy_gradient or (float("nan"), float("nan"))
+    table = _sensitivities(problem, progress, evaluation, smooth, engine)
+    norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
         "evaluate": value.dropped,
-        "sensitivities": table.dropped,
+        "sensitivities": table.dropped if table else 0,
     }
     return {
         "value": value.value,
@@ -185,6 +189,29 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
 
 
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
+
+
+def _sensitivities(
+    problem: Problem, progress: Progress, evaluation: Evaluation, smooth: Smooth, engine: Engine
+) -> Sensitivities | None:
+    """The table of the best policy, judged; None where no paths are given to it."""
+    paths = min(evaluation.sensitivity_paths, evaluation.paths)
+    if not paths:
+        return None
+    table = sensitivities(
+        problem,
+        progress.best,
+        paths,
+        smooth=smooth if evaluation.smooth_paths else None,
+        smooth_paths=evaluation.smooth_paths,
+        earlier=progress.halfway if progress.step > 1 else None,
+        engine=engine,
+    )
+    if not evaluation.judge_paths:
+        return table
+    paths = min(evaluation.judge_paths, paths)
+    verdicts = judge(problem, progress.best, paths, table.held, table.smooth, engine=engine)
+    return table._replace(verdicts=verdicts)
 
 
 def _only_output(simulator: Simulator, inputs: PyTree) -> Objective:

@@ -61,10 +61,27 @@ class Training:
     clip: float | None = None
     seed: int = 0
 
+    def __post_init__(self):
+        for name, least in COUNTS.items():
+            if (value := getattr(self, name)) is not None:
+                whole(f"Training: {name}", value, least)
+
     def temperature(self, step: int) -> float:
         """Geometric from start to end, which is reached at three quarters of the steps."""
         done = min(1.0, step / max(1.0, 0.75 * self.steps))
         return self.temperature_start * (self.temperature_end / self.temperature_start) ** done
+
+
+COUNTS = {
+    "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
+    "patience": 1, "window": 1,
+}  # fmt: skip
+
+
+def whole(name: str, value: object, least: int) -> None:
+    """Refuses what is no whole number of at least `least`."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} is {value!r}; allowed is a whole number of at least {least}.")
 
 
 class Record(NamedTuple):

@@ -28,6 +28,7 @@ from tests.engine.native.fuzz_parts import BINARY, UNARY
 
 from snapo.engine import Window, Xla
 from snapo.engine.native import Native
+from snapo.lanes.machine.threads import cores
 from snapo.problem.actions import Box
 from snapo.problem.noise import Stored
 from snapo.problem.policy import Constant
@@ -232,7 +233,7 @@ def some(cases: range) -> tuple[int, int]:
 def main(count: int, first: int = 0) -> int:
     """Runs cases on all processors; gives the number of those on which the engines differ."""
     parts = [range(first + i, first + count, len(SIZES)) for i in range(min(count, len(SIZES)))]
-    workers = len(os.sched_getaffinity(0))
+    workers = cores()
     with ProcessPoolExecutor(workers, get_context("spawn"), max_tasks_per_child=1) as pool:
         failures, margins = map(sum, zip(*pool.map(some, parts)))
     print(f"{count} random step functions, {failures} differ, {margins} at a margin")

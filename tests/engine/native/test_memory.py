@@ -12,6 +12,7 @@ import pytest
 from tests.engine.native.problems import Store, Tanh
 
 from snapo.engine.native import Native, call, runtime
+from snapo.lanes.machine import compiling
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -43,9 +44,11 @@ def caller(native: Native, paths: int = 32):
     return call
 
 
-@pytest.mark.prove
 @linux
-@pytest.mark.parametrize("calls", [1_000, pytest.param(10_000, marks=pytest.mark.study)])
+@pytest.mark.parametrize(
+    "calls",
+    [pytest.param(1_000, marks=pytest.mark.prove), pytest.param(10_000, marks=pytest.mark.study)],
+)
 def test_calls_leak_nothing(calls):
     """A leak of one kilobyte per call would show."""
     call = caller(Native())
@@ -72,15 +75,19 @@ class Scaled(Store):
 
 
 @linux
-@pytest.mark.study
-def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
-    """No maps and no objects; 0.6 megabytes per kernel that is COMPILED, at most.
+@pytest.mark.parametrize(
+    "kernels",
+    [pytest.param(24, marks=pytest.mark.prove), pytest.param(200, marks=pytest.mark.study)],
+)
+def test_kernels_that_are_dropped_leave_nothing(kernels, tmp_path, monkeypatch):
+    """No maps, no objects and no memory: LLVM's passes keep some, and go with their process.
 
-    That is LLVM's, and is not given back: a third of a megabyte was seen. Kernels from the disk
-    cache cost nothing. JAX keeps its traces until its own caches are full or cleared.
+    (0.2 to 0.35 megabytes for each kernel that this process compiles; the bound is a tenth of it.)
+    JAX keeps its traces until its own caches are full or cleared.
     """
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
     monkeypatch.setattr(call, "KEPT", 4)
+    monkeypatch.setattr(compiling, "HERE", 4)
     policy, native = Tanh((4, 14, 2)), Native()
 
     def some(numbers) -> None:
@@ -91,13 +98,13 @@ def test_kernels_that_are_dropped_cost_little(tmp_path, monkeypatch):
         jax.clear_caches()
         gc.collect()
 
-    some(range(20))
+    some(range(8))
     before, maps, _ = megabytes(), *maps_and_threads()
-    for first in range(20, 80, 20):
-        some(range(first, first + 20))
+    for first in range(8, 8 + kernels, 8):
+        some(range(first, first + 8))
     assert len(call._runners) <= 4
     assert maps_and_threads()[0] - maps < 50
-    assert megabytes() - before < 60 * 0.6
+    assert megabytes() - before < 3 + 0.03 * kernels
 
 
 PEAK = """

@@ -1,17 +1,22 @@
 """Threads, forks, interruptions, segments, and kernels on disk."""
 
+import gc
 import os
 import signal
 import subprocess
 import sys
 import threading
 import time
+import weakref
+from contextlib import nullcontext
 
 import numpy as np
 import pytest
 from tests.engine.native.problems import Store, Tanh, difference
 
+from snapo.engine import Xla
 from snapo.engine.native import Native, explain, runtime
+from snapo.lanes.machine import threads
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Smooth
 
@@ -46,11 +51,11 @@ def test_two_engines_in_two_threads():
             if difference(expected[precision], call(Native(precision))) != 0:
                 failures.append(precision)
 
-    threads = [threading.Thread(target=work, args=(p,)) for p in expected for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    workers = [threading.Thread(target=work, args=(p,)) for p in expected for _ in range(2)]
+    for worker in workers:
+        worker.start()
+    for worker in workers:
+        worker.join()
     assert not failures
 
 
@@ -139,6 +144,86 @@ def test_ctrl_c_returns_promptly():
             assert time.perf_counter() - begin < 10
         finally:
             child.kill()
+
+
+def test_memory_outlives_two_interrupts(monkeypatch):
+    """A helper is at work when a second Ctrl-C ends the waiting: its rows must still be there."""
+    inputs = _captured(Store())
+    runner = list(_runners().values())[-1]
+    begun, release, done = (threading.Event() for _ in range(3))
+    main = threading.current_thread()
+
+    def slow(own, first, last):
+        if threading.current_thread() is main:
+            begun.wait(10)
+            raise KeyboardInterrupt
+        begun.set()
+        release.wait(10)
+        done.set()
+
+    def interrupted(others):
+        raise KeyboardInterrupt
+
+    monkeypatch.setitem(runner.machine.functions, "run", slow)
+    monkeypatch.setattr(threads, "_wait", interrupted)
+    memory = weakref.ref(inputs.memory)
+    with pytest.raises(KeyboardInterrupt):
+        runner.run(inputs, 2)
+    del inputs
+    gc.collect()
+    assert memory() is not None
+    release.set()
+    assert done.wait(10)
+    for _ in range(100):
+        if memory() is None:
+            return
+        time.sleep(0.01)
+    raise AssertionError("the memory is held for ever")
+
+
+def test_an_interrupt_while_helpers_start_stops_them(monkeypatch):
+    stop, started = np.zeros(1), threading.Event()
+
+    def one(group, own):
+        started.set()
+        time.sleep(0.01)
+
+    def second(taken=[]):  # noqa: B006
+        if taken:
+            assert started.wait(10)
+            raise KeyboardInterrupt
+        taken.append(1)
+        return helper()
+
+    helper = threads._helper
+    monkeypatch.setattr(threads, "_helper", second)
+    with pytest.raises(KeyboardInterrupt):
+        threads.spread(one, 1000, 3, stop, lambda: nullcontext(None))
+    assert stop[0] == 1
+
+
+def test_scratch_memory_of_all_kernels_together_is_bounded(monkeypatch):
+    call(Native(threads=2))
+    assert 0 < runtime.spare.bytes() <= runtime.SPARE
+    monkeypatch.setattr(runtime, "SPARE", 1000)
+    call(Native(threads=2))
+    assert runtime.spare.bytes() <= 1000
+
+
+def test_processors_are_counted_where_the_system_knows_no_affinity(monkeypatch):
+    monkeypatch.delattr(os, "sched_getaffinity", raising=False)
+    assert threads.cores() == os.cpu_count()
+    assert difference(call(Native(threads=1)), call(Native())) == 0
+
+
+@pytest.mark.parametrize("days", [8, 10])
+def test_a_schedule_of_another_length_is_refused(days):
+    simulator = Store()  # of 9 steps
+    schedule = Store(horizon=days).prepare(None)
+    draws = Pseudo().draws(np.arange(4), simulator)
+    for engine in (Native(), Xla()):
+        with pytest.raises(ValueError, match="first axis is that of the 9 steps"):
+            engine.values(simulator, Tanh((4, 14, 2)), schedule, draws, Smooth(0.2))
 
 
 def test_explain_shows_every_stage():

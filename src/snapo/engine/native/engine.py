@@ -1,12 +1,12 @@
 """The native engine: `values` and `adjoint` by kernels compiled for simulator and processor."""
 
-import os
 from dataclasses import dataclass
 
 import jax
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
+from snapo.lanes.machine.threads import cores
 from snapo.problem.noise import Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -86,4 +86,4 @@ class Native(Engine):
             return Adjoint(totals, *asked)
 
     def _threads(self) -> int:
-        return self.threads or len(os.sched_getaffinity(0))
+        return self.threads or cores()

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.lanes.program.cut import evaluate
+from snapo.lanes.unsupported import Unsupported
 
 from .given import floating, jax_type
 
@@ -62,6 +63,8 @@ class Functions:
 
         given = call, now, self.state, self.noise[0], self.action
         self.once, kept = jax.make_jaxpr(self._outputs, return_shape=True)(*given)
+        if self.once.effects:
+            raise Unsupported("a callback, such as jax.debug.print, in step")
         self.after, self.names = jax.tree.structure(kept), list(kept[1])
         self.record_tree = jax.tree.structure(kept[2])
 
@@ -95,6 +98,8 @@ class Functions:
         now, state = self.current(now), self._state(leaves)
         if not self.setup.actions:
             action = policy(simulator.observe(constants, now, state), smooth)
+            # The same step follows in a kernel that reads recorded actions.
+            action = jax.lax.optimization_barrier(jnp.asarray(action, self.dtype))
         after, outputs = simulator.step(constants, now, state, action, noise, smooth)
         outputs = {name: jnp.asarray(value, self.dtype) for name, value in outputs.items()}
         kept = {"state": state, "action": action, "outputs": outputs}

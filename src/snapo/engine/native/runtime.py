@@ -1,6 +1,8 @@
 """Running a kernel: blocks of paths over threads, sums in a fixed order."""
 
 import os
+import threading
+import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -18,7 +20,7 @@ from .kernel.kernel import Kernel
 TAPE = 256 * 2**20  # bytes of tape per thread; longer horizons are done in segments, twice forward
 SUMS = 256 * 2**20  # bytes of gradients of all groups together
 SLOTS = {name: i for i, name in enumerate(CONTEXT)}
-PROCESSORS = os.cpu_count() or 1
+SPARE = 2**30  # bytes of scratch memory that all kernels together keep between calls
 GROUPS = 32  # independent partial sums: fixed, so that threads do not change the answer
 
 
@@ -45,11 +47,10 @@ class Outputs:
 
 
 class Runner:
-    """A compiled kernel with scratch memory that is used again from call to call."""
+    """A compiled kernel, with scratch memory that is used again from call to call."""
 
     def __init__(self, kernel: Kernel, machine: Linked):
         self.kernel, self.machine = kernel, machine
-        self._spare: list[Memory] = []
 
     def blocks(self, paths: int) -> int:
         return -(-paths // self.kernel.lanes)
@@ -73,7 +74,8 @@ class Runner:
         scratch = self._scratch(segment, -(-length // segment))
         functions = self.machine.functions
 
-        def one(group: int, own: np.ndarray) -> None:
+        # A helper may go on after an interrupt: its work keeps the memory and the code alive.
+        def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
             if adjoint:
                 _add_up_in(own, memory.where["sums"] + group * (calls + steps), calls)
             first, last = blocks * group // groups, blocks * (group + 1) // groups
@@ -115,10 +117,7 @@ class Runner:
     @contextmanager
     def _own(self, context: np.ndarray, sizes: dict[str, int]) -> Iterator[np.ndarray]:
         """The context with scratch memory of its own."""
-        try:
-            scratch = self._spare.pop()
-        except IndexError:
-            scratch = None
+        scratch = spare.take(self)
         if scratch is None or not scratch.holds(sizes):
             scratch = Memory(sizes)
         own = context.copy()
@@ -127,8 +126,51 @@ class Runner:
         try:
             yield own
         finally:
-            if len(self._spare) < 2 * PROCESSORS:
-                self._spare.append(scratch)
+            spare.give(self, scratch)
+
+
+class Spare:
+    """Scratch memory between calls: of all kernels together, at most `SPARE` bytes.
+
+    Memory is given back to the kernel that had it; what has waited longest goes first.
+    """
+
+    def __init__(self):
+        self._lock = threading.Lock()
+        self._waiting: list[tuple[weakref.ref[Runner], Memory]] = []
+
+    def take(self, runner: Runner) -> Memory | None:
+        """Memory that this kernel had before, the latest first; None where there is none."""
+        with self._lock:
+            for i in reversed(range(len(self._waiting))):
+                if self._waiting[i][0]() is runner:
+                    return self._waiting.pop(i)[1]
+        return None
+
+    def give(self, runner: Runner, memory: Memory) -> None:
+        """Keeps memory for this kernel's next call, if there is room."""
+        with self._lock:
+            alive = [each for each in self._waiting if each[0]() is not None]
+            alive.append((weakref.ref(runner), memory))
+            while sum(each[1].size for each in alive) > SPARE:
+                alive.pop(0)
+            self._waiting = alive
+
+    def bytes(self) -> int:
+        """All that waits now."""
+        with self._lock:
+            return sum(memory.size for _, memory in self._waiting)
+
+
+spare = Spare()
+
+
+def _after_fork() -> None:
+    spare.__init__()  # another thread may have held its lock
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_after_fork)
 
 
 def _context(values: dict[str, int]) -> np.ndarray:

@@ -1,6 +1,7 @@
 """Writes a program's operations, region by region."""
 
 import math
+from collections.abc import Container
 
 import numpy as np
 
@@ -18,8 +19,12 @@ from .regions import Region, regions
 INTERLEAVED = 4  # vector registers of neighbouring elements that a loop works on at once
 
 
-def write(values: Values, ops: list[Op], wanted: list[Value]) -> None:
-    """Writes all operations, then brings values to their homes."""
+def write(values: Values, ops: list[Op], wanted: list[Value], loose: Container[Value] = ()) -> None:
+    """Writes all operations, then brings values to their homes.
+
+    The bits of `loose` values may depend on those around them (see `Code`).
+    """
+    values.loose = loose
     values.settle_all()
     for region in regions(ops, set(wanted) | set(values.homes)):
         try:
@@ -56,7 +61,9 @@ def _by_element(values: Values, op: Op) -> None:
         one = elementwise.apply(code, op, [i.flat[0] for i in inputs])
         values.set(out, np.broadcast_to(objects([one], (1,) * len(out.shape)), out.shape))
         return
+    code.contract = out in values.loose
     refs = [elementwise.apply(code, op, list(args)) for args in zip(*(i.flat for i in inputs))]
+    code.contract = False
     values.set(out, objects(refs, out.shape))
 
 
@@ -78,7 +85,9 @@ def loop(values: Values, region: Region, shape: tuple[int, ...]) -> None:
         refs = dict(zip(sums, given))
         refs |= {v: fetch(code, s, position, width) for v, s in sources.items()}
         for op in region.ops:
+            code.contract = op.outputs[0] in values.loose
             refs[op.outputs[0]] = elementwise.apply(code, op, [refs[v] for v in op.inputs])
+            code.contract = False
         for v, target in targets.items():
             put(code, target, position, refs[v], width)
 

@@ -38,11 +38,17 @@ class Curve:
 
 
 class Code:
-    """One function's instructions. `lanes` is the width of a number that differs between paths."""
+    """One function's instructions. `lanes` is the width of a number that differs between paths.
+
+    Where `contract` is on, LLVM may make a product and a sum one multiply-add. Whether it does
+    depends on all that surrounds them: it is off for numbers that must have the same bits in two
+    kernels, or twice in one.
+    """
 
     def __init__(self, lanes: int, module: Module):
         self.lanes = lanes
         self.module = module
+        self.contract = False
         self.lines: list[str] = []
         self.count = 0
         self.block = "entry"
@@ -108,7 +114,7 @@ class Code:
         return [self.splat(r, lanes) for r in refs]
 
     def op(self, instruction: str, *refs: Ref, dtype: str | None = None) -> Ref:
-        """An instruction on vectors of one type, such as `fadd contract`."""
+        """An instruction on vectors of one type, such as `fadd`."""
         refs = tuple(self.same(*refs))
         operands = ", ".join(r.text for r in refs)
         text = self.raw(f"{instruction} {refs[0].type} {operands}")
@@ -159,14 +165,17 @@ class Code:
 
     # Arithmetic, by the type of the operands.
 
+    def loose(self, instruction: str) -> str:
+        return f"{instruction} contract" if self.contract else instruction
+
     def add(self, a: Ref, b: Ref) -> Ref:
-        return self.op("fadd contract" if a.floating else "add", a, b)
+        return self.op(self.loose("fadd") if a.floating else "add", a, b)
 
     def sub(self, a: Ref, b: Ref) -> Ref:
-        return self.op("fsub contract" if a.floating else "sub", a, b)
+        return self.op(self.loose("fsub") if a.floating else "sub", a, b)
 
     def mul(self, a: Ref, b: Ref) -> Ref:
-        return self.op("fmul contract" if a.floating else "mul", a, b)
+        return self.op(self.loose("fmul") if a.floating else "mul", a, b)
 
     def div(self, a: Ref, b: Ref) -> Ref:
         return self.op("fdiv", a, b)

@@ -1,6 +1,7 @@
 """Where each array of a program lies while a function is written."""
 
 import math
+from collections.abc import Container
 from typing import Any
 
 import numpy as np
@@ -38,6 +39,7 @@ class Values:
         self.code = code
         self.workspace = workspace
         self.homes = homes or {}
+        self.loose: Container[Value] = ()
         self._where: dict[Value, Small | Place] = {}
 
     def bind(self, value: Value, known: Small | Place) -> None:

@@ -2,23 +2,36 @@
 
 import hashlib
 import os
+import stat
 import tempfile
+import time
+from contextlib import suppress
 from pathlib import Path
 
-from .pipeline import PIPELINE, object_code
+from .compiling import object_code
+from .pipeline import PIPELINE
+
+MARK = b"snapo kernel 2\n"  # of the layout: mark, checksum of name and code, code
+CHECKSUM = 32
+MOST_BYTES = 512 * 2**20  # of the folder; what was used longest ago goes first
+MOST_SECONDS = 60 * 86_400  # that code stays unused
+ENDING = ".o"
 
 
 def kept(text: str, folder: Path) -> bytes:
     """Machine code for this text, from the folder where it was made before.
 
     The name of a file is a hash of the text and of the pipeline's identity: code that other passes
-    or another LLVM made, or code for another processor, is not found.
+    or another LLVM made, or code for another processor, is not found. A file is believed where it
+    is this user's, nobody else may write it, and its checksum is right; else code is made anew.
     """
-    path = folder / f"{key(text)}.o"
-    data = _read(path)
+    name = key(text)
+    path = folder / f"{name}{ENDING}"
+    data = _read(path, name)
     if data is None:
         data = object_code(text)
-        _write(path, data)
+        _write(path, MARK + _checksum(name, data) + data)
+        evict(folder)
     return data
 
 
@@ -35,19 +48,63 @@ def cache_home() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache")
 
 
-def _read(path: Path) -> bytes | None:
+def evict(folder: Path) -> None:
+    """Removes code that nobody has used for long, and the oldest of what is too much."""
+    found = []
+    with suppress(OSError):
+        for each in os.scandir(folder):
+            with suppress(OSError):
+                if each.is_file(follow_symlinks=False):
+                    state = each.stat(follow_symlinks=False)
+                    found.append((state.st_mtime, state.st_size, each.path))
+    size, now = 0, time.time()
+    for used, bytes_, path in sorted(found, reverse=True):
+        size += bytes_
+        if size > MOST_BYTES or now - used > MOST_SECONDS:
+            with suppress(OSError):
+                os.unlink(path)
+
+
+def _checksum(name: str, data: bytes) -> bytes:
+    return hashlib.sha256(name.encode() + data).digest()
+
+
+def _read(path: Path, name: str) -> bytes | None:
+    """The code in a file that can be believed; None for any other."""
     try:
-        return path.read_bytes()
+        with open(path, "rb") as file:
+            if not _own(os.fstat(file.fileno())):
+                return None
+            content = file.read()
     except OSError:
         return None
+    start = len(MARK) + CHECKSUM
+    data = content[start:]
+    if content[:start] != MARK + _checksum(name, data):
+        return None
+    with suppress(OSError):
+        os.utime(path)  # used just now
+    return data
 
 
-def _write(path: Path, data: bytes) -> None:
+def _own(state: os.stat_result) -> bool:
+    """Whether a file is this user's, and writable by nobody else."""
+    if not stat.S_ISREG(state.st_mode):
+        return False
+    if not hasattr(os, "geteuid"):  # Windows: the folder lies in the user's own
+        return True
+    return state.st_uid == os.geteuid() and not state.st_mode & (stat.S_IWGRP | stat.S_IWOTH)
+
+
+def _write(path: Path, content: bytes) -> None:
     """Whole or not at all; a disk that cannot be written is no reason to fail."""
-    try:
+    with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(dir=path.parent, delete=False) as file:
-            file.write(data)
-        os.replace(file.name, path)
-    except OSError:
-        pass
+            try:
+                file.write(content)
+                file.flush()
+                os.replace(file.name, path)
+            except BaseException:
+                os.unlink(file.name)
+                raise

@@ -11,6 +11,7 @@ class Memory:
 
     def __init__(self, sizes: dict[str, int]):
         raw = np.zeros(64 + sum(map(_rounded, sizes.values())), np.uint8)
+        self.size = raw.size
         base = address(raw)
         at = -base % 64
         self.rows: dict[str, np.ndarray] = {}

@@ -11,6 +11,13 @@ import numpy as np
 Own = TypeVar("Own")
 
 
+def cores() -> int:
+    """The processors that this process may run on, where the system tells; else all of them."""
+    if hasattr(os, "sched_getaffinity"):
+        return len(os.sched_getaffinity(0))
+    return os.cpu_count() or 1
+
+
 def spread(
     one: Callable[[int, Own], None],
     groups: int,
@@ -20,7 +27,9 @@ def spread(
 ) -> None:
     """Hands groups to threads in turn; this thread takes its share and notices Ctrl-C.
 
-    `own` gives each thread its own scratch memory, and `stop` is a flag that ends the work.
+    `own` gives each thread its own scratch memory, and `stop` is a flag that ends the work. On an
+    interrupt the others are waited for; a second one leaves them alone with their last groups, so
+    that `one` must hold all the memory that it reads and writes.
     """
     waiting = iter(range(groups))
     lock = threading.Lock()
@@ -42,8 +51,10 @@ def spread(
             failures.append(error)
             stop[:] = 1
 
-    others = [_helper().take(help) for _ in range(threads - 1)]
+    others: list[threading.Lock] = []
     try:
+        for _ in range(threads - 1):
+            others.append(_helper().take(help))
         work()
         _wait(others)
     except BaseException:

@@ -18,6 +18,9 @@ import numpy as np
 from ..jax_private import CALLS, SEARCH, apply, is_literal, traceback_of
 
 CONSTANT, CALL, STEP, PATH = range(4)
+# What comes after it is the same whatever comes before it: a number that arrives from memory in
+# another kernel is computed at the same level, and is not known while compiling.
+BARRIER = "optimization_barrier"
 # Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
 LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
 
@@ -81,7 +84,7 @@ def evaluate(closed, values, caller=None):
     Inside a function of `jax.numpy` equations know no line of the user's: it is the caller's.
     """
     jaxpr = closed.jaxpr
-    env = dict(zip(jaxpr.constvars, closed.consts))
+    env = dict(zip(jaxpr.constvars, map(_fresh, closed.consts)))
     env.update(zip(jaxpr.invars, values))
 
     def read(atom):
@@ -96,6 +99,11 @@ def evaluate(closed, values, caller=None):
             outputs = apply(eqn, inputs, line)
         env.update(zip(eqn.outvars, outputs))
     return [read(a) for a in jaxpr.outvars]
+
+
+def _fresh(constant):
+    """A NumPy table as an array of its own: JAX remembers one by the precision it met it in."""
+    return constant.copy() if isinstance(constant, np.ndarray) else constant
 
 
 @dataclass(eq=False)
@@ -119,6 +127,8 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
     for eqn in jaxpr.eqns:
         atoms = [a for a in eqn.invars if not is_literal(a)]
         top = max([level[a] for a in atoms], default=CONSTANT)
+        if eqn.primitive.name == BARRIER:
+            top = PATH
         for v in eqn.outvars:
             level[v], maker[v] = top, eqn
             if any(a in active for a in atoms) and jnp.issubdtype(v.aval.dtype, jnp.floating):

@@ -12,6 +12,7 @@ from .. import numbers
 from ..jax_private import CALLS, SEARCH, is_literal, line_of
 from ..unsupported import Unsupported
 from . import folding
+from .cut import BARRIER
 from .program import Op, Program, Value, constant
 
 UNROLL = 64  # longest inner loop that is written out
@@ -27,7 +28,7 @@ def flatten(closed, path: list[bool]) -> Program:
     return Program(inputs, builder.ops, outputs)
 
 
-IDENTITIES = {"copy", "copy_p", "optimization_barrier", "stop_gradient"}
+IDENTITIES = {"copy", "copy_p", "stop_gradient"}
 
 
 class Flattener:
@@ -63,6 +64,8 @@ class Flattener:
             return self.inline(eqn.params[CALLS[name]], inputs)
         if name in IDENTITIES:
             return inputs
+        if name == BARRIER:
+            return [self.unknown(v, line) for v in inputs]
         if name == "scan":
             return self.scan(eqn, inputs, line)
         if name == "cond":
@@ -95,6 +98,12 @@ class Flattener:
         outputs = [Value(a.shape, np.dtype(a.dtype), path) for a in avals]
         self.ops.append(Op(name, list(inputs), outputs, dict(params), line))
         return outputs
+
+    def unknown(self, value: Value, line: str) -> Value:
+        """The value, which nothing is folded into."""
+        if value.constant is None:
+            return value
+        return self.add(BARRIER, [value], [Value(value.shape, value.dtype)], {}, line)[0]
 
     def inline(self, inner, inputs: list[Value]) -> list[Value]:
         jaxpr, consts = (inner.jaxpr, inner.consts) if hasattr(inner, "consts") else (inner, [])

@@ -9,8 +9,8 @@ from .program import Op, Program, Value, constant
 
 
 def optimize(program: Program) -> Program:
-    """Rewrites, shares and drops, in that order."""
-    return drop(share(rewrite(program)))
+    """Rewrites, shares, fuses and drops, in that order."""
+    return drop(fuse(share(rewrite(program))))
 
 
 def rewrite(program: Program) -> Program:
@@ -84,6 +84,44 @@ def _signature(op: Op) -> tuple:
     skipped = {"sharding", "out_sharding", "jaxpr", "name"}
     shapes = tuple((v.shape, v.dtype.str) for v in op.outputs)
     return shapes, tuple(sorted((k, str(v)) for k, v in op.params.items() if k not in skipped))
+
+
+def fuse(program: Program) -> Program:
+    """Products and the sums that read them, as multiply-adds: `fma x y z` is x y + z.
+
+    It depends on nothing but the sum and the product. LLVM decides by who else reads the product,
+    and two kernels with the same step, one with a policy and one with its recorded actions, would
+    then differ in the last place. Cotangents stay as they are.
+    """
+    maker = {v: op for op in program.ops for v in op.outputs}
+    ops = [_fused(op, maker) or op for op in program.ops]
+    return Program(program.inputs, ops, program.outputs)
+
+
+def _fused(op: Op, maker: dict[Value, Op]) -> Op | None:
+    out = op.outputs[0]
+    if op.name not in ("add", "sub") or not out.floating:
+        return None
+    first, second = op.inputs
+    minus = op.name == "sub"
+    for product, other, signs in (
+        (first, second, {"minus_product": False, "minus_other": minus}),
+        (second, first, {"minus_product": minus, "minus_other": False}),
+    ):
+        factors = _factors(maker.get(product))
+        if factors is not None:
+            return Op("fma", [*factors, other], op.outputs, signs, op.where)
+    return None
+
+
+def _factors(op: Op | None) -> list[Value] | None:
+    """The two factors of a product or of a square."""
+    if op is not None and op.name == "mul":
+        return op.inputs
+    squared = op is not None and (
+        op.name == "square" or (op.name == "integer_pow" and op.params["y"] == 2)
+    )
+    return [*op.inputs, *op.inputs] if op is not None and squared else None
 
 
 def drop(program: Program) -> Program:

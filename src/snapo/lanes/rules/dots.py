@@ -85,7 +85,7 @@ def _written_out(values: Values, op: Op, left, right, sizes) -> None:
         terms = list(zip(a[n, i], b[n, j]))
         total = code.mul(*terms[0]) if terms else code.constant(0, op.outputs[0].dtype)
         for x, y in terms[1:]:
-            total = code.add(total, code.mul(x, y))
+            total = code.fma(*code.same(x, y, total))
         refs[n, i, j] = total
     values.set(op.outputs[0], refs.reshape(op.outputs[0].shape))
 

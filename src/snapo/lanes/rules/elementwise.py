@@ -8,6 +8,7 @@ from ..curves.catalogue import CURVES
 from ..emit.code import Code
 from ..emit.ref import Ref
 from ..numbers import name_of
+from ..program.cut import BARRIER
 from ..program.program import Op
 from ..unsupported import Unsupported
 from .conversions import FLOAT, compare, convert, one_like, width, zero_like
@@ -42,6 +43,8 @@ def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
         return convert(code, inputs[0], dtype)
     if name == "integer_pow":
         return _power(code, inputs[0], op.params["y"])
+    if name == "fma":
+        return _multiply_add(code, op, *inputs)
     if name == "reduce_precision":
         return _reduced(op, inputs[0])
     if name in C_LIBRARY:
@@ -58,7 +61,7 @@ def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
 def supported(name: str) -> bool:
     """Whether a primitive is elementwise and known."""
     known = (FLOAT, CURVES, LIBRARY, C_LIBRARY, BITS, SHIFTS, RULES)
-    others = ("convert_element_type", "integer_pow", "round", "reduce_precision")
+    others = ("fma", "convert_element_type", "integer_pow", "round", "reduce_precision")
     return any(name in k for k in known) or name in others
 
 
@@ -73,6 +76,13 @@ def lanewise(code: Code, function: str, x: Ref) -> Ref:
         value = code.raw(f"call {kind} {name}({kind} {lane})")
         result = code.raw(f"insertelement {x.type} {result}, {kind} {value}, i64 {i}")
     return Ref(result, x.dtype, x.lanes)
+
+
+def _multiply_add(code: Code, op: Op, x: Ref, y: Ref, z: Ref) -> Ref:
+    """x y + z, rounded once, with the signs of `fuse`."""
+    x = _negate(code, x) if op.params["minus_product"] else x
+    z = _negate(code, z) if op.params["minus_other"] else z
+    return code.fma(*code.same(x, y, z))
 
 
 def _reduced(op: Op, x: Ref) -> Ref:
@@ -237,6 +247,7 @@ RULES: dict[str, Callable[..., Ref]] = {
     "neg": _negate,
     "abs": _absolute,
     "sign": _sign,
+    BARRIER: lambda code, x: x,
     "not": _invert,
     "max": lambda code, a, b: _extreme(code, a, b, True),
     "min": lambda code, a, b: _extreme(code, a, b, False),

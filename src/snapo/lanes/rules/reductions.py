@@ -37,7 +37,9 @@ def _reduce(values: Values, op: Op) -> None:
     count = math.prod([x.shape[i] for i in axes])
     if count == 0:
         raise Unsupported(f"{op.name}: over no elements, at {op.where}")
-    if x.size <= 2 * BIG or isinstance(values.get(x), Small):
+    # Up to 4 * BIG numbers any reader may have brought an array into registers: the order of a sum
+    # must not depend on that.
+    if x.size <= 4 * BIG or isinstance(values.get(x), Small):
         items = values.small(x).transpose([*kept, *axes]).reshape(-1, count)
         refs = [_fold(values, name, x, list(row), op.where) for row in items]
         values.set(out, np.array([*refs, None], object)[:-1].reshape(out.shape))

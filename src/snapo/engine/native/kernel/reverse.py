@@ -10,7 +10,7 @@ from snapo.lanes.gradients.accumulate import accumulate
 from snapo.lanes.gradients.plan import Gradients
 from snapo.lanes.gradients.rows import Rows
 from snapo.lanes.program.program import BIG, Program, Value
-from snapo.lanes.program.sweeps import Plan
+from snapo.lanes.program.sweeps import Plan, dependents
 
 from ..rollout import Phase
 from .context import Build, field
@@ -57,7 +57,9 @@ def reverse(build: Build, phase: Phase, transposed: Transposed, division: Plan) 
         for value in division.tape:
             values.bind(value, tape.place(value, row))
         _cotangents(s, values, transposed)
-        operations.write(values, division.reverse, transposed.wanted())
+        # What is computed again has the bits that it had: a maximum is compared with its terms.
+        later = dependents(program, transposed.cotangents)
+        operations.write(values, division.reverse, transposed.wanted(), later)
         step_row = function.row(field("step_sums"), s.t, "step_sums") if stepwise else None
         sums = function.sums(step_row)
         accumulate(values, rows, sums, row, chunk_row)
