@@ -2,8 +2,6 @@
 
 import json
 import os
-import zipfile
-import zlib
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -42,8 +40,11 @@ def load(file: Path, like: Progress) -> Progress:
     **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy.
     """
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
-    plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
-    history = tuple(Record(*record) for record in state["history"])
+    try:
+        plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
+        history = tuple(Record(*record) for record in state["history"])
+    except (KeyError, TypeError, AttributeError):
+        raise CheckpointError(f"{file}: this is another kind of file.") from None
     return replace(like, **trees, **plain, history=history)
 
 
@@ -104,6 +105,6 @@ def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
             header = json.loads(stored["header"].tobytes().decode())
             names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
             return {name: stored[name] for name in names}, header
-    except (OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # a damaged byte can be a compression, a key or a size as well
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise CheckpointError(f"{file}: this file cannot be read ({what}).") from None

@@ -86,15 +86,15 @@ def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
     """How today's forward price stands against those ahead: mean of 30 and 120 days and of all,
     highest and lowest, less today's, in units of half the mean price."""
     t = forward.shape[0]
-    day, later = np.arange(t)[:, None], np.arange(t)[None, :]
+    first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
+    # Running sums of a curve around zero, so that nothing is lost; memory grows with T alone.
+    middle = jnp.mean(forward)
+    sums = jnp.append(0.0, jnp.cumsum(forward - middle))
 
     def mean(days):
-        ahead = ((later > day) & (later <= day + days)).astype(float)
-        ahead[-1, -1] = 1.0
-        return ahead @ forward / ahead.sum(1)
+        last = np.maximum(np.minimum(np.arange(t) + days + 1, t), first + 1)
+        return middle + (sums[last] - sums[first]) / (last - first)
 
-    future = later >= day
-    high = jnp.max(jnp.where(future, forward, -jnp.inf), axis=1)
-    low = jnp.min(jnp.where(future, forward, jnp.inf), axis=1)
+    high, low = jax.lax.cummax(forward, reverse=True), jax.lax.cummin(forward, reverse=True)
     columns = [mean(30), mean(120), mean(t), high, low]
     return 2 * (jnp.stack(columns, axis=1) - forward[:, None]) / scale
