@@ -86,6 +86,7 @@ def only_size(folder) -> int:
 
 def test_later_code_is_made_by_another_process(monkeypatch):
     """LLVM's passes keep memory, so that a process compiles a limited number of times itself."""
+    monkeypatch.setattr(compiling.pipeline, "PIPELINE", compiling.pipeline.Pipeline())
     here = compiling.object_code(TEXT)
     monkeypatch.setattr(compiling, "HERE", 0)
     monkeypatch.setattr(compiling.pipeline, "object_code", lambda text: b"in this process")

@@ -63,6 +63,7 @@ def test_payments_of_every_cohort_written_out(timing):
     np.testing.assert_allclose(found.accrued, expected, rtol=1e-11, atol=1e-12)
 
 
+@pytest.mark.prove
 def test_what_a_step_accrues_written_out():
     case = people_case()
     found, group = projected(case), case.members

@@ -104,6 +104,7 @@ def test_means_are_what_the_case_says():
     assert logs["log"].std() == pytest.approx(0.18 / np.sqrt(12), rel=0.02)
 
 
+@pytest.mark.prove
 def test_an_appraisal_shows_part_of_the_return_at_once_and_the_rest_later():
     base = full(STEPS)
     sharp = replace(base, assets=replace(base.assets, smoothed=np.zeros(0, int)))
