@@ -131,7 +131,7 @@ class Rights:
         logs, left = np.asarray(state["log"]), np.asarray(state["left"]).astype(int)
         paths = np.arange(logs.shape[1])
         charge = scale[0] * self.surprises(logs)
-        return sum(charge[t][left[t], paths] for t in range(DATES))
+        return np.sum([charge[t][left[t], paths] for t in range(DATES)], axis=0)
 
 
 def swing(rights: int, shift: float = 0.0):
@@ -178,9 +178,9 @@ def test_a_trained_scale_undoes_a_penalty_that_is_too_large():
     assert trained.upper.high >= 2.3140 and trained.upper.value < plain.upper.value
 
 
-def test_what_is_no_relaxation_is_refused():
+def test_what_is_no_relaxation_is_refused(monkeypatch):
     problem, policy, relaxation = swing(1)
-    relaxation.best = lambda *given: np.zeros(64)
+    monkeypatch.setattr(relaxation, "best", lambda *given: np.zeros(64))
     with pytest.raises(ValueError, match="it is no relaxation"):
         bound(problem, policy, relaxation, 64, engine=ENGINE)
 

@@ -61,8 +61,9 @@ def test_the_flagship_is_bounded_within_a_fifth_of_a_percent():
 def test_intervals_cover_the_exact_value_and_a_bad_policy_has_a_wide_gap():
     setup, relaxation = ready("quick")
     problem, engine = setup.problem, setup.engines.evaluate
-    kind = "linear"
-    exact = lattice(problem.schedule, factors(problem), kind).value
+    of = factors(problem)
+    assert of is not None
+    exact = lattice(problem.schedule, of, "linear").value
     found = [
         bound(problem, GuidePolicy(), relaxation, 128, engine=engine, source=Pseudo(seed, stream=9))
         for seed in range(50)

@@ -4,11 +4,13 @@ from typing import Any
 
 import numpy as np
 
-from snapo.solver.evaluate import evaluate
+from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
-from snapo.study.study import Part, StudyRun
+from snapo.study.study import Part, Setup, StudyRun
 
 from ..contract.records import StorageCase
+from ..contract.simulator import simulator_of
+from ..policy.fitted_guide import FittedKnots
 from ..policy.network import GuidePolicy
 from ..setup import OUTPUT, beside, case_of
 from .profile import working_volume
@@ -35,27 +37,38 @@ def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     engine = run.setup.engines.evaluate
     guide = evaluate(beside(run.setup), GuidePolicy(), PATHS, engine=engine)
 
-    def rung(name, value, error=None, note=""):
-        return {"name": name, "value": value, "standard_error": error, "note": note}
-
     error, plan = solution.standard_error, run.get("intrinsic.value")
     ladder = [
-        rung("Intrinsic", plan, note="best fixed plan against today's curve"),
-        rung("One-factor rule", *guide[:2], note="dynamic program in the fastest factor alone"),
-        rung("Trained policy", solution.value, error, "exact simulator, fresh paths"),
+        _rung("Intrinsic", plan, note="best fixed plan against today's curve"),
+        _guide_rung(run.setup, guide),
+        _rung("Trained policy", solution.value, error, "exact simulator, fresh paths"),
     ]
     exact, fees = run.get("dynamic_programming"), run.get("fixed_costs")
     if exact is not None:
         note = "lattice in at most two price factors"
-        ladder.append(rung("Dynamic programming", exact, note=note))
+        ladder.append(_rung("Dynamic programming", exact, note=note))
     above = run.get("bound.upper")
     if above is not None:
         note = "hindsight with a penalty: no policy earns more"
-        ladder.append(rung("Upper bound", above["value"], above["standard_error"], note))
+        ladder.append(_rung("Upper bound", above["value"], above["standard_error"], note))
     if fees:
         after = solution.value - fees
-        ladder.append(rung("After fixed costs", after, error, "less their present value"))
+        ladder.append(_rung("After fixed costs", after, error, "less their present value"))
     return ladder
+
+
+def _rung(name, value, error=None, note="") -> dict[str, Any]:
+    return {"name": name, "value": value, "standard_error": error, "note": note}
+
+
+def _guide_rung(setup: Setup, worth: Value) -> dict[str, Any]:
+    """What the guide earns before any training."""
+    guide = simulator_of(setup.problem).guide
+    if guide is not None and isinstance(guide.knots, FittedKnots):
+        name, note = "Fitted rule", "value iteration in the price factors, before training"
+    else:
+        name, note = "One-factor rule", "dynamic program in the fastest factor alone"
+    return _rung(name, worth.value, worth.standard_error, note)
 
 
 def _break_even_fee(case: StorageCase, solution: Solution) -> float:
