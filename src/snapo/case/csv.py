@@ -99,7 +99,7 @@ def beside(mention: Mention, suffixes: Sequence[str]) -> Path:
     path = folder / name
     try:
         inside, exists = path.resolve().is_relative_to(folder), path.exists()
-    except (OSError, ValueError) as error:
+    except (OSError, ValueError, RuntimeError) as error:  # the last: links in a circle
         raise mention.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
         raise mention.error("a file that a case names must lie beside the case")

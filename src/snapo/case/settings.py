@@ -8,6 +8,9 @@ from pydantic import Field
 from .error import CaseError
 from .table import Count, Positive, Table, parse
 
+MOST_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
+PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
+
 
 class TrainingTable(Table):
     """`[training]`: how the policy is trained, with the fields and defaults of `snapo.Training`."""
@@ -32,10 +35,8 @@ class TrainingTable(Table):
 class EvaluationTable(Table):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
 
-    paths: Annotated[int, Field(ge=64)] = Field(65536, description="a whole number, 64 or more")
-    sensitivity_paths: Annotated[int, Field(ge=64)] = Field(
-        16384, description="a whole number, 64 or more"
-    )
+    paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(65536, description=PATHS)
+    sensitivity_paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(16384, description=PATHS)
     scenarios: Literal["pseudo-random", "sobol"] = Field(
         "pseudo-random", description='"pseudo-random" or "sobol"'
     )

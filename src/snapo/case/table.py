@@ -66,6 +66,9 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
         return file, tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _not_toml(file, text, str(error)) from None
+    except RecursionError:
+        what = "the tables of this file are nested too deeply; no case needs more than a few levels"
+        raise CaseError(str(file), "", None, what) from None
 
 
 def _not_toml(file: Path, text: str, message: str) -> CaseError:

@@ -17,6 +17,7 @@ from ..prices.registry import check_curve, read_prices
 from .contract import decision_days, pays_by_price, read_contract
 from .limits import read_limits
 from .market import read_market
+from .plausible import check_plausible
 from .tables import ContractTable, MarketTable, StorageTable
 
 
@@ -66,6 +67,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         evaluation=read_evaluation(top.evaluation, str(file)),
         notes=tuple(notes),
     )
+    check_plausible(case)
     if not expired:
         check_feasible(case)
     return case
