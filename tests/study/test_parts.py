@@ -23,7 +23,7 @@ SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, m
 
 def test_a_distribution_is_that_of_its_paths():
     total = np.random.default_rng(0).normal(10, 2, 4000)
-    found = described(total, np.arange(total.size))
+    found = described(total)
     assert found["mean"] == total.mean() and found["paths"] == 4000
     assert found["quantiles"]["p05"] == np.quantile(total, 0.05)
     assert found["tail_mean"] == pytest.approx(np.sort(total)[:200].mean())
