@@ -132,6 +132,8 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
     """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
     found = float(np.quantile(values, level))
     below = mean(np.asarray(values) <= found, groups)
+    if not np.isfinite(below.standard_error):
+        return Sampled(found, np.nan, below.degrees)
     half = critical(below.degrees) * below.standard_error
     low, high = np.quantile(values, np.clip([level - half, level + half], 0.0, 1.0))
     return Sampled(found, float(high - low) / (2 * critical(below.degrees)), below.degrees)
