@@ -102,7 +102,7 @@ def test_the_result(whole):
     result, out = whole
     assert set(result) >= HEAD
     references = result["references"]
-    assert set(references) == {"intrinsic", "dynamic_programming"}
+    assert set(references) == {"intrinsic", "dynamic_programming", "upper_bound"}
     assert references["intrinsic"] < references["dynamic_programming"]
     error = result["standard_error"]
     assert result["value"] <= references["dynamic_programming"] + 3 * error

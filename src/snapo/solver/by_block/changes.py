@@ -126,10 +126,14 @@ def _common(change, size, sample, worth, owners) -> tuple[np.ndarray, np.ndarray
     pieces[np.arange(len(chosen)), chosen] = shape[chosen] / norm[chosen, None]
     seen = _filled(change[:, :, sample], owners) * worth
     rest = seen - np.tensordot(seen.sum(2)[:, chosen], pieces, axes=1)
-    left, scale, right = np.linalg.svd(rest.reshape(blocks, -1), full_matrices=False)
-    few = min(FURTHER, int(np.sum(scale > SMALL * np.linalg.norm(seen))))
-    parts = np.concatenate([sums[:, chosen], left[:, :few] * scale[:few]], 1)
-    return parts, np.concatenate([pieces, right[:few].reshape(few, outputs, len(sample))])
+    # Singular vectors, from the small matrix of the blocks' products.
+    rest = rest.reshape(blocks, -1)
+    squares, vectors = np.linalg.eigh(rest @ rest.T)
+    leading = np.flatnonzero(squares > (SMALL * np.linalg.norm(seen)) ** 2)[-FURTHER:]
+    left = vectors[:, leading]
+    parts = np.concatenate([sums[:, chosen], left], 1)
+    right = (left.T @ rest).reshape(len(leading), outputs, len(sample))
+    return parts, np.concatenate([pieces, right])
 
 
 def _filled(change: np.ndarray, owners: np.ndarray) -> np.ndarray:

@@ -38,12 +38,13 @@ def _work(units: Mapping[str, str]) -> Callable[[StudyRun], dict[str, Any]]:
     return work
 
 
-def described(total: np.ndarray, groups: np.ndarray) -> dict[str, Any]:
+def described(total: np.ndarray, groups: np.ndarray | None = None) -> dict[str, Any]:
     """Moments, quantiles and a histogram of totals [paths] that are finite, with standard errors.
 
-    `groups`: the independent group of each path.
+    `groups`: the independent group of each path, by default the path itself.
     """
     good = np.isfinite(total)
+    groups = np.arange(total.size) if groups is None else groups
     total, groups = total[good], groups[good]
     if not total.size:
         return {"paths": 0}
