@@ -17,23 +17,24 @@ def pull_back(
 
     The transpose of `prepare`.
     """
+    given, moved = inputs_.values(inputs), []
     with jax.enable_x64(True):
-        stacked = jax.tree.map(lambda *leaves: np.stack(leaves).astype(np.float64), *schedules)
-        moved = _pull_back(simulator, inputs, inputs_.values(inputs), stacked)
-        return {entry.name: np.asarray(leaf) for entry, leaf in zip(inputs_.named(inputs), moved)}
+        # One after another: all at once is compiled anew for every number of them, in far more
+        # time than the calls take.
+        for each in schedules:
+            cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), each)
+            moved.append(jax.tree.map(np.asarray, _pull_back(simulator, inputs, given, cotangent)))
+    names = [entry.name for entry in inputs_.named(inputs)]
+    return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
 
 
 @eqx.filter_jit
-def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangents: PyTree):
+def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangent: PyTree):
     def schedule(values):
         # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.
         made = jax.tree.map(jnp.asarray, simulator.prepare(inputs_.replace(inputs, values)))
         return eqx.filter(made, eqx.is_inexact_array)
 
     made, pull = jax.vjp(schedule, values)
-
-    def carry(cotangent):
-        # A leaf that the author made in float32 takes its cotangent in float32.
-        return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]
-
-    return jax.vmap(carry)(cotangents)
+    # A leaf that the author made in float32 takes its cotangent in float32.
+    return pull(jax.tree.map(lambda c, leaf: c.astype(leaf.dtype), cotangent, made))[0]

@@ -60,7 +60,7 @@ class Way(NamedTuple):
             # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - bad)
-        sums, pieces = self._carried(passes), self._carried(further, len(passes))
+        sums, pieces = self._carried(passes), self._carried(further)
         found = {n: Estimate(plan.estimate(scale * sums[n], pieces[n])) for n in sums}
         slopes = np.stack([each.policy for each in passes])
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
@@ -107,16 +107,9 @@ class Way(NamedTuple):
         ]
         return jax.tree.map(lambda *each: sum(each[1:], each[0]), *passes)
 
-    def _carried(self, passes: list[Pulled], like: int | None = None) -> dict[str, np.ndarray]:
-        """Derivatives by every input, {name: [passes, *shape]}.
-
-        As many passes as in an earlier call, or a multiple of it, need no new compilation.
-        """
-        found = [each.schedule for each in passes]
-        problem, most = self.problem, like or len(found)
+    def _carried(self, passes: list[Pulled]) -> dict[str, np.ndarray]:
+        """Derivatives by every input, {name: [passes, *shape]}."""
+        problem, found = self.problem, [each.schedule for each in passes]
         if not found:
             return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
-        found += [jax.tree.map(np.zeros_like, found[0])] * (-len(found) % most)
-        groups = [found[k : k + most] for k in range(0, len(found), most)]
-        moved = [pull_back(problem.simulator, problem.inputs, group) for group in groups]
-        return {n: np.concatenate([each[n] for each in moved])[: len(passes)] for n in moved[0]}
+        return pull_back(problem.simulator, problem.inputs, found)

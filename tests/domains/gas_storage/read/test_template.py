@@ -79,7 +79,9 @@ def test_new_writes_the_flagship_case(tmp_path):
     assert written.days == reference.days
     for record in ("market", "contract", "model"):
         assert numbers(getattr(written, record)) == numbers(getattr(reference, record))
-    assert (written.training, written.evaluation) == (reference.training, reference.evaluation)
+    # The guide is near the best already, so that half of the usual steps do.
+    assert written.training == reference.training.model_copy(update={"steps": 120})
+    assert written.evaluation == reference.evaluation
 
 
 def numbers(record) -> dict:

@@ -108,16 +108,13 @@ def _rates(day: Limits, inventory, interpolation: str):
 def _longest(low, high, some, touches):
     """Joins neighbouring pieces that touch, and keeps the longest run."""
     enters, leaves = touches
-    start, begin, best = low[0], [], []
-    for piece in range(low.shape[0]):
-        if piece:
-            joined = some[piece - 1] & some[piece] & leaves[piece - 1] & enters[piece]
-            start = jnp.where(joined, start, low[piece])
-        begin.append(start)
-        best.append(jnp.where(some[piece], high[piece] - start, -1.0))
-    chosen = jnp.argmax(jnp.stack(best))
+    joined = jnp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
+    # A run begins at its last piece that is not joined to the one before.
+    first = jax.lax.cummax(jnp.where(joined, 0, jnp.arange(low.shape[0])))
+    begin = low[first]
+    chosen = jnp.argmax(jnp.where(some, high - begin, -1.0))
     found = jnp.any(some)
     return (
-        jnp.where(found, jnp.stack(begin)[chosen], 1.0),
+        jnp.where(found, begin[chosen], 1.0),
         jnp.where(found, high[chosen], -1.0),
     )

@@ -115,6 +115,7 @@ def test_an_appraisal_shows_part_of_the_return_at_once_and_the_rest_later():
     assert shown.gross[:, 1] == pytest.approx(true.gross[:, 1], abs=0)
 
 
+@pytest.mark.prove
 def test_credit_earns_its_spread_less_defaults_in_the_real_world():
     """With no volatilities a bond at its mean spread s earns s - default loss over cash."""
     base = full(STEPS)
