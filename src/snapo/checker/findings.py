@@ -54,8 +54,12 @@ class Findings:
     def __str__(self) -> str:
         if not self.items:
             return f"{self.simulator}: no findings. {self.looked_at}"
-        counts = f"{len(self.errors)} errors, {len(self.warnings)} warnings"
+        counts = f"{_count(self.errors, 'error')}, {_count(self.warnings, 'warning')}"
         return "\n".join([f"{self.simulator}: {counts}. {self.looked_at}", *map(str, self.items)])
+
+
+def _count(items, name: str) -> str:
+    return f"{len(items)} {name}{'' if len(items) == 1 else 's'}"
 
 
 class Stop(Exception):

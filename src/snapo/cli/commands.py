@@ -62,7 +62,7 @@ def _new(options: argparse.Namespace) -> Answer:
         what = f"say where to write it: snapo new {options.kind} DIR"
         raise CaseError("DIR", "", None, what)
     written = commands.new(options.kind, options.folder, options.size)
-    say(f"now: snapo check {options.folder}")
+    say(f"now: {commands.next_command(options.kind, options.folder)}")
     answer = {"status": "ok", "kind": options.kind, "files": written}
     return answer, "\n".join(map(str, written)), OK
 

@@ -104,9 +104,12 @@ def judge(
 ) -> dict[str, Verdict]:
     """{input: verdict}, from the first `paths` paths of the evaluation.
 
-    An input whose numbers are all zero moves by its own `move`; without one it has no verdict.
+    An input whose numbers are all zero moves by its own `move`; without one it has no verdict. Nor
+    has any where the value is no number, as after a ruin.
     """
     centre = path_totals(problem, policy, paths, engine=engine)
+    if not np.isfinite(problem.objective.value(centre)):
+        return {}
 
     def sides(name: str, by: np.ndarray) -> tuple[float, float, float]:
         value = problem.named[name].value

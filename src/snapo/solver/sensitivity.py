@@ -95,8 +95,11 @@ class Sensitivities(NamedTuple):
         return DataFrame(rows, columns=list(Row._fields))
 
     def __str__(self) -> str:
-        """The table as text; of an input with many numbers, the largest ones."""
-        head = ("input", "label", "held", "", "smooth", "", "moved", "unit", "believed")
+        """The table as text; of an input with many numbers, the largest ones.
+
+        "drift" is the column `moved`: by how much `held` changed in the second half of training.
+        """
+        head = ("input", "label", "held", "", "smooth", "", "drift", "unit", "believed")
         lines = [head, *(line for name in self.inputs for line in self._lines(name))]
         widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
         return "\n".join(

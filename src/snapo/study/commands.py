@@ -76,6 +76,13 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     return sorted(folder / name for name in contents)
 
 
+def next_command(kind: str, folder: Path) -> str:
+    """The command for whoever has just written an example."""
+    domain = find(kind, "KIND", "")
+    code = f" --simulator {domain.example}" if isinstance(domain, RunsCode) else ""
+    return f"snapo check {folder}{code}"
+
+
 def load(asked: Asked) -> Loaded:
     """Reads a case with the domain that its `kind` names."""
     from snapo.case.table import load as load_tables
@@ -165,6 +172,11 @@ def certify(
     record = run_folder.read(run)
     domain = find(record.get("kind"), str(run / run_folder.RUN))
     file, data = case_of_run(run, record)
+    code = record["decides"].get("options", {}).get("simulator")
+    if simulator is None and code:
+        what = f"the run's simulator is code of its owner; name it again: --simulator {code}"
+        raise CaseError(str(run), "", None, what)
+    tell(f"reading {file}")
     if simulator is not None and isinstance(domain, RunsCode):
         domain = domain.with_simulator(*simulator)
     use_every_core()

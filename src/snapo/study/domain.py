@@ -99,7 +99,12 @@ class Domain(Protocol):
 
 @runtime_checkable
 class RunsCode(Protocol):
-    """A domain whose cases run code that the command line names, and nothing else names."""
+    """A domain whose cases run code that the command line names, and nothing else names.
+
+    - `example`: the code of its template, as MODULE:CLASS.
+    """
+
+    example: str
 
     def with_simulator(self, module: str, name: str) -> Domain:
         """The same domain with the simulator `name` of `module`."""

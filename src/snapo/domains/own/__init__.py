@@ -31,6 +31,7 @@ class Own:
     place: tuple[str, str] | None = None
     kind: str = KIND
     words: str = "a simulator of your own, in Python beside the case"
+    example: str = "simulator:Reservoir"
 
     @property
     def templates(self):
@@ -46,7 +47,7 @@ class Own:
         if self.place is None:
             what = (
                 f'a case of kind "{KIND}" does not name code to run; name its simulator as '
-                f"MODULE:CLASS, such as {OPTION} simulator:Reservoir"
+                f"MODULE:CLASS, such as {OPTION} {self.example}"
             )
             raise CaseError(OPTION, "", None, what)
         from .read import read_case

@@ -21,7 +21,7 @@ CAVEAT = (
     "scaled to the move of the row; more and less apart where they differ. Believed: the first of "
     "the two that agrees with it, at a kink with anything between more and less, but for three "
     "standard errors; not known where neither does. "
-    "Moved: by how much the held one moved in the second half of training."
+    "Drift: by how much the held one changed in the second half of training."
 )
 
 
@@ -93,14 +93,16 @@ def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]
 
 def _tried(each: dict[str, Any], places: int) -> str:
     """The change at a move; of more and of less apart, where they differ."""
-    sides = [number(each.get(name), places) for name in ("more", "less")]
-    return f"{sides[0]} more, {sides[1]} less" if all(sides) else number(each.get("tried"), places)
+    more, less = each.get("more"), each.get("less")
+    if more is None or less is None:
+        return number(each.get("tried"), places)
+    return f"{number(more, places)} more, {number(less, places)} less"
 
 
 def _table(run: Folder) -> Table:
     rows = [_line(run, each) for each in run.sensitivities[:ROWS]]
     head = [("Input", ""), ("", ""), ("Per", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", ""), ("Moved", run.unit), ("Believed", "")]  # fmt: skip
+            ("Smooth", run.unit), ("", ""), ("Drift", run.unit), ("Believed", "")]  # fmt: skip
     count = len(run.sensitivities)
     caption = "Derivative of the value by every number, per one unit of it"
     if count > ROWS:
