@@ -30,7 +30,7 @@ def highest(capacity, row, interpolation):
     return reachable(limits, jnp.zeros_like(row), capacity, interpolation)[1][0]
 
 
-@pytest.mark.parametrize("interpolation", ["linear", "step"])
+@pytest.mark.parametrize("interpolation", ["linear", pytest.param("step", marks=pytest.mark.prove)])
 def test_a_ratchet_row_at_the_capacity_leaves_the_derivative_to_the_capacity(interpolation):
     """One unit more and one unit less of capacity are both worth one; of the row, nothing."""
     with jax.enable_x64(True):
