@@ -58,6 +58,7 @@ def test_stages_with_the_rows_of_one_policy_are_that_policy():
         np.testing.assert_allclose(each[name], one[name], rtol=1e-12)
 
 
+@pytest.mark.prove
 def test_every_stage_has_its_own_features_and_bounds():
     chain = Chain([Narrow(), Own()], [move])
     assert chain.action == Box(2, [-1.0, 0.0], [1.0, np.inf])

@@ -95,6 +95,7 @@ def exact(months):
         return jax.tree.map(np.asarray, found)
 
 
+@pytest.mark.prove
 def test_the_recursion_is_the_published_one():
     (first, second), _ = exact(120)
     assert first == pytest.approx(81.20917249, abs=1e-8)

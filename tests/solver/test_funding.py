@@ -101,6 +101,7 @@ def test_the_recursion_is_the_published_one():
     assert recursion()[2] == pytest.approx(value, rel=5e-6)
 
 
+@pytest.mark.prove
 def test_value_and_sensitivities_of_a_given_rule():
     """The rule (-.2, -1.1): its cost by the recursion on second moments. 8,192 antithetic paths;
     the cost is heavy-tailed, so within 4 standard errors and 2 %. d cost / d start is exactly

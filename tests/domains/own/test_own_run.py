@@ -193,6 +193,7 @@ def test_a_mistake_in_the_simulator_is_a_finding_with_its_line(name, tmp_path, c
     assert not (folder / "run" / "run.json").exists()
 
 
+@pytest.mark.prove
 def test_an_output_that_is_not_there(tmp_path, capsys):
     folder = write(tmp_path / "case")
     assert main(["check", str(folder), *PLACE, "--set", 'objective.output="profits"']) == 2

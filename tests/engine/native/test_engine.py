@@ -99,6 +99,7 @@ def test_many_cotangents_and_a_choice_of_gradients(store):
     assert difference(Xla().adjoint(*args).policy, only.policy) < 1e-5
 
 
+@pytest.mark.prove
 def test_supplied_noise(store):
     simulator, policy, schedule = store
     rng = np.random.default_rng(0)
@@ -173,6 +174,7 @@ def test_nothing_is_compiled_twice(store, monkeypatch):
     native.values(simulator, Tanh((4, 14, 2), seed=1), schedule, draws(simulator, 99), Smooth(0.2))
 
 
+@pytest.mark.prove
 def test_gradients_do_not_depend_on_unused_lanes(store):
     """A last block that is not full adds nothing, even where one path is not finite."""
     simulator, policy, schedule = store

@@ -95,6 +95,7 @@ def test_every_derivative_agrees_with_differences(make):
     assert not wrong, "\n".join(map(str, wrong))
 
 
+@pytest.mark.prove
 def test_rare_and_tiny_spikes_are_the_one_factor_price():
     calm = {key: SPIKES[key] for key in ("mean_reversion", "volatility")} | {"kind": "one-factor"}
     _, spots, _ = paths_of(case(jump_intensity=1e-9, jump_size=1e-6), 8)

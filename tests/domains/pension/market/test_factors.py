@@ -66,6 +66,7 @@ def test_published_bond_prices_are_met_by_the_variance_of_the_rate(found):
         assert np.exp(log_price) == pytest.approx(price, abs=1e-9)
 
 
+@pytest.mark.prove
 def test_later_bonds_are_those_of_the_affine_formula(found):
     both, bond, made = found
     years = np.array([1 / 12, 1.0, 10.0, 30.0])
@@ -83,6 +84,7 @@ def test_later_bonds_are_those_of_the_affine_formula(found):
             assert ours == pytest.approx(vasicek(at_zero + x, years), abs=1e-13)
 
 
+@pytest.mark.prove
 def test_two_factors_are_those_of_g2():
     """D. Brigo, F. Mercurio, Interest Rate Models, section 4.2: V(t, T) of G2++."""
     steps, a, s, rho = 24, (0.05, 0.4), (0.009, 0.006), -0.5
@@ -109,6 +111,7 @@ def test_two_factors_are_those_of_g2():
         assert shapes[t] == pytest.approx(want, abs=1e-14)
 
 
+@pytest.mark.prove
 def test_the_shock_has_the_covariance_that_it_should():
     """Of the integrals over the step, in closed form, and a factor that reproduces it."""
     one = full(3)
@@ -152,6 +155,7 @@ def test_prices_follow_the_break_evens_and_cash_the_curve():
     assert float(market.log_price) == pytest.approx(0.04, abs=1e-14)
 
 
+@pytest.mark.prove
 def test_a_real_bond_loads_on_prices_too():
     """Real covariances: K has minus the index's own noise, whose variance grows with time."""
     one = full(12)

@@ -107,6 +107,7 @@ def test_an_open_plan_keeps_its_pensionable_salary_at_the_start_of_every_year():
     assert force[1][5] > force[1][4] * 2  # the older cohort retires after five years
 
 
+@pytest.mark.prove
 def test_accrual_ends_with_retirement_and_with_the_longest_service():
     found = projected(people_case(72, plan=plan(spouse_share=nothing("plan_spouse_share"))))
     ended = projected(
@@ -120,11 +121,13 @@ def test_accrual_ends_with_retirement_and_with_the_longest_service():
     assert not frozen.fresh.any()
 
 
+@pytest.mark.prove
 def test_salaries_below_the_offset_accrue_nothing():
     poor = members(salary=given("salary", [10.0, 12.0], [0, 1, 0, 0, 0]))
     assert not projected(people_case(members=poor)).fresh.any()
 
 
+@pytest.mark.prove
 def test_given_cash_flows_and_their_normal_cost():
     flows = cash_flows([10.0, 20.0, 30.0], [0, 12, 30], normal_cost=2.0, salary=120.0)
     case = people_case(members=None, mortality=None, cash_flows=flows)

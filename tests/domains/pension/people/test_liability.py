@@ -32,6 +32,7 @@ def fund(request):
     return case, *made(case)
 
 
+@pytest.mark.prove
 def test_nodes_are_months_then_years():
     months, whole = nodes(1 / 12), nodes(1.0)
     assert months[:8].tolist() == [0, 1, 3, 6, 12, 18, 24, 36] and months[-1] == 1200
@@ -57,6 +58,7 @@ def test_values_on_nodes_are_the_exact_sums_at_every_time(fund):
     assert not found.accrual[24].any() and found.mix[24] == 0
 
 
+@pytest.mark.prove
 def test_the_liability_rolls_forward_along_the_forward_curve(fund):
     """What is left is worth the forward value of today's less what was paid."""
     case, found, _, log_bond = fund
@@ -68,6 +70,7 @@ def test_the_liability_rolls_forward_along_the_forward_curve(fund):
     np.testing.assert_allclose(value[1:], (value[:24] + new - early) * growth - late, rtol=1e-11)
 
 
+@pytest.mark.prove
 def test_new_rights_are_exact_on_the_initial_curve_whatever_wages_do(fund):
     case, found, (_, fresh, _), log_bond = fund
     wages = np.exp(0.3 * np.sin(np.arange(24)))
@@ -83,6 +86,7 @@ def test_new_rights_are_exact_on_the_initial_curve_whatever_wages_do(fund):
     assert size * found.fresh[24].sum() == pytest.approx(exact, rel=1e-4)
 
 
+@pytest.mark.prove
 def test_a_parallel_move_of_the_curve_is_interpolated_closely(fund):
     case, found, (accrued, _, _), log_bond = fund
     due = np.arange(1200) + int(case.plan.timing == "arrears")
@@ -92,6 +96,7 @@ def test_a_parallel_move_of_the_curve_is_interpolated_closely(fund):
     assert split == pytest.approx(exact, rel=2e-5)
 
 
+@pytest.mark.prove
 def test_the_bases_of_valuation():
     rate = given("liability_rate", 0.01)
     flow = made(people_case())[1][0]
@@ -118,6 +123,7 @@ def shifted(case, k):
     return inputs | {"death_probability": moved.ravel()}
 
 
+@pytest.mark.prove
 def test_the_response_to_mortality_is_the_slope_of_a_full_revaluation(mortal):
     case, found, _, _ = mortal
     h = 1e-4
@@ -127,6 +133,7 @@ def test_the_response_to_mortality_is_the_slope_of_a_full_revaluation(mortal):
     assert slope.sum() == pytest.approx(-(found.outlook[0] * found.accrued[0]).sum(), rel=1e-6)
 
 
+@pytest.mark.prove
 def test_mortality_that_is_realised_and_that_is_expected_add_up(mortal):
     """A factor known at time 0 moves the liability alike, whether looked at then or later."""
     _, found, (accrued, _, _), log_bond = mortal
@@ -175,6 +182,7 @@ def test_reconciliation_says_what_is_met_and_what_is_missed():
     assert unasked["liability"].given is None and unasked["sum of key rates"].ok
 
 
+@pytest.mark.prove
 def test_an_empty_fund_has_no_value_and_finite_weights():
     case = people_case(members=replace(people_case().members, number=given("members", np.zeros(5))))
     found = made(replace(case, lee_carter=lee_carter()))[0]

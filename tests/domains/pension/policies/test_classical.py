@@ -68,6 +68,7 @@ def test_policies_start_at_what_the_fund_holds(problem):
         assert action[: len(weight)] == pytest.approx(weight, abs=0.03)
 
 
+@pytest.mark.prove
 def test_weights_within_the_limits_are_their_own_nearest(problem):
     """Sums of groups too; weights that leave the limits are moved inside."""
     one, limits = problem[0], Limits(problem[0])
@@ -78,6 +79,7 @@ def test_weights_within_the_limits_are_their_own_nearest(problem):
     assert float(excess(one.assets, limits.nearest(outside, Exact()))) < 1e-6
 
 
+@pytest.mark.prove
 def test_swaps_are_held_as_far_as_weights_back_them():
     """100 % of a 20-year swap takes 70 % of the assets at 350 bp; three quarters of them count."""
     steps = 6
@@ -96,6 +98,7 @@ def test_swaps_are_held_as_far_as_weights_back_them():
         assert action == pytest.approx([0.75, 0.25, expected], rel=1e-6)
 
 
+@pytest.mark.prove
 def test_the_observation_has_what_the_case_names(problem):
     one, simulator, schedule, _ = problem
     state = simulator.initial(schedule.constants, None)
@@ -110,10 +113,12 @@ def test_the_observation_has_what_the_case_names(problem):
     assert seen[place["long_rate"]] == pytest.approx(0.025 / 0.02, rel=1e-5)
 
 
+@pytest.mark.prove
 def test_mertons_rule_is_the_published_weight():
     assert merton(0.04, 0.18, 5.0) == pytest.approx(0.246913580, abs=1e-9)
 
 
+@pytest.mark.prove
 def test_the_stock_bond_rule_meets_its_limits():
     """Infinite risk aversion holds the horizon's bond alone; no rate risk leaves Merton's stock."""
     numbers = {

@@ -284,6 +284,7 @@ def test_an_empty_folder_has_a_report(tmp_path):
     assert html.count('class="missing"') > 8
 
 
+@pytest.mark.prove
 def test_a_failed_check_is_seen_at_once(folder):
     details = deepcopy(sample())
     details["reconciliation"]["lines"][0]["ok"] = False
@@ -303,6 +304,7 @@ def test_other_objectives_are_shown_in_their_own_unit(folder):
     assert "bp of the certainty equivalent" not in html
 
 
+@pytest.mark.prove
 def test_text_of_the_case_is_escaped(folder):
     details = sample() | {"title": "<script>alert(1)</script>"}
     assert "<script>alert" not in written(folder, details)
@@ -315,6 +317,7 @@ def test_the_parts_of_the_change_stand_above_their_sum(folder):
         assert text in part
 
 
+@pytest.mark.prove
 def test_a_node_stands_in_the_bucket_of_its_name(folder):
     html = write_report(folder).read_text(encoding="utf-8")
     part = html[html.index('id="ladder"') : html.index('id="collateral"')]
@@ -322,12 +325,14 @@ def test_a_node_stands_in_the_bucket_of_its_name(folder):
     assert rows == ["to 3y", "5y", "10y", "20y", "30y", "50y up"]
 
 
+@pytest.mark.prove
 def test_a_year_of_life_is_told_and_defined(folder):
     html = write_report(folder).read_text(encoding="utf-8").replace("\N{NO-BREAK SPACE}", " ")
     assert html.count("Year of life") >= 3  # picture, table and definition
     assert "until the expectation of life at 65 is a year longer" in html
 
 
+@pytest.mark.prove
 def test_a_fund_without_swaps(folder):
     details: dict[str, Any] = sample() | {"collateral": {"now": None, "after": None}}
     del details["limits"]["collateral"]

@@ -159,6 +159,7 @@ def test_a_matched_index_linked_liability_feels_no_inflation():
         assert np.abs(unmatched[name]).max() > 0.1, name
 
 
+@pytest.mark.prove
 def test_today_its_price_moves_with_both_curves_as_the_liability_does():
     """KR01 and IE01 at every node: assets scaled to the liability leave nothing."""
     one = single(True)
