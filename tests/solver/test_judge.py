@@ -28,16 +28,22 @@ class Gain(snapo.Policy):
         return self.gain * features[:1]
 
 
-class Signal(snapo.Simulator):
-    """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
+class Once(snapo.Simulator):
+    """One step whose constants are the inputs."""
 
     horizon: int = 1
-    action: snapo.Box = snapo.Box(1)
-    noise_size: int = 0
-    initial_noise_size: int = 2
+    noise_size: int = 1
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+
+class Signal(Once):
+    """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
+
+    action: snapo.Box = snapo.Box(1)
+    noise_size: int = 0
+    initial_noise_size: int = 2
 
     def initial(self, constants, noise):
         x = jnp.sqrt(constants["v"]) * noise[0]
@@ -63,16 +69,11 @@ def test_where_the_state_is_not_seen_the_smooth_one_is_believed():
     assert abs(table.verdicts["w"].change + 0.01 * w * k**2) < 4 * table.verdicts["w"].error
 
 
-class Reservoir(snapo.Simulator):
+class Reservoir(Once):
     """One inflow: `worth` a unit of water, and a prize for a level above fifty."""
 
-    hidden: bool
-    horizon: int = 1
+    hidden: bool = False
     action: snapo.Box = snapo.Box(1, 0.0, 1.0)
-    noise_size: int = 1
-
-    def prepare(self, inputs):
-        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
 
     def initial(self, constants, noise):
         return constants["water"]
@@ -92,7 +93,7 @@ def test_across_a_jump_the_held_one_is_not_believed(hidden, believed):
     water, worth, prize = 48.0, 2.0, 100.0
     given = {"water": water, "worth": worth, "prize": prize}
     inputs = {name: snapo.Input(value) for name, value in given.items()}
-    table = judged(Reservoir(hidden), inputs, Gain(0.0), "cash", 0.02)
+    table = judged(Reservoir(hidden=hidden), inputs, Gain(0.0), "cash", 0.02)
     assert table.believed("water") == believed
     assert table.believed("worth") == table.believed("prize") == "held"
     z = np.array([0.99, 1.01]) * water / 5 - 10
@@ -104,15 +105,10 @@ def test_across_a_jump_the_held_one_is_not_believed(hidden, believed):
     assert row.believed == believed and believed in str(table)
 
 
-class Sale(snapo.Simulator):
+class Sale(Once):
     """A sale of the lesser of two amounts that are equal."""
 
-    horizon: int = 1
     action: snapo.Box = snapo.Box(1, 0.0, 1.0)
-    noise_size: int = 1
-
-    def prepare(self, inputs):
-        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
 
     def initial(self, constants, noise):
         return jnp.zeros(())

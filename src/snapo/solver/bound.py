@@ -11,13 +11,11 @@ The same penalty along the policy's own path has mean zero, so it is taken from 
 earnings as a control variate, and the gap of a path, hindsight less policy, is never negative.
 """
 
-import math
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
-from scipy.special import stdtrit
 
 from snapo.engine import Engine, Rollout, Xla
 from snapo.problem.noise import Draws
@@ -27,12 +25,11 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
+from .statistics import mean
+
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
-TRAINED, BOUND = (
-    256,
-    257,
-)  # streams of the evaluation: of the paths that train a penalty, of the bound
+TRAINED, BOUND = 256, 257  # streams: of the paths that train a penalty, and of the bound's
 SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
 
 
@@ -70,7 +67,7 @@ class Relaxable(Protocol):
     def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
-class Estimate(NamedTuple):
+class Between(NamedTuple):
     """A mean, its standard error, and its 95 % interval (Student, independent groups of paths)."""
 
     value: float
@@ -88,9 +85,9 @@ class Bound:
     - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
     """
 
-    lower: Estimate
-    upper: Estimate
-    gap: Estimate
+    lower: Between
+    upper: Between
+    gap: Between
     penalty: Penalty
     words: str
     scale: tuple[float, ...]
@@ -153,8 +150,8 @@ def bound(
     _check(upper - lower, np.abs(lower).max(initial=1.0))
     order = np.argsort(np.concatenate([block for block, _, _ in sample]))
     groups = source.groups(np.arange(paths))
-    below, above = _estimate(lower[order], groups), _estimate(upper[order], groups)
-    gap = _estimate((upper - lower)[order], groups)
+    below, above = _between(lower[order], groups), _between(upper[order], groups)
+    gap = _between((upper - lower)[order], groups)
     words = relaxation.words if scale.any() else "none: each path knows its own future"
     used: Penalty = penalty
     if not scale.any():
@@ -244,9 +241,6 @@ def _check(gap: np.ndarray, size: float) -> None:
         raise ValueError(f"bound: on path {path} {what} ({gap[path]:.6g}): it is no relaxation.")
 
 
-def _estimate(values: np.ndarray, groups: np.ndarray) -> Estimate:
-    means = np.bincount(groups, values) / np.bincount(groups)
-    mean, count = float(means.mean()), means.size
-    error = float(means.std(ddof=1) / math.sqrt(count)) if count > 1 else math.nan
-    reach = error * float(stdtrit(max(count - 1, 1), 0.975))
-    return Estimate(mean, error, mean - reach, mean + reach)
+def _between(values: np.ndarray, groups: np.ndarray) -> Between:
+    found = mean(values, groups)
+    return Between(found.value, found.standard_error, *found.interval())

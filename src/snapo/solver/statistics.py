@@ -132,8 +132,6 @@ def quantile(values: np.ndarray, level: float, groups: np.ndarray | None = None)
     """A quantile; its error by inverting the interval of the share below it (Woodruff 1952)."""
     found = float(np.quantile(values, level))
     below = mean(np.asarray(values) <= found, groups)
-    if not np.isfinite(below.standard_error):
-        return Sampled(found, np.nan, below.degrees)
     half = critical(below.degrees) * below.standard_error
     if not np.isfinite(half):
         return Sampled(found, np.nan, below.degrees)

@@ -8,7 +8,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..references.day_terms import Interpolation, Rates, holding_cost, moves, rates, volume_scale
+from ..references.day_terms import (
+    Interpolation,
+    Rates,
+    flow_ends,
+    holding_cost,
+    moves,
+    rates,
+    volume_scale,
+)
 from ..references.intrinsic import values_after
 from ..references.lattice_day import inventory_nodes
 from ..references.piecewise import Line, visited
@@ -160,13 +168,7 @@ def _reach(after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarr
 
 def _bends(schedule, day_rates: Rates, t: int, nodes, after) -> tuple[Bends | None, Bends | None]:
     """Where the ends of the reach, not clipped to the limits, meet nodes: linear between nodes."""
-    steps = schedule.steps
-    keep = nodes * (1 - steps.inventory_loss[t])
-    out = np.interp(nodes, day_rates.levels, day_rates.withdrawal)
-    into = np.interp(nodes, day_rates.levels, day_rates.injection)
-    least = steps.min_injection[t] if steps.min_injection[t] > 0 else -out
-    most = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else into
-    down, up = keep + least, keep + most
+    keep, down, up = flow_ends(schedule, day_rates, t, nodes)
     found = [_meetings(each, after) for each in (down, up, keep)]
     cell, share, target = (np.concatenate(each) for each in zip(*found, strict=True))
 

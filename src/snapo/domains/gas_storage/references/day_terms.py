@@ -68,10 +68,12 @@ def rates(schedule, interpolation: Interpolation, t: int) -> Rates:
     return Rates(knots, withdrawal[row], injection[row])
 
 
-def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
-    """The inventories at the end of day t that those at its start [n] can become.
+def flow_ends(
+    schedule, day_rates: Rates, t: int, inventory: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """(keep, down, up): inventories [n] after a day's loss, and after the least and most flow.
 
-    Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
+    Rates and forced flows alone; the limits of the next day are not looked at.
     """
     steps = schedule.steps
     keep = inventory * (1 - steps.inventory_loss[t])
@@ -79,8 +81,18 @@ def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
     most_in = np.interp(inventory, day_rates.levels, day_rates.injection)
     least = steps.min_injection[t] if steps.min_injection[t] > 0 else -most_out
     most = -steps.min_withdrawal[t] if steps.min_withdrawal[t] > 0 else most_in
-    down = np.clip(keep + least, steps.next_low[t], steps.next_high[t])
-    up = np.clip(keep + most, steps.next_low[t], steps.next_high[t])
+    return keep, keep + least, keep + most
+
+
+def moves(schedule, day_rates: Rates, t: int, inventory: np.ndarray) -> Moves:
+    """The inventories at the end of day t that those at its start [n] can become.
+
+    Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
+    """
+    steps = schedule.steps
+    keep, down, up = flow_ends(schedule, day_rates, t, inventory)
+    down = np.clip(down, steps.next_low[t], steps.next_high[t])
+    up = np.clip(up, steps.next_low[t], steps.next_high[t])
     up = np.maximum(up, down)
     return Moves(keep, down, np.clip(keep, down, up), up)
 

@@ -23,7 +23,7 @@ class Due(NamedTuple):
     step: float
 
 
-class Rule:
+class ContributionRule:
     """One kind of `[plan.contribution]`.
 
     - `takes`: the keys of its own, beside those of the normal cost and of the limits.
@@ -41,7 +41,7 @@ class Rule:
         raise NotImplementedError
 
 
-class Nothing(Rule):
+class NoContribution(ContributionRule):
     """No contributions, and no limits to them."""
 
     kind, by_cost = "none", False
@@ -50,7 +50,7 @@ class Nothing(Rule):
         return jnp.zeros_like(due.salaries)
 
 
-class Fixed(Rule):
+class Fixed(ContributionRule):
     """`rate` times salaries."""
 
     kind, takes, by_cost = "fixed", ("rate",), False
@@ -59,7 +59,7 @@ class Fixed(Rule):
         return terms.rate * due.salaries
 
 
-class NormalCost(Rule):
+class NormalCost(ContributionRule):
     """The value of the step's accrual, whatever the funding ratio."""
 
     kind = "normal-cost"
@@ -68,7 +68,7 @@ class NormalCost(Rule):
         return due.normal
 
 
-class Spread(Rule):
+class Spread(ContributionRule):
     """The normal cost and a yearly share of liability less assets; a surplus is spread too."""
 
     kind, takes, responds = "spread", ("spread_factor",), True
@@ -77,7 +77,7 @@ class Spread(Rule):
         return due.normal + due.step * terms.spread_factor * (due.liability - due.assets)
 
 
-class Target(Rule):
+class Target(ContributionRule):
     """The normal cost and the gap to a funding ratio, paid over some years."""
 
     kind, takes, responds = "target", ("target_ratio", "recovery_years"), True
@@ -88,6 +88,6 @@ class Target(Rule):
         return due.normal + due.step * missing / terms.recovery_years
 
 
-CONTRIBUTIONS: dict[str, Rule] = {
-    rule.kind: rule for rule in (Nothing(), Fixed(), NormalCost(), Spread(), Target())
+CONTRIBUTIONS: dict[str, ContributionRule] = {
+    rule.kind: rule for rule in (NoContribution(), Fixed(), NormalCost(), Spread(), Target())
 }

@@ -12,7 +12,7 @@ from .terms import PlanTerms
 RATIO, GROWTH = 0.1, 0.01  # scales of corners in funding ratios and in yearly price growth
 
 
-class Rule:
+class IncreaseRule:
     """One kind of `[plan.indexation]`; `takes`: the keys of its own."""
 
     kind: ClassVar[str]
@@ -23,7 +23,7 @@ class Rule:
         raise NotImplementedError
 
 
-class Nothing(Rule):
+class NoIncrease(IncreaseRule):
     """No increases."""
 
     kind = "none"
@@ -32,7 +32,7 @@ class Nothing(Rule):
         return jnp.zeros_like(ratio)
 
 
-class Full(Rule):
+class Full(IncreaseRule):
     """The growth of prices, negative under deflation."""
 
     kind = "full"
@@ -41,7 +41,7 @@ class Full(Rule):
         return growth
 
 
-class Capped(Rule):
+class Capped(IncreaseRule):
     """The growth of prices between a floor and a cap."""
 
     kind, takes = "capped", ("cap", "floor")
@@ -62,6 +62,6 @@ class Conditional(Capped):
         return super().granted(terms, ratio, growth, smooth) * share
 
 
-INCREASES: dict[str, Rule] = {
-    rule.kind: rule for rule in (Nothing(), Full(), Capped(), Conditional())
+INCREASES: dict[str, IncreaseRule] = {
+    rule.kind: rule for rule in (NoIncrease(), Full(), Capped(), Conditional())
 }
