@@ -51,6 +51,7 @@ class Runner:
 
     def __init__(self, kernel: Kernel, machine: Linked):
         self.kernel, self.machine = kernel, machine
+        self.reference = weakref.ref(self)
 
     def blocks(self, paths: int) -> int:
         return -(-paths // self.kernel.lanes)
@@ -138,28 +139,34 @@ class Spare:
     def __init__(self):
         self._lock = threading.Lock()
         self._waiting: list[tuple[weakref.ref[Runner], Memory]] = []
+        self._bytes = 0
 
     def take(self, runner: Runner) -> Memory | None:
         """Memory that this kernel had before, the latest first; None where there is none."""
         with self._lock:
             for i in reversed(range(len(self._waiting))):
                 if self._waiting[i][0]() is runner:
-                    return self._waiting.pop(i)[1]
+                    memory = self._waiting.pop(i)[1]
+                    self._bytes -= memory.size
+                    return memory
+            self._keep([each for each in self._waiting if each[0]() is not None])
         return None
 
     def give(self, runner: Runner, memory: Memory) -> None:
         """Keeps memory for this kernel's next call, if there is room."""
         with self._lock:
-            alive = [each for each in self._waiting if each[0]() is not None]
-            alive.append((weakref.ref(runner), memory))
-            while sum(each[1].size for each in alive) > SPARE:
-                alive.pop(0)
-            self._waiting = alive
+            self._waiting.append((runner.reference, memory))
+            self._bytes += memory.size
+            while self._bytes > SPARE:
+                self._bytes -= self._waiting.pop(0)[1].size
+
+    def _keep(self, waiting: list) -> None:
+        self._waiting, self._bytes = waiting, sum(memory.size for _, memory in waiting)
 
     def bytes(self) -> int:
         """All that waits now."""
         with self._lock:
-            return sum(memory.size for _, memory in self._waiting)
+            return self._bytes
 
 
 spare = Spare()
