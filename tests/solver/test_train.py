@@ -21,7 +21,8 @@ PROBLEM = snapo.Problem(Sale(), INPUTS, snapo.Mean("cash"))
 
 
 def fresh(training=SHORT):
-    return begin(snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,)), training)
+    policy = snapo.MLP(PROBLEM.action, 2, key=jax.random.key(0), hidden=(4,))
+    return begin(policy, training, PROBLEM)
 
 
 def run(training, progress=None, callbacks=(), problem=PROBLEM):

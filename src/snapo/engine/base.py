@@ -20,10 +20,18 @@ from snapo.problem.simulator import Schedule, Simulator
 
 
 class Window(NamedTuple):
-    """Steps `first` … `first + length - 1`; `terminal` counts when the window reaches the end."""
+    """Steps `first` … `first + length - 1`.
+
+    `terminal`: whether the simulator's `terminal` counts; None: where the window reaches the end.
+    """
 
     first: int
     length: int
+    terminal: bool | None = None
+
+    def ends(self, horizon: int) -> bool:
+        """Whether the simulator's `terminal` counts."""
+        return self.first + self.length == horizon if self.terminal is None else self.terminal
 
 
 class Rollout(NamedTuple):

@@ -85,7 +85,7 @@ class Xla(Engine):
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
         window = checked(simulator, policy, schedule, draws, actions, window)
-        ends = window.first + window.length == simulator.horizon
+        ends = window.ends(simulator.horizon)
         differentiable, fixed = eqx.partition(
             cast((policy, schedule, start, actions), self.dtype), eqx.is_inexact_array
         )

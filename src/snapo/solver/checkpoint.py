@@ -15,7 +15,7 @@ from jaxtyping import PyTree
 
 from .train import Progress, Record
 
-_TREES = ("policy", "average", "best", "halfway", "recent", "optimiser")
+_TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")
 
 
 class CheckpointError(ValueError):

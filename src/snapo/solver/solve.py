@@ -102,7 +102,7 @@ def solve(
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
-        progress = progress or begin(policy, training)
+        progress = progress or begin(policy, training, problem)
         clock.stage("evaluate")
         progress = train(problem, progress, training, engines.train, callbacks)
         clock.stage("train")

@@ -19,7 +19,7 @@ import numpy as np
 import optax
 from jaxtyping import Array, PyTree
 
-from snapo.engine import Bound, Clip, Engine, Window
+from snapo.engine import Bound, Clip, Engine
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
@@ -27,6 +27,7 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
+from .windows import Learner, learner, window_adjoint
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 
@@ -42,7 +43,8 @@ class Training:
     - `average`: the averaged policy remembers about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
       steps; after `patience` validations without a new best the run stops (None: never).
-    - `window`: train on windows of this many steps, starting from states of the present policy.
+    - `window`: go back through windows of this many steps, after which a critic tells the worth of
+      all that comes (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`).
     - `seed`: of the network's first weights and of all scenarios.
     """
@@ -103,6 +105,7 @@ class Progress:
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
     steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
+    `critic`: of training on windows.
     """
 
     step: int
@@ -116,17 +119,25 @@ class Progress:
     stale: int
     history: tuple[Record, ...]
     status: str
+    critic: Learner | None = None
 
 
 Callback = Callable[[Progress], None]
 
 
-def begin(policy: Policy, training: Training) -> Progress:
-    """The state before the first step."""
+def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
+    """The state before the first step; training on windows needs the problem, for its critic."""
     moving, _ = trainable(policy)
     state = _optimiser(training).init(_flat(moving))
     nothing = float("-inf")
-    return Progress(0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training")
+    critic = None
+    if training.window is not None:
+        if problem is None:
+            raise ValueError("begin: give the problem too where training has a window.")
+        if training.window < problem.simulator.horizon:
+            critic = learner(problem, training.seed)
+    begun = (0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training", critic)
+    return Progress(*begun)
 
 
 class Loop(NamedTuple):
@@ -185,10 +196,10 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
-    options = _options(loop, progress, draws, smooth)
-    value, result, bad = adjoint_of_finite_paths(
-        loop.bound, progress.policy, draws, smooth, problem.objective, **options
-    )
+    options: dict = {"wrt": ("policy",)}
+    if training.clip is not None:
+        options["clip"] = Clip(training.clip)
+    value, result, bad, critic = _adjoint(loop, progress, draws, smooth, options)
     lost = bad + sum(record.bad_paths for record in progress.history)
     if bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training):
         return replace(progress, status="diverged")
@@ -209,6 +220,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         recent=recent,
         optimiser=optimiser,
         history=(*progress.history, record),
+        critic=critic,
         status="training" if np.isfinite(norm) else "diverged",
     )
 
@@ -223,21 +235,14 @@ def _marks(step: int, steps: int) -> bool:
     return step in (steps >> k for k in range(steps.bit_length()))
 
 
-def _options(loop: Loop, progress: Progress, draws, smooth) -> dict:
-    """The clip, and the window of this step with its starting states."""
-    training, horizon = loop.training, loop.problem.simulator.horizon
-    options: dict = {"wrt": ("policy",)}
-    if training.clip is not None:
-        options["clip"] = Clip(training.clip)
-    if training.window is not None and training.window < horizon:
-        length = training.window
-        firsts = np.arange(0, horizon - length + 1, max(1, length // 2))
-        first = int(firsts[progress.step % len(firsts)])
-        if first:
-            before = loop.bound.values(progress.policy, draws, smooth, window=Window(0, first))
-            options["start"] = before.state
-        options["window"] = Window(first, length)
-    return options
+def _adjoint(loop: Loop, progress: Progress, draws, smooth, options):
+    """Objective, adjoint and number of bad paths, over the horizon or one window; the critic."""
+    policy, problem, critic = progress.policy, loop.problem, progress.critic
+    if critic is not None and loop.training.window is not None:
+        window = (problem, loop.bound, critic, policy, draws, smooth)
+        return window_adjoint(*window, loop.training.window, progress.step, **options)
+    found = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, problem.objective, **options)
+    return *found, None
 
 
 def _validate(loop: Loop, progress: Progress) -> Progress:

@@ -7,6 +7,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
@@ -29,7 +30,7 @@ def train(run: StudyRun) -> dict[str, Any]:
         evaluation=evaluation,
         engine=engines,
         callbacks=[lambda state: _keep(run, state, training)],
-        progress=_state(run, policy, training),
+        progress=_state(run, problem, policy, training),
     )
     run.trained = solution
     solution.save(run.folder)
@@ -78,9 +79,14 @@ def fingerprint(source: Scenarios) -> str:
     return f"supplied {source.step_noise.shape} {digest.hexdigest()}"
 
 
-def _state(run: StudyRun, policy: Policy, training: Training) -> Progress:
+def _state(run: StudyRun, problem: Problem, policy: Policy, training: Training) -> Progress:
     """Where training starts: at the checkpoint when asked and there is one, else at the start."""
-    fresh, file = begin(policy, training), run.folder / CHECKPOINT
+    file = run.folder / CHECKPOINT
+    try:
+        fresh = begin(policy, training, problem)
+    except ValueError as error:
+        what = str(error).removeprefix("Training: window ").rstrip(".")
+        raise CaseError("case.toml", "training.window", training.window, what) from None
     if not (run.resume and file.exists()):
         return fresh
     state = load_checkpoint(file, fresh)

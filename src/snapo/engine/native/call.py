@@ -55,7 +55,7 @@ class Call:
     ):
         self.window = checked(simulator, policy, schedule, draws, actions, window)
         self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
-        self.ends = self.window.first + self.window.length == simulator.horizon
+        self.ends = self.window.ends(simulator.horizon)
         self.paths = draws.size
         self.start = jax.tree.map(lambda x: cast(x, engine.dtype), start)
         shared = (policy, schedule.constants, smooth, simulator)
@@ -113,7 +113,7 @@ class Call:
     def inputs(self, runner: Runner, weights, size, records: bool) -> Inputs:
         layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
         traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
-        first, length = self.window
+        first, length, _ = self.window
         filled = self._filled(weights, size)
         # The last path fills the last block.
         path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
@@ -160,7 +160,7 @@ class Call:
         if isinstance(draws, Counter):
             paths = np.asarray(draws.paths, np.uint32)
             return {"keys": np.asarray(draws.keys, np.uint32).ravel(), "paths": paths[path]}, {}
-        first, length = self.window
+        first, length, _ = self.window
         steps = np.asarray(draws.step_noise)[first : first + length]
         arrays = {"noise": steps, "noise_initial": draws.initial_noise}
         dtype = self.engine.dtype
@@ -199,7 +199,7 @@ class Call:
     def gradients(self, runner: Runner, out):
         """(policy, schedule, start) as NumPy arrays in the engine's precision."""
         traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
-        first, length = self.window
+        first, length, _ = self.window
 
         def shared(leaf):
             return (
