@@ -27,7 +27,8 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
-from .windows import Learner, learner, window_adjoint
+from .windows.critic import Learner, learner
+from .windows.window import window_adjoint
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 

@@ -12,7 +12,7 @@ from snapo.engine.native import Native
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
 from snapo.solver.train import Training, begin, train
-from snapo.solver.windows import starts
+from snapo.solver.windows.window import starts
 
 
 class Regulator(snapo.Simulator):

@@ -1,0 +1,130 @@
+"""Training on windows of the horizon: short adjoints, and a critic for all that comes after.
+
+Through hundreds of steps of an unstable system an adjoint grows without limit. A window cuts it,
+and a window alone is short-sighted: nothing tells its last decisions of their consequences. So
+every window but the last ends with the value of its final state,
+
+    E[ outputs of the window + critic(observation at its end, share of the horizon left) ],
+
+where the critic is a network that learns by regression the worth of all later outputs under the
+present policy, from the sweep over the whole horizon that gives the windows their first states.
+Only an objective that is a mean of sums has such a value; others are refused.
+"""
+
+from typing import Any
+
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.engine import Adjoint, Bound, Window
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Mean
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Schedule, Simulator, at
+
+from ..finite_paths import adjoint_of_finite_paths
+from .critic import Critic, Learner, fitted, worth_ahead
+
+AHEAD = "worth ahead"  # the output that a critic adds to a window
+
+
+class Windowed(Simulator):
+    """A simulator whose `terminal` is the critic's value of the state at a window's end."""
+
+    own: Simulator
+
+    def __init__(self, own: Simulator):
+        self.own = own
+
+    @property
+    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.horizon
+
+    @property
+    def action(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.action
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.initial_noise_size
+
+    def prepare(self, inputs):
+        raise NotImplementedError("its schedule is made of the simulator's own, by `_ending`")
+
+    def initial(self, constants, noise):
+        return self.own.initial(constants["own"], noise)
+
+    def observe(self, constants, now, state):
+        return self.own.observe(constants["own"], now, state)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return self.own.step(constants["own"], now, state, action, noise, smooth)
+
+    def terminal(self, constants, state, smooth):
+        seen = self.own.observe(constants["own"], constants["end"], state)
+        return {AHEAD: constants["critic"](seen, constants["left"])}
+
+    def totals(self):
+        return self.own.totals()
+
+    def state_scale(self, constants):
+        return self.own.state_scale(constants["own"])
+
+
+def starts(horizon: int, length: int) -> np.ndarray:
+    """The first steps of all windows: half a window apart, and one that reaches the end."""
+    return np.unique(
+        np.append(np.arange(0, horizon - length, max(1, length // 2)), horizon - length)
+    )
+
+
+def window_adjoint(
+    problem: Problem,
+    bound: Bound,
+    known: Learner,
+    policy: PyTree,
+    draws: Draws,
+    smooth: Any,
+    length: int,
+    step: int,
+    **options,
+) -> tuple[float, Adjoint, int, Learner]:
+    """One window's objective and adjoint, the number of bad paths, and the critic, fitted anew.
+
+    The windows take turns, so that each call goes back through `length` steps only.
+    """
+    horizon = problem.simulator.horizon
+    firsts = starts(horizon, length)
+    rolled = bound.values(policy, draws, smooth, record=("state", "outputs"))
+    worth, good = worth_ahead(problem.objective, rolled)
+    known = fitted(problem, known, rolled.record["state"], worth, good, firsts, length, step)
+    first = int(firsts[_turn(step, firsts.size)])
+    options["start"] = jax.tree.map(lambda leaf: leaf[first], rolled.record["state"])
+    if first + length == horizon:
+        options["window"], objective = Window(first, length), problem.objective
+    else:
+        bound = Bound(bound.engine, *_ending(problem, known.critic, first + length))
+        options["window"] = Window(first, length, terminal=True)
+        objective = problem.objective + Mean(AHEAD)
+    value, result, bad = adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)
+    return value, result, bad, known
+
+
+def _turn(step: int, count: int) -> int:
+    """Which window is next: each once a round, in an order that a round's number shuffles."""
+    turn, place = divmod(step, count)
+    return int(np.random.default_rng(turn).permutation(count)[place])
+
+
+def _ending(problem: Problem, critic: Critic, end: int) -> tuple[Simulator, Schedule]:
+    """The simulator and the schedule of windows that end before step `end`."""
+    schedule, horizon = problem.schedule, problem.simulator.horizon
+    left = np.asarray((horizon - end) / horizon)
+    now = at(schedule.steps, end)
+    constants = {"own": schedule.constants, "critic": critic, "end": now, "left": left}
+    return Windowed(problem.simulator), Schedule(constants, schedule.steps)
