@@ -139,11 +139,14 @@ def test_at_a_tie_both_sides_are_told():
         assert sorted((bumps[name].up, bumps[name].down))[0] == pytest.approx(0, abs=1e-9)
 
 
-def test_three_standard_errors_decide():
+def test_three_standard_errors_decide_and_the_likelier_one():
     assert Verdict(1.0, 1.0, 0.1, (1.29, 0.0), None).supported == "held"
     assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.8, 0.0)).supported == "smooth"
     assert Verdict(1.0, 1.0, 0.1, (1.31, 0.0), (0.6, 0.0)).supported == UNKNOWN
     assert Verdict(1.0, 1.0, 0.1, (np.nan, 0.0), None).supported == UNKNOWN
+    # Both within three errors: by likelihoods of z 2.5 and 1, of 2 and 1.
+    assert Verdict(1.0, 1.0, 0.1, (1.25, 0.0), (0.9, 0.0)).supported == "smooth"
+    assert Verdict(1.0, 1.0, 0.1, (1.20, 0.0), (0.9, 0.0)).supported == "held"
     curved = Verdict(0.5, 1.5, 0.1, (1.6, 0.0), None)
     assert (curved.supported, curved._replace(tie=True).supported) == (UNKNOWN, "held")
     assert Verdict.of([1, 2, 0.1, [1, 0], None, True]) == Verdict(1, 2, 0.1, (1, 0), None, True)

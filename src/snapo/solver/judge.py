@@ -23,6 +23,7 @@ from .statistics import independent, mean
 
 MOVE = 0.01  # of every number of an input
 SURE = 3.0  # standard errors
+LIKELIER = 4.0  # twice the logarithm of a ratio of likelihoods, e^2: about 7 to 1
 CORNER = 0.375  # of the gap between the sides, at half the move: a kink leaves 1/2, curvature 1/4
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 HELD, SMOOTH, UNKNOWN = "held", "smooth", "not known"
@@ -47,8 +48,9 @@ class Verdict(NamedTuple):
     - `held`, `smooth`: (change by the derivative, its standard error); `smooth` may be missing.
     - `tie`: half the move shows the same corner: `up` and `down` differ by a kink, where any
       derivative between them is one, and not by curvature.
-    - `supported`: "held", "smooth" or "not known": the first that agrees with `change`, at a tie
-      with anything between `up` and `down`, but for three standard errors of the difference.
+    - `supported`: "held", "smooth" or "not known". Only what agrees with `change`, at a tie with
+      anything between `up` and `down`, within three standard errors of the difference is believed.
+      The smooth one is believed before the held one where the move makes it far likelier.
     """
 
     up: float
@@ -81,16 +83,20 @@ class Verdict(NamedTuple):
 
     @property
     def supported(self) -> str:
-        """The derivative that the move supports, the held one before the smooth one."""
-        for name, found in ((HELD, self.held), (SMOOTH, self.smooth)):
-            if found is not None and self._agrees(*found):
-                return name
-        return UNKNOWN
+        """The derivative that the move supports: held, unless the smooth one is likelier."""
+        held = self._away(*self.held)
+        smooth = np.inf if self.smooth is None else self._away(*self.smooth)
+        if min(held, smooth) > SURE:
+            return UNKNOWN
+        return SMOOTH if held**2 - smooth**2 > LIKELIER else HELD
 
-    def _agrees(self, value: float, error: float) -> bool:
+    def _away(self, value: float, error: float) -> float:
+        """How many standard errors of the difference lie between a derivative and the move."""
         low, high = sorted((self.up, self.down)) if self.tie else (self.change, self.change)
-        room = SURE * float(independent(self.error, error))
-        return bool(low - room <= value <= high + room)
+        outside = max(low - value, value - high, 0.0)
+        if not np.isfinite(value):
+            return np.inf
+        return float(outside / independent(self.error, error)) if outside else 0.0
 
 
 def judge(
