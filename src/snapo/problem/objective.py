@@ -48,6 +48,14 @@ class Objective(abc.ABC):
         """
         return False
 
+    @property
+    def by_path(self) -> Any:
+        """Whether it is a mean of numbers, each made of one path's totals alone: its `influence`.
+
+        Such an objective has a bound from above. It is declared: a subclass says `by_path = True`.
+        """
+        return False
+
     def formula(self, totals: Mapping[str, Any]) -> Any:
         """The objective in `jax.numpy`, of the totals {name: [N]} of its outputs in float64."""
         raise NotImplementedError(
@@ -124,8 +132,16 @@ class _OneOutput(Objective):
         """Numbers whose mean is the value and whose spread is its sampling error."""
 
 
+class _ByPath(_OneOutput):
+    """A mean of each path's own number."""
+
+    @property
+    def by_path(self) -> bool:
+        return True
+
+
 @dataclass(frozen=True)
-class Mean(_OneOutput):
+class Mean(_ByPath):
     """The mean."""
 
     @property
@@ -195,7 +211,7 @@ class Entropic(_OneOutput):
 
 
 @dataclass(frozen=True)
-class ExpectedUtility(_OneOutput):
+class ExpectedUtility(_ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
     Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
@@ -247,7 +263,7 @@ class CRRA:
 
 
 @dataclass(frozen=True)
-class Target(_OneOutput):
+class Target(_ByPath):
     """Minus the mean squared distance from a target: -mean((x - target)^2)."""
 
     target: float = 0.0
@@ -260,7 +276,7 @@ class Target(_OneOutput):
 
 
 @dataclass(frozen=True)
-class Probability(_OneOutput):
+class Probability(_ByPath):
     """The probability that x > threshold; its weights round the step over `width` (in x's unit).
 
     The value is the exact frequency. The pathwise derivative of a step is zero, so the weights
@@ -294,6 +310,10 @@ class Weighted(Objective):
     @property
     def linear(self) -> bool:
         return all(term.linear for _, term in self.terms)
+
+    @property
+    def by_path(self) -> bool:
+        return all(term.by_path for _, term in self.terms)
 
     def value(self, totals: Totals) -> float:
         return sum(factor * term.value(totals) for factor, term in self.terms)

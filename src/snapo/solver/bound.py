@@ -19,12 +19,12 @@ import numpy as np
 
 from snapo.engine import Engine, Rollout, Xla
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Mean
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
+from .adjoint import float64
 from .statistics import mean
 
 Penalty = Literal["none", "value", "trained"]
@@ -47,7 +47,7 @@ class Relaxation(Protocol):
     def words(self) -> str: ...
 
     def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the most that each path can earn, or more, never less; the penalties subtracted.
+        """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
 
         `rolled` has the policy's states ("state": leaves [T, N, …]) and final states on the same
         paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
@@ -130,12 +130,13 @@ def bound(
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
     - `source`: scenarios, by default ones that nothing else uses.
 
-    **Raises:** `ValueError` where the objective is not a mean, or the inner problem earns less
+    **Raises:** `ValueError` where the objective is no mean over paths, or the inner problem earns less
     than the policy on some path: then it is not a relaxation.
     """
-    if not isinstance(problem.objective, Mean):
+    if not problem.objective.by_path:
         kind = type(problem.objective).__name__
-        raise ValueError(f"bound: the objective is {kind}; only a mean is bounded from above.")
+        what = "only a mean of what each path is worth is bounded from above"
+        raise ValueError(f"bound: the objective is {kind}; {what}.")
     fresh = _Paths(problem, policy, relaxation, engine or Xla(precision="float64"))
     seed = getattr(problem.sources.evaluation, "seed", 0)
     source = source or _fresh(problem, seed, BOUND)
@@ -198,8 +199,8 @@ class _Paths:
         return np.concatenate([self.relaxation.best(r, d, scale) for _, d, r in sample])
 
     def policy(self, sample: Sample, scale: np.ndarray) -> np.ndarray:
-        name = self.problem.objective.outputs[0]
-        earned = np.concatenate([np.asarray(r.totals[name], np.float64) for _, _, r in sample])
+        objective = self.problem.objective
+        earned = np.concatenate([objective.influence(float64(r.totals)) for _, _, r in sample])
         return earned - np.concatenate([self.relaxation.charged(r, d, scale) for _, d, r in sample])
 
 
