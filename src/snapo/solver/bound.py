@@ -130,8 +130,8 @@ def bound(
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
     - `source`: scenarios, by default ones that nothing else uses.
 
-    **Raises:** `ValueError` where the objective is no mean over paths, or the inner problem earns less
-    than the policy on some path: then it is not a relaxation.
+    **Raises:** `ValueError` where the objective is no mean over paths, or the inner problem earns
+    less than the policy on some path: then it is not a relaxation.
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
