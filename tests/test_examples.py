@@ -28,11 +28,13 @@ def problem(name):
     module = load(name)
     if name == "own_simulator":
         return module.Reservoir(), module.inputs, snapo.Mean("cash")
+    if name == "american_put":
+        return module.Put(), module.inputs, snapo.Mean("cash")
     objective = module.objective() if name == "portfolio" else snapo.Mean("value")
     return module.simulator(), module.inputs(), objective
 
 
-NAMES = ("own_simulator", "battery", "portfolio")
+NAMES = ("own_simulator", "american_put", "battery", "portfolio")
 
 
 def test_the_readme_example_is_short():
@@ -40,7 +42,7 @@ def test_the_readme_example_is_short():
     assert len(lines) <= 30 and max(map(len, lines)) <= 100
 
 
-SLOWER = [NAMES[0], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[1:])]
+SLOWER = [*NAMES[:2], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[2:])]
 
 
 @pytest.mark.prove

@@ -6,7 +6,11 @@ from snapo.engine import Native as Native
 from snapo.engine import Window as Window
 from snapo.engine import Xla as Xla
 from snapo.problem.actions import Box as Box
+from snapo.problem.actions import Choice as Choice
+from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
+from snapo.problem.actions import Stop as Stop
+from snapo.problem.actions import Whole as Whole
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input

@@ -6,7 +6,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Simplex
 from snapo.problem.noise import Stored
 from snapo.problem.simulator import Simulator
 
@@ -20,15 +19,12 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
 
     Components of the action or of the noise that change none in any run are findings.
     """
-    size, moving = simulator.action.size, []
-    whole = isinstance(simulator.action, Simplex)
+    moving = []
     fresh = _fresh_actions(simulator, runs[0], seed)
 
-    def other_action(run: Run, component: int) -> dict[str, Any]:
-        if whole:
-            return {"actions": fresh}
+    def other_action(run: Run, group: list[int]) -> dict[str, Any]:
         actions = np.array(run.actions)
-        actions[..., component] = fresh[..., component]
+        actions[..., group] = fresh[..., group]
         return {"actions": actions}
 
     def other_noise(run: Run, component: int) -> dict[str, Any]:
@@ -37,12 +33,12 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
         noise[..., component] = np.roll(noise[..., component], 1, axis=1)
         return {"draws": Stored(run.draws.initial_noise, noise)}  # pyright: ignore
 
-    for component in range(1 if whole else size):
-        if _matters(simulator, runs, other_action, component):
-            moving += list(range(size)) if whole else [component]
+    for group in simulator.action.together():
+        if _matters(simulator, runs, other_action, group):
+            moving += group
         else:
             notes.error(
-                f"{notes.method('step')}: action{'' if whole else f'[{component}]'}",
+                f"{notes.method('step')}: action{_numbered(group, simulator.action.size)}",
                 "It changes no output: the step ignores it, or its effect never shows.",
                 "Use it, or make the action set smaller.",
             )
@@ -60,13 +56,21 @@ def _fresh_actions(simulator: Simulator, run: Run, seed: int) -> np.ndarray:
     """Random actions anywhere in the set: [T, paths, size]."""
     raw = np.random.default_rng(seed + 1).normal(size=run.actions.shape) * 2
     with jax.enable_x64(True):
-        return np.asarray(jax.vmap(jax.vmap(simulator.action.squash))(jnp.asarray(raw)))
+        into = jax.vmap(jax.vmap(lambda x: simulator.action.squash(x, run.smooth)))
+        return np.asarray(into(jnp.asarray(raw)))
 
 
-def _matters(simulator: Simulator, runs: list[Run], change, component: int) -> bool:
-    """Whether a change of one component changes an output of any run."""
+def _numbered(group: list[int], size: int) -> str:
+    """The index of components that move together: none where they are all there are."""
+    if len(group) == 1:
+        return f"[{group[0]}]"
+    return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
+
+
+def _matters(simulator: Simulator, runs: list[Run], change, which) -> bool:
+    """Whether a change of one component, or of a group, changes an output of any run."""
     for run in runs:
-        after = run.values(simulator, **change(run, component))
+        after = run.values(simulator, **change(run, which))
         same = (np.array_equal(run.totals[name], after[name], equal_nan=True) for name in after)
         if not all(same):
             return True

@@ -4,8 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Box
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Constant, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -14,8 +13,6 @@ from .findings import Findings, Notes, Stop
 from .indices import within
 from .precision import TABLE, tables
 from .shapes import declared, one_step
-
-ROUNDING = 1e-5  # of a bound, in float32
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
@@ -89,7 +86,7 @@ def _precisions(notes: Notes, problem: Problem) -> None:
 
 def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> None:
     """The actions of a policy of the user's own, at a few observations, lie in the set."""
-    if type(policy).__module__.startswith("snapo."):
+    if type(policy).__module__.startswith("snapo.") and not isinstance(policy, Constant):
         return
     size, action = problem.action.size, problem.action
     where = f"policy {type(policy).__name__}"
@@ -98,19 +95,6 @@ def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> N
             found = np.asarray(policy(observation, Exact()))
         if found.shape != (size,):
             notes.error(where, f"Its actions have shape {found.shape}.", f"Return ({size},).")
-        elif isinstance(action, Box):
-            low, high = action.bounds()
-            beyond = (found < low - ROUNDING * np.abs(low)) | (found > high + ROUNDING * abs(high))
-            for i in np.flatnonzero(beyond)[:1]:
-                notes.error(
-                    where,
-                    f"Action {i} is {found[i]:g}, outside of {low[i]:g} to {high[i]:g}.",
-                    "Squash or clip it: action.squash(…), smooth.clip(…).",
-                )
-        elif np.any(found < -ROUNDING) or abs(found.sum() - 1) > 100 * ROUNDING:
-            notes.error(
-                where,
-                f"Its shares are {np.round(found, 4).tolist()}.",
-                "A Simplex takes shares of at least 0 that sum to 1: action.squash(…).",
-            )
+        elif fault := action.fault(found):
+            notes.error(where, *fault)
         notes.stop_on_errors()

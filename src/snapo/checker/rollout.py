@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Array, PyTree
 
 from snapo.engine import Xla
-from snapo.problem.actions import Box, Simplex
+from snapo.problem.actions import Actions
 from snapo.problem.noise import Stored
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -30,10 +30,10 @@ class _Probe(Policy):
 
     offset: Array
     gain: Array
-    action: Box | Simplex
+    action: Actions
 
     def __call__(self, observation, smooth):
-        return self.action.squash(self.offset + self.gain @ jnp.tanh(observation))
+        return self.action.squash(self.offset + self.gain @ jnp.tanh(observation), smooth)
 
 
 class Run(eqx.Module):

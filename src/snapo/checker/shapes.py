@@ -5,7 +5,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
-from snapo.problem.actions import Box, Simplex
+from snapo.problem.actions import Actions
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
@@ -19,8 +19,8 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
         value = getattr(simulator, name, None)
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
             notes.error(name, f"It is {value!r}.", f"Make it a whole number, at least {least}.")
-    if not isinstance(action := getattr(simulator, "action", None), Box | Simplex):
-        notes.error("action", f"It is {action!r}.", "Make it a Box(size) or a Simplex(size).")
+    if not isinstance(action := getattr(simulator, "action", None), Actions):
+        notes.error("action", f"It is {action!r}.", "Make it a set of actions, such as Box(size).")
     if not inputs_.named(inputs):
         notes.warning(
             "inputs",

@@ -17,9 +17,10 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
-from .actions import Box, Simplex
+from .actions import Actions
 from .inputs import Frozen
 from .simulator import Interface
+from .smooth import Smooth
 
 
 class Policy(eqx.Module):
@@ -66,20 +67,20 @@ class Network(eqx.Module):
 
 
 class MLP(Policy):
-    """A network whose outputs are squashed into the action set (see `Box` and `Simplex`).
+    """A network whose outputs are squashed into the action set (see `Box`, `Choice`, …).
 
     `MLP(action, features, key=key)` is made at once. `MLP(hidden=(64, 64))` is a recipe: `solve`
     makes it for the simulator's actions and features.
     """
 
     network: Network | None
-    action: Box | Simplex | None
+    action: Actions | None
     hidden: tuple[int, ...] = eqx.field(static=True)
     activation: Callable = eqx.field(static=True)
 
     def __init__(
         self,
-        action: Box | Simplex | None = None,
+        action: Actions | None = None,
         features: int | None = None,
         *,
         key=None,
@@ -91,7 +92,7 @@ class MLP(Policy):
 
     def __call__(self, observation, smooth):
         network, action = _made(self)
-        return action.squash(network(observation))
+        return action.squash(network(observation), smooth)
 
     def for_problem(self, interface: Interface, key) -> "MLP":
         if self.network is not None:
@@ -115,7 +116,7 @@ class Residual(Policy):
 
     base: Frozen
     network: Network | None
-    action: Box | Simplex | None
+    action: Actions | None
     scale: float = eqx.field(static=True)
     hidden: tuple[int, ...] = eqx.field(static=True)
     activation: Callable = eqx.field(static=True)
@@ -123,7 +124,7 @@ class Residual(Policy):
     def __init__(
         self,
         base: Policy,
-        action: Box | Simplex | None = None,
+        action: Actions | None = None,
         features: int | None = None,
         *,
         key=None,
@@ -168,7 +169,7 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
     return Network(widths, key=key, activation=policy.activation)
 
 
-def _made(policy: MLP | Residual) -> tuple[Network, Box | Simplex]:
+def _made(policy: MLP | Residual) -> tuple[Network, Actions]:
     if policy.network is None or policy.action is None:
         raise ValueError(
             f"{type(policy).__name__}: this is a recipe without numbers; make the policy with "
@@ -189,20 +190,26 @@ def _fitting(policy, network: Network, interface: Interface):
 
 
 class Constant(Policy):
-    """Always the same action; `Constant()` starts in the middle of the action set."""
+    """Always the same action; `Constant()` starts in the middle of the action set.
+
+    With `action`, as `Constant()` has, it is settled in that set: rounded, or the best option.
+    """
 
     value: Array | None
+    action: Actions | None
 
-    def __init__(self, value: ArrayLike | None = None):
+    def __init__(self, value: ArrayLike | None = None, action: Actions | None = None):
         self.value = None if value is None else jnp.asarray(value)
+        self.action = action
 
     def __call__(self, observation, smooth):
         if self.value is None:
             raise ValueError("Constant: this is a recipe without numbers; give it a value.")
-        return self.value.astype(observation.dtype)
+        value = self.value.astype(observation.dtype)
+        return value if self.action is None else self.action.settle(value, smooth)
 
     def for_problem(self, interface: Interface, key) -> "Constant":
-        return Constant(_middle(interface)) if self.value is None else self
+        return Constant(_middle(interface), interface.action) if self.value is None else self
 
 
 class Linear(Policy):
@@ -214,13 +221,13 @@ class Linear(Policy):
 
     gain: Array | None
     offset: Array
-    action: Box | Simplex | None
+    action: Actions | None
 
     def __init__(
         self,
         gain: ArrayLike | None = None,
         offset: ArrayLike = 0.0,
-        action: Box | Simplex | None = None,
+        action: Actions | None = None,
     ):
         self.gain = None if gain is None else jnp.asarray(gain)
         self.offset, self.action = jnp.asarray(offset), action
@@ -242,7 +249,10 @@ class Linear(Policy):
 
 def _middle(interface: Interface) -> Float[Array, " size"]:
     """The action that a network without weights would take."""
-    return interface.action.squash(jnp.zeros(interface.action.size, jnp.float32))
+    return interface.action.squash(jnp.zeros(interface.action.size, jnp.float32), MIDDLING)
+
+
+MIDDLING = Smooth(np.float32(0.02))  # smooth, as in training: the exact middle may be an end
 
 
 class BaseStock(Policy):

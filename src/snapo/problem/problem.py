@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
-from .actions import Box, Simplex
+from .actions import Actions
 from .objective import Objective
 from .prepare import prepare
 from .scenarios import Sources
@@ -48,7 +48,7 @@ class Problem:
         return self.interface.features
 
     @property
-    def action(self) -> Box | Simplex:
+    def action(self) -> Actions:
         """The set in which every decision lies."""
         return self.simulator.action
 

@@ -14,7 +14,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .actions import Box, Simplex
+from .actions import Actions
 
 State = PyTree
 Outputs = dict[str, Float[Array, ""]]
@@ -41,7 +41,7 @@ class Interface(NamedTuple):
     - `stages`: of a `Chain`, the same for every stage by itself.
     """
 
-    action: Box | Simplex
+    action: Actions
     features: int
     stages: tuple["Interface", ...] = ()
 
@@ -52,13 +52,13 @@ class Simulator(eqx.Module):
     **Attributes:**
 
     - `horizon`: the number of decisions T.
-    - `action`: the FIXED set of actions, a `Box` or a `Simplex`. Limits that depend on inputs
-      or on the state act inside `step`.
+    - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Whole`, `Choice`, `Stop` or a
+      `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     """
 
     horizon: eqx.AbstractVar[int]
-    action: eqx.AbstractVar[Box | Simplex]
+    action: eqx.AbstractVar[Actions]
     noise_size: eqx.AbstractVar[int]
     initial_noise_size: ClassVar[int] = 0
 

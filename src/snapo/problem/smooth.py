@@ -53,6 +53,10 @@ class Constraints(eqx.Module):
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
         """Weights that sum to one on the largest score; smooth: softmax(scores / w)."""
 
+    @abc.abstractmethod
+    def round(self, x: ArrayLike) -> Array:
+        """The whole number nearest to x, a half to the even one. Smooth: x itself."""
+
     def absolute(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         """|x| = 2 max(x, 0) - x. Smooth: above the exact by at most 3 w / 8, at x = 0."""
         return 2 * self.positive_part(x, scale) - x
@@ -163,6 +167,9 @@ class Smooth(Constraints):
         scaled, hot = self._scaled(scores, scale)
         return jnp.where(hot, jax.nn.softmax(scaled), Exact().weights(scores))
 
+    def round(self, x: ArrayLike) -> Array:
+        return jnp.where(self.temperature > 0, x, jnp.round(x))
+
     def _scaled(self, x, scale) -> tuple[Array, Array]:
         """x / (temperature * scale) and whether the temperature is above zero."""
         width = self.temperature * scale
@@ -189,6 +196,9 @@ class Exact(Constraints):
 
     def weights(self, scores: Float[Array, " n"], scale: ArrayLike = 1.0) -> Float[Array, " n"]:
         return jax.nn.one_hot(jnp.argmax(scores), scores.shape[0], dtype=scores.dtype)
+
+    def round(self, x: ArrayLike) -> Array:
+        return jnp.round(x)
 
 
 def _step(x: ArrayLike) -> Array:

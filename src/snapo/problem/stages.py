@@ -6,7 +6,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .actions import Box, Simplex
+from .actions import Actions
 from .policy import Policy
 from .simulator import Interface
 
@@ -21,7 +21,7 @@ class Stages(Policy):
     """
 
     policies: tuple[Policy, ...]
-    action: Box | Simplex | None
+    action: Actions | None
     features: tuple[int, ...] = eqx.field(static=True)
 
     def __init__(self, policies: Sequence[Policy], interface: Interface | None = None):
@@ -45,7 +45,7 @@ class Stages(Policy):
         # The chain's observation ends with one number per stage, which is 1 in that stage.
         here = observation[-len(self.policies) :] > 0.5
         # Components that a stage does not read lie in the middle of the chain's set.
-        action = middle = self.action.squash(jnp.zeros(self.action.size, observation.dtype))
+        action = middle = self.action.squash(jnp.zeros(self.action.size, observation.dtype), smooth)
         for i, (policy, features) in enumerate(zip(self.policies, self.features)):
             # In other stages the policy sees zeros, so that their numbers reach neither its value
             # nor its derivative.

@@ -1,4 +1,4 @@
-"""Sets of actions: where a decision lies, and how a network's unbounded numbers get there."""
+"""Numbers between bounds."""
 
 import math
 from collections.abc import Sequence
@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+
+from .base import ROUNDING, Actions
 
 Bound = float | tuple[float, ...]
 
@@ -28,7 +30,7 @@ def _bound(name: str, given: Any, size: int) -> Bound:
     return numbers[0] if len(set(numbers)) == 1 else numbers
 
 
-class Box(eqx.Module):
+class Box(Actions):
     """Actions in a box: `size` numbers, each between its `low` and its `high`.
 
     A bound is one number for all components, or a sequence of one per component; it may be
@@ -70,7 +72,7 @@ class Box(eqx.Module):
         """Whether all components have the same bounds."""
         return isinstance(self.low, float) and isinstance(self.high, float)
 
-    def squash(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
+    def squash(self, raw: Float[Array, " size"], smooth=None) -> Float[Array, " size"]:
         """Maps unbounded numbers into the box: the identity, a softplus or a logistic curve."""
         if self._uniform:
             return _squash(raw, self.low, self.high)
@@ -98,23 +100,15 @@ class Box(eqx.Module):
         low, high, width = (jnp.asarray(x, correction.dtype) for x in (low, high, width))
         return smooth.clip(base + correction, low, high, scale=width)
 
-
-class Simplex(eqx.Module):
-    """Actions on the probability simplex: `size` numbers, none negative, that sum to one."""
-
-    size: int = eqx.field(static=True)
-
-    def __check_init__(self):
-        if self.size < 2:
-            raise ValueError(f"Simplex: size is {self.size}; shares of a whole need at least two.")
-
-    def squash(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
-        """Maps unbounded numbers onto the simplex by a softmax."""
-        return jax.nn.softmax(raw)
-
-    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """Shares whose logarithms are those of `base` plus a correction."""
-        return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        low, high = self.bounds()
+        beyond = (action < low - ROUNDING * np.abs(low)) | (action > high + ROUNDING * np.abs(high))
+        for i in np.flatnonzero(beyond)[:1]:
+            return (
+                f"Action {i} is {action[i]:g}, outside of {low[i]:g} to {high[i]:g}.",
+                "Squash or clip it: action.squash(…), smooth.clip(…).",
+            )
+        return None
 
 
 def _squash(raw: Array, low: Any, high: Any) -> Array:

@@ -1,0 +1,41 @@
+"""What every set of actions can do."""
+
+import abc
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+
+class Actions(eqx.Module):
+    """Where a decision lies: `size` numbers, and the way in from a network's unbounded ones.
+
+    A set has two forms. The smooth one, of training, has a derivative everywhere; the exact one,
+    of the value, holds the decisions that can be taken. `smooth` says which is meant, as it does
+    in a simulator.
+    """
+
+    size: eqx.AbstractVar[int]
+
+    @abc.abstractmethod
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """Maps unbounded numbers into the set."""
+
+    @abc.abstractmethod
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """An action of the set, moved by an unbounded correction, and still in the set."""
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """The action of the exact set nearest to one of the smooth set; in training, itself."""
+        return action
+
+    @abc.abstractmethod
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        """What is wrong with these numbers for the exact set, and a remedy; None if nothing is."""
+
+    def together(self) -> list[list[int]]:
+        """The components in groups whose members cannot move alone: by default each by itself."""
+        return [[i] for i in range(self.size)]
+
+
+ROUNDING = 1e-5  # of a bound, in float32

@@ -1,0 +1,83 @@
+"""One of several options."""
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+
+from ..smooth import Exact
+from .base import ROUNDING, Actions
+
+LEAST = 1e-6  # a probability whose logarithm is still taken
+
+
+class Choice(Actions):
+    """One of `size` options without an order: the action is a weight on each, and they sum to 1.
+
+    In the value the weight is 1 on the option with the largest score. In training there are two
+    ways to read the weights:
+
+    - as a mixture, `action @ options`: right where the step is linear in the weights (a cost or a
+      speed of each option), and otherwise a smoothing of it;
+    - as probabilities, with `draw`: the step sees one option, as in the value, and derivatives
+      are right whatever it does with it.
+
+    `scale`: scores count in units of temperature times `scale`.
+    """
+
+    size: int = eqx.field(static=True)
+    scale: float = eqx.field(static=True, default=50.0)
+
+    def __check_init__(self):
+        if self.size < 2:
+            raise ValueError(f"Choice: size is {self.size}; a choice has at least two options.")
+
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """softmax(raw / (temperature * scale)); exact: 1 on the largest score."""
+        return smooth.weights(raw, self.scale)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """Weights whose scores are the logarithms of `base` plus a correction."""
+        return smooth.weights(jnp.log(jnp.maximum(base, LEAST)) + correction, self.scale)
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        return smooth.weights(action) if isinstance(smooth, Exact) else action
+
+    def draw(self, action: Float[Array, " size"], normal: Array) -> tuple[Array, Array]:
+        """(option, likelihood): one option at random, with probabilities `action`.
+
+        `normal` is one of the step's standard normals. `option` [size] is 1 on the option drawn
+        and carries no derivative. `likelihood` is the number 1; its derivative is that of the
+        option's log probability. The simulator carries the product of all likelihoods, and
+        multiplies by it every output that comes at or after the choice:
+
+            option, likelihood = self.action.draw(action, noise[1])
+            weight = state["weight"] * likelihood
+            … {"cash": weight * cash}
+
+        Then the derivative of the mean is right whatever an option does, jumps included (the
+        likelihood ratio of Glynn, 1990). Its noise grows with the size of the output: take a
+        guess off before, `guess + weight * (cash - guess)`, that does not depend on the choice.
+        """
+        uniform, upper = ndtr(normal), jnp.cumsum(jax.lax.stop_gradient(action))
+        # The last option takes what rounding leaves over.
+        below = jnp.concatenate([uniform < upper[:-1], jnp.ones(1, bool)]).astype(action.dtype)
+        option = below - jnp.concatenate([jnp.zeros(1, action.dtype), below[:-1]])
+        chance = option @ action
+        kept = jax.lax.stop_gradient(chance)
+        likely = kept > 0
+        return option, jnp.where(likely, chance, 1.0) / jnp.where(likely, kept, 1.0)
+
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        if abs(action.max() - 1) <= ROUNDING and abs(np.abs(action).sum() - 1) <= 100 * ROUNDING:
+            return None
+        return (
+            f"Its weights are {np.round(action, 4).tolist()}.",
+            "An exact Choice takes a weight of 1 on one option and 0 on the others: "
+            "smooth.weights(…) or action.squash(…, smooth).",
+        )
+
+    def together(self) -> list[list[int]]:
+        return [list(range(self.size))]

@@ -1,0 +1,78 @@
+"""Several decisions in one step."""
+
+from collections.abc import Callable
+from typing import Any
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .base import Actions
+
+
+class Product(Actions):
+    """Several decisions at once, by name: `Product(run=Choice(2), power=Box(1, 0.0, 1.0))`.
+
+    The numbers of all lie one after another in the action; `parts` gives them by name, and
+    `self.action["run"]` is the set of one of them.
+
+        decided = self.action.parts(action)
+        power = decided["run"][1] * decided["power"][0]
+    """
+
+    names: tuple[str, ...] = eqx.field(static=True)
+    sets: tuple[Actions, ...] = eqx.field(static=True)
+
+    def __init__(self, **sets: Actions):
+        if not sets:
+            raise ValueError("Product: it has no sets; give at least one, by name.")
+        for name, each in sets.items():
+            if not isinstance(each, Actions):
+                raise ValueError(f"Product: {name} is {each!r}; allowed is a set of actions.")
+        self.names, self.sets = tuple(sets), tuple(sets.values())
+
+    @property
+    def size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return sum(each.size for each in self.sets)
+
+    def __getitem__(self, name: str) -> Any:
+        return self.sets[self.names.index(name)]
+
+    def parts(self, action: Any) -> dict[str, Any]:
+        """{name: [… part]} of an action [… size]: the numbers of every decision."""
+        ends = np.cumsum([each.size for each in self.sets]).tolist()
+        return {
+            name: action[..., end - each.size : end]
+            for name, each, end in zip(self.names, self.sets, ends)
+        }
+
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """Each part into its own set."""
+        return self._each(lambda each, part: each.squash(part, smooth), raw)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """Each part near its own base."""
+        return self._each(lambda each, *given: each.near(*given, smooth), base, correction)
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        return self._each(lambda each, part: each.settle(part, smooth), action)
+
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        for name, part in self.parts(action).items():
+            if found := self[name].fault(part):
+                return f"{name}: {found[0]}", found[1]
+        return None
+
+    def together(self) -> list[list[int]]:
+        found, first = [], 0
+        for each in self.sets:
+            found += [[first + i for i in group] for group in each.together()]
+            first += each.size
+        return found
+
+    def _each(self, work: Callable[..., Array], *given: Array) -> Array:
+        # A base may be one number for all components.
+        full = [jnp.broadcast_to(jnp.asarray(x), (self.size,)) for x in given]
+        parts = [self.parts(x) for x in full]
+        return jnp.concatenate([work(self[n], *(p[n] for p in parts)) for n in self.names])

@@ -1,0 +1,64 @@
+"""Whole numbers."""
+
+import math
+from collections.abc import Sequence
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from .base import ROUNDING, Actions
+from .box import Bound, Box
+
+
+class Whole(Actions):
+    """Actions that are whole numbers: `size` of them, each between its `low` and its `high`.
+
+    In training an action may lie anywhere between its bounds; in the value it is rounded to the
+    nearest whole number (a half to the even one). A finite bound is a whole number; each may be
+    one number or a sequence of one per component. `Whole(2, low=0, high=[10, math.inf])`
+    """
+
+    size: int = eqx.field(static=True)
+    low: Bound = eqx.field(static=True)
+    high: Bound = eqx.field(static=True)
+
+    def __init__(
+        self,
+        size: int = 1,
+        low: float | Sequence[float] | np.ndarray = 0.0,
+        high: float | Sequence[float] | np.ndarray = math.inf,
+    ):
+        box = Box(size, low, high)
+        for name, bound in zip(("low", "high"), box.bounds()):
+            broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
+            if broken.size:
+                raise ValueError(f"Whole: {name} is {broken[0]:g}; allowed is a whole number.")
+        self.size, self.low, self.high = box.size, box.low, box.high
+
+    @property
+    def box(self) -> Box:
+        """All numbers between the bounds."""
+        return Box(self.size, self.low, self.high)
+
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """[size] low and [size] high, in float64."""
+        return self.box.bounds()
+
+    def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        """Maps unbounded numbers between the bounds, as a `Box` does; exact: rounded."""
+        return self.settle(self.box.squash(raw), smooth)
+
+    def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
+        """base + correction, clipped to the bounds; exact: rounded."""
+        return self.settle(self.box.near(base, correction, smooth), smooth)
+
+    def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
+        return smooth.round(action)
+
+    def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        off = np.abs(action - np.round(action)) > ROUNDING * np.maximum(1.0, np.abs(action))
+        if off.any():
+            i = int(np.flatnonzero(off)[0])
+            return f"Action {i} is {action[i]:g}, no whole number.", "Round it: smooth.round(…)."
+        return self.box.fault(action)
