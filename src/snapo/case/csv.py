@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from .error import CaseError, Unquoted, nearest
-from .table import Section, not_utf8
+from .table import LARGEST, TOO_LARGE, Section, not_utf8
 
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
 MONTH = re.compile(r"(\d{4})-(\d{2})", re.ASCII)
@@ -58,6 +58,8 @@ class Row:
             raise self.error(column, f"allowed is {within(low, high)}, written like 12.5")
         if not low <= value <= high:
             raise self.error(column, f"allowed is {within(low, high)}")
+        if abs(value) > LARGEST:
+            raise self.error(column, f"allowed is {within(low, high)}; {TOO_LARGE}")
         return value
 
     def day(self, column: str) -> datetime.date:

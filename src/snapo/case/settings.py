@@ -9,22 +9,31 @@ from .error import CaseError
 from .table import Count, Positive, Table, parse
 
 MOST_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
+MOST_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
 
 
 class TrainingTable(Table):
     """`[training]`: how the policy is trained, with the fields and defaults of `snapo.Training`."""
 
-    steps: Annotated[int, Field(ge=0)] = Field(240, description="a whole number, 0 or more")
-    paths: Annotated[int, Field(ge=2)] = Field(512, description="a whole number, 2 or more")
+    steps: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
+        240, description="a whole number, 0 to 1,000,000,000"
+    )
+    paths: Annotated[int, Field(ge=2, le=MOST_PATHS)] = Field(
+        512, description="a whole number, 2 to 100,000,000: more do not fit in memory"
+    )
     learning_rate: Positive = Field(0.01, description="a number above 0")
-    warmup: Annotated[int, Field(ge=0)] = Field(20, description="a number of steps, 0 or more")
+    warmup: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
+        20, description="a number of steps, 0 to 1,000,000,000"
+    )
     temperature_start: Positive = Field(0.02, description="a number above 0")
     temperature_end: Positive = Field(0.005, description="a number above 0")
     average: Annotated[float, Field(gt=0, le=1)] = Field(
         0.05, description="a number above 0, at most 1"
     )
-    validation_paths: Count = Field(4096, description="a whole number, 1 or more")
+    validation_paths: Annotated[int, Field(ge=1, le=MOST_PATHS)] = Field(
+        4096, description="a whole number, 1 to 100,000,000: more do not fit in memory"
+    )
     validation_every: Count = Field(50, description="a number of steps, 1 or more")
     patience: Count | None = Field(None, description="a number of validations, 1 or more")
     window: Count | None = Field(None, description="a number of days, 1 or more")

@@ -9,7 +9,7 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -18,6 +18,9 @@ import pydantic
 from pydantic import Field
 
 from .error import CaseError, nearest
+
+LARGEST = 1e36  # a number of a case, in size: training computes in single precision
+TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
 @dataclass(frozen=True)
@@ -74,9 +77,7 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
 def _not_toml(file: Path, text: str, message: str) -> CaseError:
     """The parser's complaint, with the line that it is about."""
     found = re.search(r"line (\d+)", message)
-    if found is None:
-        return CaseError(str(file), "", None, f"this is not valid TOML: {message}")
-    number = int(found[1])
+    number = int(found[1]) if found else len(text.rstrip().splitlines())  # "at end of document"
     got = text.splitlines()[number - 1].strip()
     what = f"this is not valid TOML ({message.partition(' (at ')[0]})"
     return CaseError(str(file), f"line {number}", got, what)
@@ -94,7 +95,9 @@ def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:
-        return table.model_validate(dict(data))
+        read = table.model_validate(dict(data))
+        _check_sizes(read, file, name)
+        return read
     except pydantic.ValidationError as error:
         found, meant = {}, set()
         for item in error.errors():
@@ -107,6 +110,25 @@ def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
         found = {key: each for key, each in found.items() if key in data or key not in meant}
     first, *rest = found.values()
     raise CaseError(first.file, first.where, first.value, first.allowed, rest)
+
+
+def _check_sizes(table: Table, file: str, name: str) -> None:
+    """Numbers that could only overflow are a mistake in every key."""
+    for key in table.model_fields_set:
+        for number in _numbers(getattr(table, key)):
+            if abs(number) > LARGEST:
+                where = f"{name}.{key}" if name else key
+                what = f"allowed is {type(table).model_fields[key].description}; {TOO_LARGE}"
+                raise CaseError(file, where, float(number), what)
+
+
+def _numbers(value: Any) -> Iterator[int | float]:
+    """The numbers in a value, or in its lists."""
+    if isinstance(value, list):
+        for each in value:
+            yield from _numbers(each)
+    elif isinstance(value, int | float):
+        yield value
 
 
 def _explain(table, data, file, name, item) -> CaseError:

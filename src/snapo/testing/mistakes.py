@@ -207,7 +207,8 @@ def _wrong_cells(cell: str) -> list[tuple[str, str, bool]]:
     except ValueError:
         return [*found, ("another text", "no such thing", False)]
     found += [("text", "no such thing", True), ("not a number", "nan", True)]
-    return [*found, ("infinite", "1e999", True), ("another sign", f"{-value}", False)]
+    found += [("infinite", "1e999", True), ("a size", "1e300", True)]
+    return [*found, ("another sign", f"{-value}", False)]
 
 
 def _line(lines: list[str], row: int, column: int, cell: str) -> bytes:

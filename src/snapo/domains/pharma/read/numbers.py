@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.given import Given
-from snapo.case.table import Section, nearest, parse
+from snapo.case.table import LARGEST, TOO_LARGE, Section, nearest, parse
 
 from ..time.profile import Profile
 from .fields import ProfileTable
@@ -63,6 +63,8 @@ def quantity(
         raise section.error(key, raw, str(error)) from None
     if not math.isfinite(value) or not bounds.holds(value):
         raise section.error(key, raw, f"allowed is {bounds.words}")
+    if abs(value) > LARGEST:
+        raise section.error(key, raw, f"allowed is {bounds.words}; {TOO_LARGE}")
     return value
 
 
