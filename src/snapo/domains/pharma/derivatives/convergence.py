@@ -52,7 +52,7 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
     tight = min(tolerance, numerics.tolerance)
     ways = (
         replace(numerics, method="mesh"),
-        replace(numerics, method="mesh", steps=2 * numerics.steps),
+        numerics.finer(),
         replace(numerics, method="adaptive", tolerance=tight),
     )
     tables = []

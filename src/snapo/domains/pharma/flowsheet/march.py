@@ -23,9 +23,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
 from ..given import Entry
-from ..time.dynamics import Dynamics
-from ..time.mesh import break_up, edges_of, local_points, steps_per_piece
-from ..time.runge_kutta import runge_kutta
+from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
 from .flow import flow, problem_of
 
@@ -142,15 +140,16 @@ class Marches:
         def start(numbers, draw, ends, inputs):
             """y, and all numbers that a step reads."""
             problem = problem_of(self.process.case, unit, self._given(numbers, draw, inputs), ends)
-            advance, made["pieces"] = _advance(problem)
-            now = {"piece": jnp.zeros((), jnp.int32), "local": jnp.zeros((3, 3))}
+            numerics = self.process.case.numerics
+            advance, made["steps"] = mesh_march(problem, numerics, numerics.held.get(unit.name))
+            now = {name: jnp.asarray(each[0]) for name, each in made["steps"].items()}
             made["advance"], held = jax.closure_convert(advance, problem.start, now)
             return [problem.start, *held]
 
         shapes, reached = self._reached(start)
         columns = np.flatnonzero([any(row) for row in np.transpose(reached)[:-1]])
         kinds: tuple[Kind, ...] = tuple(_kind(row) for row in reached[1:])
-        steps = _steps(made["pieces"], self.process.case.numerics.steps)
+        steps = made["steps"]
         march = March(  # pyright: ignore[reportCallIssue]
             horizon=len(steps["piece"]), advance=made["advance"], kinds=kinds
         )
@@ -193,34 +192,6 @@ class Marches:
 def _kind(reached) -> Kind:
     *columns, drawn = reached
     return "moving" if any(columns) else "drawn" if drawn else "shared"
-
-
-def _steps(pieces: int, steps: int) -> dict[str, np.ndarray]:
-    """The schedule of a march: [T] number of the piece, [T, 3, 3] start, middle and end of the
-    step within the piece, for each grading."""
-    n = steps_per_piece(steps, pieces)
-    points = local_points(n)
-    start, end = points[:, :-1], points[:, 1:]
-    local = np.moveaxis(np.stack([start, (start + end) / 2, end], -1), 1, 0)
-    number = np.repeat(np.arange(pieces, dtype=np.int32), n)
-    return {"piece": number, "local": np.tile(local, (pieces, 1, 1))}
-
-
-def _advance(problem: Dynamics) -> tuple[Callable, int]:
-    """One step of the mesh, (y, {"piece", "local"}) -> y, and the number of pieces."""
-    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), problem.event)
-    ends = [pieces.ends(*each) for each in problem.controls]
-    seconds = problem.duration * jnp.diff(pieces.breaks)
-
-    def advance(y, now):
-        k = now["piece"]
-        local = pieces.grading[k] @ now["local"]
-        controls = (first[k] + (last[k] - first[k]) * local for first, last in ends)
-        return runge_kutta(
-            problem.rate, y, seconds[k] * (local[2] - local[0]), problem.drive(*controls)
-        )
-
-    return advance, len(pieces.source)
 
 
 def _pushed(function, columns: np.ndarray, numbers: list, ends: dict, d_ends: dict, **aux):

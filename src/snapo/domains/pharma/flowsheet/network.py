@@ -66,6 +66,23 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
     return found
 
 
+def fastest_rate(network: Network, temperature: np.ndarray, most: np.ndarray) -> float:
+    """1/s: a bound on the norm of d r / d extents below concentrations `most` [S] in kmol/m3, at
+    the given temperatures in K; infinite where an order lies between 0 and 1."""
+    if ((network.order > 0) & (network.order < 1)).any():
+        return np.inf
+    inverse = 1 / temperature[:, None] - (1 / network.reference if network.reference else 0.0)
+    energy = network.activation.used() / GAS_CONSTANT
+    constants = (network.prefactor.used() * np.exp(-energy * inverse)).max(0)
+    slope = np.zeros(network.order.shape)
+    for i, order in enumerate(network.order):
+        for s in np.flatnonzero(order):
+            left = order - (np.arange(len(order)) == s)
+            slope[i, s] = constants[i] * order[s] * np.prod(most**left)
+    size = np.abs(slope) @ np.abs(network.stoichiometry).T
+    return float(min(size.sum(0).max(), size.sum(1).max()))
+
+
 def _power(c: Array, order: float) -> Array:
     """c^order; a fractional power of a number that round-off made negative is 0."""
     if order.is_integer():

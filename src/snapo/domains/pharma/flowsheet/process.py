@@ -19,6 +19,7 @@ from .case import PharmaCase
 from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches
+from .stiffness import with_stiff_steps
 from .stream import Stream
 
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
@@ -30,7 +31,9 @@ class Run(NamedTuple):
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
       the domain's unit}; `attributes`: {name: number in the owner's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
-    - `status`: "ok", or "unit: did not converge at t s".
+    - `status`: "ok", or "unit: did not converge at t s", with the error estimate of a step that
+      it refuses.
+    - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
     """
 
     streams: dict[str, Stream]
@@ -38,6 +41,7 @@ class Run(NamedTuple):
     attributes: dict[str, float]
     trajectories: dict[str, dict[str, np.ndarray]]
     status: str
+    errors: dict[str, float]
 
 
 class Batch(NamedTuple):
@@ -51,12 +55,13 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
+    - `case`: as it was given, with the steps of its stiff units.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] where they stand. `traces` counts how often the flowsheet was traced.
     """
 
     def __init__(self, case: PharmaCase):
-        self.case = case
+        self.case = case = with_stiff_steps(case)
         self.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
         self.names = tuple(each.name for each in case.attributes)
         self.parameters = tuple(each.name for each in case.parameters)
@@ -105,24 +110,29 @@ class Process:
         """One batch with all streams, measures and trajectories."""
         found = self.compiled("run", lambda: self._everything)(self.given(inputs))
         streams, measures, attributes, trajectories, times = found
-        status = "ok"
+        status, errors = "ok", {}
         for unit in self.case.units:
-            duration, reached = times[unit.name]
+            duration, reached, error = times[unit.name]
+            if error is not None:
+                errors[unit.name] = float(error)
             if status == "ok" and reached < duration:
                 status = f"{unit.name}: did not converge at {reached:.6g} s"
+                if error is not None:
+                    status += f" (error estimate of a step {error:.2g})"
         return Run(
             streams,
             {name: float(each) for name, each in measures.items()},
             {name: float(each) for name, each in zip(self.names, attributes)},
             trajectories,
             status,
+            errors,
         )
 
     def _everything(self, inputs):
         found = self.flow(inputs, record=True)
         trajectories, times = {}, {}
         for name, outcome in found.outcomes.items():
-            times[name] = outcome.duration, outcome.reached
+            times[name] = outcome.duration, outcome.reached, outcome.error
             track, states = outcome.track, outcome.states
             if track is not None and states is not None:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))

@@ -1,7 +1,8 @@
 """Reads a pharma case: a TOML file and the CSVs beside it become a `PharmaCase`."""
 
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 from snapo.case.error import CaseError
 from snapo.case.settings import read_evaluation, read_training
@@ -28,6 +29,10 @@ TRAINING = {
     "temperature_end": 0.1, "validation_paths": 2048, "validation_every": 25,
 }  # fmt: skip
 EVALUATION = {"paths": 16384, "sensitivity_paths": 1024}
+# Which units take the steps of stiff ones, by the case's method.
+STIFF: dict[str, Literal["none", "measured", "all"]] = {
+    "auto": "measured", "stiff": "all", "mesh": "none", "adaptive": "none"
+}  # fmt: skip
 
 
 def read_case(path: str | Path) -> PharmaCase:
@@ -105,10 +110,19 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
 
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
-    """ "auto" is a mesh where it may hold the event, and else error control."""
+    """ "auto" is a mesh where it may hold the event, and else error control; on it, units that
+    are measured to be stiff take steps of their own."""
     table = parse(NumericsTable, raw, str(file), "numerics")
-    method = table.method
-    if method == "auto":
-        controlled = any(unit.error_controlled for unit in timed(units))
-        method = "adaptive" if controlled else "mesh"
-    return Numerics(method, table.steps, table.tolerance, table.max_steps, table.refine)
+    controlled = any(unit.error_controlled for unit in timed(units))
+    adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)
+    found = Numerics(
+        "adaptive" if adaptive else "mesh",
+        table.steps,
+        table.tolerance,
+        table.max_steps,
+        table.refine,
+        stiff=STIFF[table.method],
+    )
+    if "tolerance" in table.model_fields_set:
+        found = replace(found, stiff_tolerance=table.tolerance)
+    return found

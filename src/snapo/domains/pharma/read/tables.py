@@ -203,7 +203,9 @@ class EstimationTable(Table):
 class NumericsTable(Table):
     """`[numerics]`"""
 
-    method: Literal["auto", "mesh", "adaptive"] = word("auto", "mesh", "adaptive", default="auto")
+    method: Literal["auto", "mesh", "stiff", "adaptive"] = word(
+        "auto", "mesh", "stiff", "adaptive", default="auto"
+    )
     steps: Annotated[int, Field(ge=8, le=100_000)] = Field(
         320, description="a whole number, 8 or more"
     )

@@ -20,6 +20,7 @@ def one_batch(case: PharmaCase, run: Run) -> dict[str, Any]:
     room = limits.distance(values)
     return {
         "status": run.status,
+        "errors": dict(run.errors),
         "attributes": dict(zip([each.name for each in case.attributes], values)),
         "holds": limits.hold(values),
         "distance": np.where(np.isfinite(room), room, np.nan),

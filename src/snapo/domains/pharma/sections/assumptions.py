@@ -43,6 +43,9 @@ def _made_with(run: Run) -> Table | Missing:
     if numerics:
         rows.append(("Integration", f"{numerics['method']}, {numerics['steps']} steps per piece, "
                      f"tolerance {numerics['tolerance']:g}"))  # fmt: skip
+    for unit, error in (run.get("run.errors") or {}).items():
+        text = f"stiff: Rosenbrock steps (Rodas5P), error of a step at most {error:.1g}"
+        rows.append((f"Integration of {unit}", text))
     versions = run.get("versions", {}) | run.get("libraries", {})
     if versions:
         rows.append(("Versions", ", ".join(f"{k} {v}" for k, v in versions.items())))

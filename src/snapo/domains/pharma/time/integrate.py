@@ -1,4 +1,5 @@
-"""Time integration: classical Runge-Kutta on a broken mesh, or error-controlled by diffrax."""
+"""Time integration: classical Runge-Kutta on a broken mesh, Rosenbrock steps that are held, or
+error-controlled by diffrax."""
 
 from collections.abc import Callable
 from typing import NamedTuple
@@ -7,6 +8,7 @@ import diffrax
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from .dynamics import Dynamics, Track
@@ -14,22 +16,34 @@ from .mesh import Mesh, edges_of, make_mesh
 from .numerics import Numerics
 from .profile import values_at
 from .runge_kutta import last_state, runge_kutta
+from .stiff import FLOOR, course, limit_of, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
+COARSE = 0.05  # defect of an explicit step, over its state's largest, that cannot be believed
 
 
 class Solved(NamedTuple):
     """The `final` y, the control values at the end, the time `reached` in s (the duration where
-    all went well, and where not), and how it went over time, if asked for."""
+    all went well, and where not), and how it went over time, if asked for; `error`: the largest
+    estimate of a step's error, relative to its state, or None."""
 
     final: Float[Array, " m"]
     controls: list[Array]
     reached: Float[Array, ""]
     track: Track | None
+    error: Float[Array, ""] | None = None
 
 
-def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> Solved:
-    """Solves the unit's initial value problem; with `record`, its track on the mesh."""
+def integrate(
+    problem: Dynamics,
+    numerics: Numerics,
+    record: bool = False,
+    held: Float[np.ndarray, " n+1"] | None = None,
+) -> Solved:
+    """Solves the unit's initial value problem; with `record`, its track on the mesh. On a mesh,
+    `held` are the times of a stiff unit's steps (`Numerics.held`)."""
+    if held is not None and numerics.method == "mesh":
+        return _held(problem, numerics, held, record)
     edges = edges_of(tuple(profile for profile, _ in problem.controls))
     mesh = make_mesh(edges, numerics.steps, problem.event)
     solve = _on_mesh if numerics.method == "mesh" else _adaptive
@@ -41,7 +55,22 @@ def integrate(problem: Dynamics, numerics: Numerics, record: bool = False) -> So
     controls = jnp.stack([mesh.point_values(*each) for each in problem.controls], -1)
     slope = jax.vmap(problem.rate)(states, problem.drive(*controls.T))
     time = problem.duration * mesh.times()
-    return Solved(final, ends, reached, Track(time, states, slope, controls))
+    if numerics.method == "mesh":
+        share = jnp.minimum(share, _believed(problem, mesh, states))
+    return Solved(final, ends, problem.duration * share, Track(time, states, slope, controls))
+
+
+def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
+    """On the held steps of a stiff unit."""
+    steps = steps_of(problem, held)
+    found = stepped(problem, steps, limit_of(numerics.stiff_tolerance), record)
+    ends = [value[-1] for _, value in problem.controls]
+    reached, track = problem.duration * found.share, None
+    if found.states is not None:
+        times, controls = course(problem, steps)
+        slope = jax.vmap(problem.rate)(found.states, problem.drive(*controls.T))
+        track = Track(problem.duration * times, found.states, slope, controls)
+    return Solved(found.final, ends, reached, track, found.error)
 
 
 def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:
@@ -68,6 +97,27 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     finite = jnp.all(jnp.isfinite(later), axis=1)
     share = jnp.where(jnp.all(finite), 1.0, mesh.stages[jnp.argmin(finite), 0])
     return jnp.concatenate([problem.start[None], later]), final, share
+
+
+def _believed(problem: Dynamics, mesh: Mesh, states: Float[Array, "n+1 m"]) -> Array:
+    """The share of the time before the first explicit step that cannot be believed.
+
+    The defect of a step, y1 - y0 - h/6 (f0 + 4 f + f1) with f at the middle of the cubic through
+    both ends (the collocation method Lobatto IIIA), is of order h^5 where steps are short enough,
+    and of the size of the state where they are unstable.
+    """
+    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
+    step = (problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0]))[:, None]
+    rate = jax.vmap(problem.rate)
+    before, after = states[:-1], states[1:]
+    first, last = rate(before, drive[:, 0]), rate(after, drive[:, 2])
+    middle = rate((before + after) / 2 + step / 8 * (first - last), drive[:, 1])
+    defect = jnp.abs(after - before - step / 6 * (first + 4 * middle + last))
+    size = jnp.abs(states)
+    bad = jnp.any(defect > COARSE * (FLOOR + jnp.max(size, 0)))
+    # A state that grew without end did so from the first step that was large for it then.
+    early = jnp.any(defect > COARSE * (FLOOR + jax.lax.cummax(size)[1:]), 1)
+    return jnp.where(bad, mesh.stages[jnp.argmax(early), 0], 1.0)
 
 
 class _Field(eqx.Module):

@@ -1,7 +1,10 @@
 """How time is integrated."""
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from typing import Literal
+
+import numpy as np
 
 
 @dataclass(frozen=True)
@@ -15,6 +18,10 @@ class Numerics:
     - `max_steps`: of the adaptive solver, after which the unit's status says where it stopped.
     - `along`: whether derivatives on the mesh are taken along with every step, as suits many
       batches side by side, and not of all steps at once, as is fast for one.
+    - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
+      which explicit steps are "measured" to be too long, or "all". `stiff_tolerance`: of the choice
+      of their steps at the nominal inputs.
+    - `held`: {unit: shares of its duration at which those steps begin and end}.
     """
 
     method: Literal["mesh", "adaptive"]
@@ -23,3 +30,14 @@ class Numerics:
     max_steps: int
     refine: bool
     along: bool = False
+    stiff: Literal["none", "measured", "all"] = "none"
+    stiff_tolerance: float = 1e-8
+    held: Mapping[str, np.ndarray] = field(default_factory=dict, hash=False)
+
+    def finer(self) -> "Numerics":
+        """Twice as many steps on the mesh."""
+        held = {
+            name: np.union1d(times, (times[:-1] + times[1:]) / 2)
+            for name, times in self.held.items()
+        }
+        return replace(self, method="mesh", steps=2 * self.steps, held=held)

@@ -8,6 +8,7 @@ which node, species or coefficient an entry is.
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, fields, is_dataclass
+from math import inf
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax.numpy as jnp
@@ -16,6 +17,7 @@ from jaxtyping import Array, Float
 from snapo.case.given import Given
 from snapo.case.table import Table
 
+from ..flowsheet.feed import Feed
 from ..flowsheet.grid import Grid, Sizes
 from ..flowsheet.ledger import Finish
 from ..flowsheet.network import Network
@@ -47,13 +49,14 @@ class Inlet(NamedTuple):
 
 class Outcome(NamedTuple):
     """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
-    unit without time), its `track`, and from the track's rows to states."""
+    unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`."""
 
     finish: Finish
     duration: Float[Array, ""]
     reached: Float[Array, ""]
     track: Track | None
     states: Callable[..., dict[str, Array]] | None
+    error: Float[Array, ""] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,6 +148,11 @@ class Timed(Unit):
     def error_controlled(self) -> bool:
         """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
 
+    def fastest(self, network: Network, feeds: tuple[Feed, ...]) -> float:
+        """1/s: a bound on the rates at which its states answer, from the numbers of the case alone,
+        where `feeds` are all that enters; infinite where there is none."""
+        return inf
+
     @abstractmethod
     def dynamics(
         self, network: Network, inlets: tuple[Stream, ...], inputs: dict[str, Any]
@@ -153,9 +161,14 @@ class Timed(Unit):
 
     def operate(self, network, numerics, inlets, inputs, record=False, end=None) -> Outcome:
         problem = self.dynamics(network, inlets, inputs)
-        solved = integrate(problem, numerics, record) if end is None else ended(problem, end)
+        if end is None:
+            solved = integrate(problem, numerics, record, numerics.held.get(self.name))
+        else:
+            solved = ended(problem, end)
         finish = problem.finish(solved.final, *solved.controls)
-        return Outcome(finish, problem.duration, solved.reached, solved.track, problem.states)
+        return Outcome(
+            finish, problem.duration, solved.reached, solved.track, problem.states, solved.error
+        )
 
 
 @dataclass(frozen=True, eq=False)

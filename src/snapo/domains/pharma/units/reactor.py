@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array
 from pydantic import Field
 
@@ -18,7 +19,7 @@ from snapo.case.table import Table
 
 from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import Finish, ledger
-from ..flowsheet.network import Network, rate_constants, rates
+from ..flowsheet.network import Network, fastest_rate, rate_constants, rates
 from ..flowsheet.stream import Stream, clear
 from ..given import use
 from ..read.fields import profile, quantity, word
@@ -166,6 +167,17 @@ class Reactor(Timed):
         }
         heat = "ρcₚV T' = −Σ Hᵢ rᵢ V − UA (T − T_jacket)" if self.jacket else "temperature as given"
         return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
+
+    def fastest(self, network, feeds):
+        """By mass, no species is more concentrated than all that enters would be as this one."""
+        if self.jacket is not None:
+            return np.inf
+        mass = max(network.molar_mass @ each.concentration.used() for each in feeds)
+        found = fastest_rate(network, self.temperature.value.used(), mass / network.molar_mass)
+        if self.volume is not None:
+            flow = max(each.volume.used() / (each.duration or 1.0) for each in feeds)
+            found += 2 * self.cells * flow / self.volume.used()
+        return float(found)
 
     def dynamics(self, network, inlets, inputs):
         if self.kind in ("batch", "semi-batch"):

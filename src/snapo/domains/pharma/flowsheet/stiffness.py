@@ -1,0 +1,83 @@
+"""Which units of a case are stiff, and the steps that they take.
+
+Explicit steps of h seconds are stable while h times the fastest rate at which a state answers stays
+below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution
+of the nominal batch, which Rosenbrock steps with error control find; where it is above the limit,
+those steps are held, and every batch takes them.
+"""
+
+from dataclasses import replace
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..time.dynamics import Dynamics
+from ..time.mesh import break_up, edges_of, steps_per_piece
+from ..time.step_choice import choose, times_of
+from ..units.operation import Timed, timed
+from .case import PharmaCase
+from .flow import problem_of
+from .inputs import pharma_inputs
+
+STABLE = 2.0  # explicit steps times the fastest rate: 2.78, and room for batches that differ
+
+
+def with_stiff_steps(case: PharmaCase) -> PharmaCase:
+    """The case with the steps of its stiff units, found at the nominal inputs."""
+    numerics = case.numerics
+    if numerics.method != "mesh" or numerics.stiff == "none" or numerics.held:
+        return case
+    for unit in timed(case.units):
+        if numerics.stiff == "measured" and not _may_be_stiff(case, unit):
+            continue
+        times = _measured(case, unit)
+        if times is not None:
+            held = {**case.numerics.held, unit.name: times}
+            case = replace(case, numerics=replace(case.numerics, held=held))
+    return case
+
+
+def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
+    """False where a bound from the numbers alone says that explicit steps are stable."""
+    if not unit.reacts:
+        return False
+    into = {each.source for each in case.connections if each.target == unit.name}
+    feeds = tuple(each for each in case.feeds if each.name in into)
+    if len(feeds) < len(into):
+        return True
+    edges = edges_of(unit.profiles)
+    within = steps_per_piece(case.numerics.steps, len(edges) - 1)
+    longest = unit.duration.used() * np.diff(edges).max() / within
+    return bool(longest * unit.fastest(case.network, feeds) > STABLE)
+
+
+def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
+    """Shares of the duration between which a stiff unit steps; None for one that is not."""
+    made: dict[str, Any] = {}
+
+    def nominal(inputs):
+        problem = problem_of(case, unit, inputs, {})
+        made["event"] = problem.event is not None
+        if made["event"]:
+            return None
+        chosen = choose(problem, case.numerics.stiff_tolerance, case.numerics.max_steps)
+        return chosen, chosen.fastest * _longest(problem, case.numerics.steps)
+
+    inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+    with jax.enable_x64(True):
+        found = jax.tree.map(np.asarray, jax.jit(nominal)(inputs))
+    if found is None:
+        return None
+    chosen, stiffness = found
+    if case.numerics.stiff == "measured" and stiffness <= STABLE:
+        return None
+    return times_of(chosen)
+
+
+def _longest(problem: Dynamics, steps: int):
+    """Seconds of the longest explicit step."""
+    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    within = steps_per_piece(steps, len(pieces.source))
+    return problem.duration * jnp.max(jnp.diff(pieces.breaks)) / within

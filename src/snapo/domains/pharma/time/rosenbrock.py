@@ -1,0 +1,99 @@
+"""Rosenbrock steps for stiff units: L-stable, linear algebra alone, with an error estimate.
+
+Rodas5P (Steinebach, Construction of Rosenbrock-Wanner method Rodas5P and numerical benchmarks
+within the Julia Differential Equations package, BIT Numerical Mathematics 63:27, 2023,
+doi:10.1007/s10543-023-00967-x): 8 stages, order 5, stiffly accurate, R(infinity) = 0, with an
+embedded method of order 4. With J = df/dy at the start of a step of h seconds, and f_t the
+derivative by time through the controls,
+
+    (I - gamma h J) u_i = gamma (h f(y + sum_j a_ij u_j, t + c_i h) + sum_j C_ij u_j + d_i h^2 f_t),
+
+the step ends at y + sum_j a_8j u_j + u_8, and u_8 is the estimate of its error. This is the form
+without products of J with vectors (Hairer and Wanner, Solving Ordinary Differential Equations II,
+section IV.7, equation 7.25), times h, so that a step of no length changes nothing.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .linear import factorised, solve
+
+GAMMA = 0.21193756319429014
+_LAST = (
+    -7.502846399306121, 2.561846144803919, -11.627539656261098, -0.18268767659942256,
+    0.030198172008377946,
+)  # fmt: skip
+A = (
+    (),
+    (3.0,),
+    (2.849394379747939, 0.45842242204463923),
+    (-6.954028509809101, 2.489845061869568, -10.358996098473584),
+    (2.8029986275628964, 0.5072464736228206, -0.3988312541770524, -0.04721187230404641),
+    _LAST,
+    (*_LAST, 1.0),
+    (*_LAST, 1.0, 1.0),
+)
+C = (
+    (),
+    (-14.155112264123755,),
+    (-17.97296035885952, -2.859693295451294),
+    (147.12150275711716, -1.41221402718213, 71.68940251302358),
+    (165.43517024871676, -0.4592823456491126, 42.90938336958603, -5.961986721573306),
+    (24.854864614690072, -3.0009227002832186, 47.4931110020768, 5.5814197821558125,
+     -0.6610691825249471),
+    (30.91273214028599, -3.1208243349937974, 77.79954646070892, 34.28646028294783,
+     -19.097331116725623, -28.087943162872662),
+    (37.80277123390563, -3.2571969029072276, 112.26918849496327, 66.9347231244047,
+     -40.06618937091002, -54.66780262877968, -9.48861652309627),
+)  # fmt: skip
+NODES = np.array(
+    [0.0, 0.6358126895828704, 0.4095798393397535, 0.9769306725060716, 0.4288403609558664, 1.0]
+)
+AT = (0, 1, 2, 3, 4, 5, 5, 5)  # which of the nodes each stage is at
+BY_TIME = (
+    0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
+    2.325825639765069, 0.0, 0.0, 0.0,
+)  # fmt: skip
+ORDER = 5  # of the step; its error estimate falls like the same power of its length
+
+Rate = Callable[[Array, Array], Array]
+
+
+class Push(NamedTuple):
+    """The drive over one step: `at` [6, D] at its `NODES`, `bend` [D] its slope at the start, per
+    length of the step."""
+
+    at: Float[Array, "6 D"]
+    bend: Float[Array, " D"]
+
+
+def push(drive: Callable[..., Array], start: list[Array], end: list[Array]) -> Push:
+    """The drive of a step over which every control goes straight from `start` to `end`."""
+    change = [b - a for a, b in zip(start, end)]
+    nodes = jnp.asarray(NODES, jnp.result_type(float))
+    at = drive(*(a + nodes * d for a, d in zip(start, change)))
+    return Push(at, jax.jvp(drive, tuple(start), tuple(change))[1])
+
+
+def rosenbrock(
+    rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push
+) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "m m"]]:
+    """y after a step of `step` seconds, the estimate of its error, and df/dy where it began."""
+    now = push.at[0]
+    jacobian = jax.jacfwd(rate)(y, now)
+    matrix = jnp.eye(len(y), dtype=y.dtype) - GAMMA * step * jacobian
+    factors = factorised(matrix)
+    bend = step * jax.jvp(lambda u: rate(y, u), (now,), (push.bend,))[1]
+    u: list[Array] = []
+    for i, node in enumerate(AT):
+        point = y + sum(a * each for a, each in zip(A[i], u))
+        right = step * rate(point, push.at[node]) + BY_TIME[i] * bend
+        right = right + sum(c * each for c, each in zip(C[i], u))
+        u.append(solve(matrix, factors, GAMMA * right))
+    after = y + sum(a * each for a, each in zip(A[-1], u)) + u[-1]
+    return after, u[-1], jacobian

@@ -1,0 +1,70 @@
+"""The choice of a stiff unit's steps, by error control; and how stiff it is."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from .dynamics import Dynamics
+from .mesh import edges_of
+from .rosenbrock import ORDER, rosenbrock
+from .stiff import pushed, size_of_error
+
+SAFETY, LEAST, MOST = 0.9, 0.1, 5.0  # of the step that the error estimate asks for
+FIRST = 1e-6  # share of the duration that is tried first
+
+
+class Chosen(NamedTuple):
+    """`end`: where the steps end, shares of the duration, of which the first `count` hold;
+    `fastest`: 1/s, the fastest answer of any state on the way, from the norms of df/dy."""
+
+    end: Float[Array, " most"]
+    count: Array
+    fastest: Float[Array, ""]
+
+
+def choose(problem: Dynamics, tolerance: float, most: int) -> Chosen:
+    """Steps of which each has an error of at most `tolerance`; `most` are tried.
+
+    Where they do not reach the end, the last is where they came to. Without derivatives.
+    """
+    nodes = jnp.asarray(edges_of(tuple(profile for profile, _ in problem.controls)))
+
+    def attempt(now):
+        share, width, y, count, tried, end, fastest = now
+        number = jnp.clip(jnp.searchsorted(nodes, share, side="right") - 1, 0, len(nodes) - 2)
+        node, to = nodes[number + 1], share + width
+        to = jnp.where(to > node - 1e-3 * width, node, to)
+        step = problem.duration * (to - share)
+        after, error, jacobian = rosenbrock(
+            problem.rate, y, step, pushed(problem, number, share, to)
+        )
+        size = size_of_error(error, y, after) / tolerance
+        good = size <= 1.0
+        factor = SAFETY * jnp.maximum(size, 1e-12) ** (-1 / ORDER)
+        factor = jnp.where(jnp.isfinite(factor), jnp.clip(factor, LEAST, MOST), LEAST)
+        wanted = factor * (to - share)
+        # A step cut short at a node says little about the one after it.
+        width = jnp.where(good & (to == node), jnp.maximum(wanted, width), wanted)
+        norms = [jnp.max(jnp.sum(jnp.abs(jacobian), axis)) for axis in (0, 1)]
+        fastest = jnp.where(good, jnp.maximum(fastest, jnp.minimum(*norms)), fastest)
+        end = end.at[count].set(jnp.where(good, to, end[count]))
+        share, y = jnp.where(good, to, share), jnp.where(good, after, y)
+        return share, width, y, count + good, tried + 1, end, fastest
+
+    def more(now):
+        share, width, _, _, tried, *_ = now
+        return (share < 1.0) & (tried < most) & (share + width > share)
+
+    zero, none = jnp.zeros(()), jnp.zeros((), jnp.int32)
+    now = (zero, zero + FIRST, problem.start, none, none, jnp.ones(most + 1), zero)
+    *_, count, _, end, fastest = jax.lax.while_loop(more, attempt, now)
+    return Chosen(end, count, fastest)
+
+
+def times_of(chosen: Chosen) -> Float[np.ndarray, " n+1"]:
+    """Shares of the duration between which to step. Where the steps did not reach the end, one
+    more does, which its error estimate refuses."""
+    return np.unique(np.concatenate([[0.0], np.asarray(chosen.end)[: int(chosen.count)], [1.0]]))

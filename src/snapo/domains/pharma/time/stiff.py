@@ -1,0 +1,101 @@
+"""A stiff unit on held steps: chosen once by error control, the same in every run.
+
+With the steps held as shares of the duration, the end is a fixed composition of smooth maps of the
+inputs, and its derivatives, in any mode and order, are exactly those of the numbers computed. The
+error estimate of every step is computed again in every run, so that a run for which the steps are
+too long is known.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+
+from .dynamics import Dynamics
+from .mesh import break_up, edges_of
+from .profile import values_in
+from .rosenbrock import Push, push, rosenbrock
+
+FLOOR = 1e-6  # of scaled states, below which an error counts absolutely
+LOOSER, ENOUGH = 1e3, 1e-6  # refused are errors above so many tolerances, but none below this
+
+
+class Steps(NamedTuple):
+    """`start` and `end` of n steps, shares of the duration; `number`: of the piece between nodes
+    of the profiles in which each lies."""
+
+    start: Float[np.ndarray, " n"]
+    end: Float[np.ndarray, " n"]
+    number: Int[np.ndarray, " n"]
+
+
+def steps_of(problem: Dynamics, times: Float[np.ndarray, " n+1"]) -> Steps:
+    """Steps between `times`, shares of the duration, and divided where a profile has a node."""
+    edges = edges_of(tuple(profile for profile, _ in problem.controls))
+    times = np.union1d(times, edges)
+    number = np.searchsorted(edges, times[:-1], side="right") - 1
+    return Steps(times[:-1], times[1:], number.astype(np.int32))
+
+
+def pushed(problem: Dynamics, number, start, end) -> Push:
+    """The drive over one step, from share `start` to `end` within piece `number`."""
+    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    own = [pieces.of(profile)[number] for profile, _ in problem.controls]
+    ends = [
+        [values_in(*each, piece, share) for each, piece in zip(problem.controls, own)]
+        for share in (start, end)
+    ]
+    return push(problem.drive, *ends)
+
+
+def size_of_error(error: Array, y: Array, after: Array) -> Float[Array, ""]:
+    """The largest estimate relative to its state, below `FLOOR` to that."""
+    size = jnp.max(jnp.abs(error) / (FLOOR + jnp.maximum(jnp.abs(y), jnp.abs(after))))
+    return jax.lax.stop_gradient(size)
+
+
+def limit_of(tolerance: float) -> float:
+    """The error of a step at which a run is refused."""
+    return max(LOOSER * tolerance, ENOUGH)
+
+
+class Stepped(NamedTuple):
+    """`final` y [m], not a number where a step was refused; `states`: [n + 1, m] or None; `share`
+    of the duration at which the refused step begins, else 1; `error`: the largest of a step."""
+
+    final: Float[Array, " m"]
+    states: Float[Array, "n+1 m"] | None
+    share: Float[Array, ""]
+    error: Float[Array, ""]
+
+
+def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Stepped:
+    """The problem on held steps; a step with an error above `limit` is refused."""
+    start, end, number = (jnp.asarray(each) for each in steps)
+    pushes = jax.vmap(lambda *now: pushed(problem, *now))(number, start, end)
+
+    def advance(y, now):
+        after, error, _ = rosenbrock(problem.rate, y, *now)
+        return after, (size_of_error(error, y, after), after if record else None)
+
+    step = problem.duration * (end - start)
+    final, (sizes, later) = jax.lax.scan(advance, problem.start, (step, pushes))
+    good = sizes <= limit  # not where it is not a number
+    every = jnp.all(good)
+    share = jnp.where(every, 1.0, start[jnp.argmin(good)])
+    states = None if later is None else jnp.concatenate([problem.start[None], later])
+    return Stepped(jnp.where(every, final, jnp.nan), states, share, jnp.max(sizes))
+
+
+def course(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
+    """Shares of the duration [n + 1] and the controls [n + 1, C] there, at a jump the earlier."""
+    pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
+    times = np.append(steps.start, steps.end[-1])
+    number = np.append(steps.number[:1], steps.number)
+    found = [
+        values_in(*each, pieces.of(each[0])[number], jnp.asarray(times))
+        for each in problem.controls
+    ]
+    return jnp.asarray(times), jnp.stack(found, -1)
