@@ -19,6 +19,7 @@ from .case import PharmaCase
 from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches
+from .possible import impossible
 from .stream import Stream
 
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
@@ -30,7 +31,8 @@ class Run(NamedTuple):
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
       the domain's unit}; `attributes`: {name: number in the owner's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
-    - `status`: "ok", or "unit: did not converge at t s".
+    - `status`: "ok"; "unit: did not converge at t s"; "unit: the steps are too long …"; or which
+      measure has a value that cannot be.
     """
 
     streams: dict[str, Stream]
@@ -105,24 +107,21 @@ class Process:
         """One batch with all streams, measures and trajectories."""
         found = self.compiled("run", lambda: self._everything)(self.given(inputs))
         streams, measures, attributes, trajectories, times = found
-        status = "ok"
-        for unit in self.case.units:
-            duration, reached = times[unit.name]
-            if status == "ok" and reached < duration:
-                status = f"{unit.name}: did not converge at {reached:.6g} s"
+        measured = {name: float(each) for name, each in measures.items()}
         return Run(
             streams,
-            {name: float(each) for name, each in measures.items()},
+            measured,
             {name: float(each) for name, each in zip(self.names, attributes)},
             trajectories,
-            status,
+            _status(times) or impossible(self.case, measured) or "ok",
         )
 
     def _everything(self, inputs):
         found = self.flow(inputs, record=True)
         trajectories, times = {}, {}
         for name, outcome in found.outcomes.items():
-            times[name] = outcome.duration, outcome.reached
+            rough = outcome.duration if outcome.rough is None else outcome.rough
+            times[name] = outcome.duration, outcome.reached, rough
             track, states = outcome.track, outcome.states
             if track is not None and states is not None:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))
@@ -231,6 +230,19 @@ class Process:
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
         return jnp.stack([rows[name][i] for i, name in enumerate(states)])
+
+
+def _status(times: dict[str, Any]) -> str:
+    """The first unit, in the order of flow, that was not integrated to its end; "" if all were."""
+    for name, (duration, reached, rough) in times.items():
+        if not reached >= duration:
+            return f"{name}: did not converge at {reached:.6g} s"
+        if rough < duration:
+            return (
+                f"{name}: the time steps are too long from {rough:.6g} s on; "
+                'take [numerics] method = "adaptive", or more steps'
+            )
+    return ""
 
 
 def _hermite(track, left, width, share) -> Float[Array, "n m"]:
