@@ -1,5 +1,6 @@
 """Numbers that the owner of a case gave, with their meaning and units."""
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ class Given:
     - `labels`: [n] a date, a month, a ratchet row …; `("",)` for a single plain number.
     - `unit`: "MWh/day", "EUR/MWh", "1/year", or "1" for a pure number.
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
+    - `low`, `high`: what the numbers may be at all; infinite where there is no limit.
     - `bump`, `move`, `trade_unit`, `trade_factor`, `group`, `words`: as in `Input`.
     """
 
@@ -40,6 +42,8 @@ class Given:
     trade_factor: float = 1.0
     group: str = ""
     words: str = ""
+    low: float = -math.inf
+    high: float = math.inf
 
     def __post_init__(self):
         if len(self.labels) != len(self.values):

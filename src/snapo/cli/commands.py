@@ -12,9 +12,9 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.study import commands
 from snapo.study.commands import Asked
+from snapo.study.domain import GOOD
 
 OK, FAILED, BAD_INPUT, INTERRUPTED = 0, 1, 2, 130
-GOOD = ("ok", "trained", "stopped early")
 
 
 def run(options: argparse.Namespace) -> int:

@@ -11,7 +11,7 @@ from snapo.solver.bound import Penalty
 from snapo.solver.files import write_text
 
 from . import run_folder
-from .domain import Domain
+from .domain import GOOD, Domain
 from .parts.bound import BOUND, bounded
 from .report import write_report
 from .study import Part, Study, StudyRun, Tell
@@ -150,10 +150,13 @@ def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
         **result.get("seconds", {}), **seconds, "total": sum(seconds.values())
     }  # fmt: skip
     failed = {name: state["note"] for name, state in states.items() if state["state"] != DONE}
+    broken = [name for name in failed if states[name]["state"] == FAILED]
     todo = [part.name for part in run.study.parts if part.name not in states]
     status = result.get("status", "ok")
     if failed:
-        status = f"{', '.join(failed)} failed"
+        # What was skipped follows from what failed, of which the study may know more.
+        why = "" if status in GOOD else f": {status}"
+        status = f"{', '.join(broken or failed)} failed{why}"
     elif todo:
         status = f"stopped before {todo[0]}"
     return result | {"status": status, "failures": failed, "run": str(run.folder)}

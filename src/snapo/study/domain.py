@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from .study import Study, Tell
 
 GROUP = "snapo.domains"
+GOOD = ("ok", "trained", "stopped early")  # statuses of a run whose numbers are in order
 
 
 class Options(NamedTuple):

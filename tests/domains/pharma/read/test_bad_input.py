@@ -191,7 +191,7 @@ MISTAKES = {
     ),
     "porosity": (
         "porosity = 0.4", "porosity = 1.0",
-        "units.filter.porosity: got 1; allowed is between 0 and 1, without either.",
+        "units.filter.porosity: got 1; allowed is from 0.1 to 0.95.",
     ),
     "probability": (
         "required = 0.9", "required = 1.5",

@@ -12,7 +12,7 @@ from snapo.domains.pharma.time import rosenbrock
 from snapo.domains.pharma.time.dynamics import Dynamics
 from snapo.domains.pharma.time.linear import WRITTEN_OUT, factorised, solve
 from snapo.domains.pharma.time.step_choice import choose, times_of
-from snapo.domains.pharma.time.stiff import limit_of, steps_of, stepped
+from snapo.domains.pharma.time.stiff import limit_of, stepped, steps_of
 
 TOLERANCE = 1e-8
 

@@ -22,6 +22,7 @@ from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import feed
 from ..flowsheet.flow import asked, crystal_sizes, sources, yields
 from ..flowsheet.ledger import Finish
+from ..flowsheet.possible import least
 from ..flowsheet.stream import Stream, blank, flat, unflat
 from ..quality.records import Distribution
 from ..time.dynamics import Dynamics
@@ -369,6 +370,8 @@ class Stage(Simulator):
         for each in self.case.attributes:
             value = each.scale * measures[each.measure]
             outputs[f"attribute.{each.name}"] = value
+            # What cannot be is no success; it has no slope, as no good batch comes near it.
+            success = success * jnp.where(value >= each.scale * least(each.measure), 1.0, 0.0)
             if each.low is not None:
                 gaps.append((value - each.low, each.margin))
             if each.high is not None:

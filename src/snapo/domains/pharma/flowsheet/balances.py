@@ -12,16 +12,18 @@ from .stream import Stream
 
 
 class Balance(NamedTuple):
-    """`relative`: (inflow - outflow - accumulation) over the largest of them; 0 where all are 0.
+    """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
 
-    Of one batch. "mass" in kg; a species: kmol, `inflow` with what reactions made of it and
-    seed; "solvent": kg with anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and
-    of vapour its latent heat.
+    Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
+    where they use it (of mass: what molar masses of few digits leave over); "solvent": kg with
+    anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
+    heat, `inflow` with what reactions release.
     """
 
     unit: str
     quantity: str
     inflow: float
+    made: float
     outflow: float
     accumulation: float
     relative: float
@@ -63,21 +65,23 @@ def _unit(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list
             network.molar_mass @ fed + solvent_in,
             network.molar_mass @ left + solvent_out,
             network.molar_mass @ held + kept,
+            network.molar_mass @ made,
         )
     ]
     for s, species in enumerate(network.species):
-        found.append(_balance(name, species, fed[s] + made[s], left[s], held[s], fed[s]))
+        found.append(_balance(name, species, fed[s], left[s], held[s], made[s]))
     found.append(_balance(name, "solvent", solvent_in, solvent_out, kept))
     if name != "process" and ledgers[0].energy is not None:
         found.append(_balance(name, "energy", *ledgers[0].energy))
     return found
 
 
-def _balance(unit: str, quantity: str, inflow, outflow, accumulation, fed=0.0) -> Balance:
-    gap = inflow - outflow - accumulation
-    size = max(map(abs, (inflow, outflow, accumulation, fed)))
-    relative = float(gap / size) if size > 0 else 0.0
-    return Balance(unit, quantity, float(inflow), float(outflow), float(accumulation), relative)
+def _balance(unit: str, quantity: str, inflow, outflow, accumulation, made=0.0) -> Balance:
+    gap = inflow + made - outflow - accumulation
+    size = max(map(abs, (inflow, made, outflow, accumulation)))
+    relative = float(gap / size) if size != 0 else 0.0
+    fed, reacted, left, kept = (float(each) for each in (inflow, made, outflow, accumulation))
+    return Balance(unit, quantity, fed, reacted, left, kept, relative)
 
 
 def _species(streams: Iterable[Stream]) -> np.ndarray:

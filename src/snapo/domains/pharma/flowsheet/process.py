@@ -19,6 +19,7 @@ from .case import PharmaCase
 from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches
+from .possible import impossible
 from .stiffness import with_stiff_steps
 from .stream import Stream
 
@@ -31,8 +32,8 @@ class Run(NamedTuple):
     - `streams`: {"unit.outlet" or feed's name: Stream}; `measures`: {"unit.measure": number in
       the domain's unit}; `attributes`: {name: number in the owner's unit}.
     - `trajectories`: {unit: {"time": [n] s, state: [n]}}, states as in `Unit.states`.
-    - `status`: "ok", or "unit: did not converge at t s", with the error estimate of a step that
-      it refuses.
+    - `status`: "ok"; "unit: did not converge at t s", with the error estimate of a held step that
+      it refuses; "unit: the steps are too long …"; or which measure has a value that cannot be.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
     """
 
@@ -110,29 +111,25 @@ class Process:
         """One batch with all streams, measures and trajectories."""
         found = self.compiled("run", lambda: self._everything)(self.given(inputs))
         streams, measures, attributes, trajectories, times = found
-        status, errors = "ok", {}
-        for unit in self.case.units:
-            duration, reached, error = times[unit.name]
-            if error is not None:
-                errors[unit.name] = float(error)
-            if status == "ok" and reached < duration:
-                status = f"{unit.name}: did not converge at {reached:.6g} s"
-                if error is not None:
-                    status += f" (error estimate of a step {error:.2g})"
+        measured = {name: float(each) for name, each in measures.items()}
+        held = {name: each[3] for name, each in times.items() if each[3] is not None}
         return Run(
             streams,
-            {name: float(each) for name, each in measures.items()},
+            measured,
             {name: float(each) for name, each in zip(self.names, attributes)},
             trajectories,
-            status,
-            errors,
+            _status({unit.name: times[unit.name] for unit in self.case.units})
+            or impossible(self.case, measured)
+            or "ok",
+            {name: float(error) for name, error in held.items()},
         )
 
     def _everything(self, inputs):
         found = self.flow(inputs, record=True)
         trajectories, times = {}, {}
         for name, outcome in found.outcomes.items():
-            times[name] = outcome.duration, outcome.reached, outcome.error
+            rough = outcome.duration if outcome.rough is None else outcome.rough
+            times[name] = outcome.duration, outcome.reached, rough, outcome.error
             track, states = outcome.track, outcome.states
             if track is not None and states is not None:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))
@@ -241,6 +238,20 @@ class Process:
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
         return jnp.stack([rows[name][i] for i, name in enumerate(states)])
+
+
+def _status(times: dict[str, Any]) -> str:
+    """The first unit, in the order of flow, that was not integrated to its end; "" if all were."""
+    for name, (duration, reached, rough, error) in times.items():
+        if not reached >= duration:
+            estimate = "" if error is None else f" (error estimate of a step {error:.2g})"
+            return f"{name}: did not converge at {reached:.6g} s{estimate}"
+        if rough < duration:
+            return (
+                f"{name}: the time steps are too long from {rough:.6g} s on; "
+                'take [numerics] method = "adaptive", or more steps'
+            )
+    return ""
 
 
 def _hermite(track, left, width, share) -> Float[Array, "n m"]:

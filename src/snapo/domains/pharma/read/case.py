@@ -13,13 +13,14 @@ from ..given import every_given
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import read_units
-from .checks import check_amounts, check_decided, check_moved, check_varied_once
 from .connections import in_order, read_connections
 from .control import read_control, read_design_space, read_goal
 from .entries import Numbers
 from .estimation import read_estimation
 from .network import read_feeds, read_network
 from .optimise import read_optimise
+from .plausible.checks import check_amounts, check_decided, check_moved, check_varied_once
+from .plausible.physics import check_moved_solubility, check_physics
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
 from .tables import NumericsTable, PharmaTable
 
@@ -57,6 +58,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         {given.name: given for given in every_given((network, feeds, units))}, network
     )
     check_amounts(file, feeds, units, connections, notes)
+    check_physics(file, feeds, units, network, notes)
     parameters = read_parameters(file, top.parameters, numbers, notes)
     attributes = read_attributes(file, top.attributes, network, feeds, units, notes)
     case = PharmaCase(
@@ -83,6 +85,11 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         notes=tuple(notes),
         optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
+    spans = [(each.input, each.low, each.high) for each in parameters]
+    spans += [(m.input, m.low, m.high) for m in (case.control.manipulated if case.control else ())]
+    spans += [(d.input, d.low, d.high) for d in (case.optimise.decisions if case.optimise else ())]
+    more = dict.fromkeys(check_moved_solubility(units, spans, numbers))
+    case = replace(case, notes=(*case.notes, *more))
     check_moved(case)
     check_decided(case)
     check_varied_once(case)

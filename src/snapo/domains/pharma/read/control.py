@@ -69,6 +69,8 @@ def _manipulated(file, raw, i: int, numbers: Numbers, notes) -> Manipulated:
     high = quantity(section, "high", table.high, unit)
     if not low < high:
         raise section.error("high", table.high, "high must lie above low")
+    numbers.check(section, "low", table.low, (name, 0), low)
+    numbers.check(section, "high", table.high, (name, 0), high)
     ramp = None
     if table.ramp is not None:
         ramp = quantity(section, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)

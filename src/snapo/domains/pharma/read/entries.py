@@ -1,7 +1,8 @@
 """Numbers of the case by the texts that speak of them: "reactor.temperature[0]"."""
 
+import math
 import re
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from snapo.case.given import Given
 from snapo.case.table import Section
@@ -10,6 +11,7 @@ from ..flowsheet.network import Network
 from ..given import Entry
 from .numbers import suggest
 
+TINY = 1e-300  # the smallest number above 0
 ENTRY = re.compile(r"([^\[\]]+)(?:\[([^\[\]]+)\])?")
 
 
@@ -55,5 +57,25 @@ class Numbers(NamedTuple):
             raise section.error(key, text, what)
         return found[0]
 
+    def check(self, section: Section, key: str, raw: Any, entry: Entry, value: float) -> None:
+        """Refuses a `value` that the number may not have."""
+        given = self.givens[entry[0]]
+        if not given.low <= value <= given.high:
+            raise section.error(key, raw, f"{self.said(entry)} is {limits(given)}")
+
+    def said(self, entry: Entry) -> str:
+        """An entry as a case names it."""
+        name, position = entry
+        label = self.givens[name].labels[position]
+        return f"{name}[{label}]" if label else name
+
     def value(self, entry: Entry) -> float:
         return float(self.givens[entry[0]].values[entry[1]])
+
+
+def limits(given: Given) -> str:
+    """What a number may be, in words: "above 0", "from 100 to 1000 K"."""
+    unit = "" if given.unit == "1" or "order" in given.unit else f" {given.unit}"
+    if given.high < math.inf:
+        return f"from {given.low:.6g} to {given.high:.6g}{unit}"
+    return "above 0" if 0 < given.low < TINY else f"at least {given.low:.6g}{unit}"

@@ -37,6 +37,8 @@ def read_estimation(
         high = quantity(section, "high", fit.high, unit)
         if not low < high:
             raise section.error("high", fit.high, "high must lie above low")
+        numbers.check(section, "low", fit.low, entry, low)
+        numbers.check(section, "high", fit.high, entry, high)
         if fit.logarithm and low <= 0:
             raise section.error("low", fit.low, "a logarithm needs bounds above 0")
         start = numbers.value(entry)
@@ -70,6 +72,7 @@ def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment
     for text, given in table.settings.items():
         entry = numbers.one(section, f"settings.{text}", text)
         value = quantity(section, f"settings.{text}", given, numbers.unit(*entry))
+        numbers.check(section, f"settings.{text}", given, entry, value)
         settings.append((*entry, value))
     rows = read_rows(Mention(section, "data", table.data), COLUMNS)
     times = np.array([_cell(row, "time", "s") for row in rows])

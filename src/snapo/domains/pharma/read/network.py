@@ -12,12 +12,12 @@ from snapo.case.table import Section, parse
 from ..flowsheet.feed import Feed
 from ..flowsheet.network import Network
 from .names import check_name
-from .numbers import NOT_NEGATIVE, POSITIVE, absent, given, quantity, suggest
+from .numbers import ANY, LIQUID, NOT_NEGATIVE, POSITIVE, Bounds, absent, given, quantity, suggest
 from .reader import Reader
 from .tables import FeedTable, ReactionTable, SpeciesTable
 
 TERM = re.compile(r"(?:(\d+\.?\d*|\.\d+)\s*)?([A-Za-z][A-Za-z0-9_-]*)")
-MASS_TOLERANCE = 1e-6  # molar masses are given to a few digits
+MASS_TOLERANCE = 1e-4  # textbooks give molar masses to a few digits: 211.22 for 211.213
 ROUND_OFF = 1e-12
 
 
@@ -49,12 +49,12 @@ def read_network(
     units = {each["unit"] for each in read}
     unit = units.pop() if len(units) == 1 else "(m3/kmol)^(order-1)/s"
 
-    def of_all(key: str, measured: str) -> Given:
+    def of_all(key: str, measured: str, bounds: Bounds = ANY) -> Given:
         if not count:
             return absent(f"kinetics.{key}", measured)
         values = np.array([each[key] for each in read])
         words = ReactionTable.model_fields[key].title or ""
-        return given(f"kinetics.{key}", values, labels, measured, words=words)
+        return given(f"kinetics.{key}", values, labels, measured, words=words, bounds=bounds)
 
     return Network(
         species=names,
@@ -62,7 +62,7 @@ def read_network(
         reactions=labels,
         stoichiometry=np.array([each["row"] for each in read]).reshape(count, size),
         order=np.array([each["order"] for each in read]).reshape(count, size),
-        prefactor=of_all("prefactor", unit),
+        prefactor=of_all("prefactor", unit, NOT_NEGATIVE),
         activation=of_all("activation", "J/mol"),
         heat=of_all("heat", "J/mol"),
         reference=temperature,
@@ -85,8 +85,8 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
         raise section.error("equation", table.equation, what)
     if gap > ROUND_OFF:
         notes.append(
-            f"Reaction {name} conserves mass to {gap:.1e} only, as its molar masses are given; "
-            "the balances close no better."
+            f"Reaction {name} conserves mass to {gap:.1e} only, as its molar masses are given; the "
+            "balance of mass shows this as made by the reaction."
         )
     order = left.copy()
     for each, exponent in table.order.items():
@@ -164,9 +164,14 @@ def read_feeds(file, feeds: dict, species: tuple[str, ...], notes: list[str]) ->
                 volume=read.number("volume", "m3", POSITIVE),
                 temperature=read.number("temperature", "K", POSITIVE),
                 concentration=given(
-                    f"{name}.concentration", amounts, species, "kmol/m3", words=words
+                    f"{name}.concentration",
+                    amounts,
+                    species,
+                    "kmol/m3",
+                    words=words,
+                    bounds=NOT_NEGATIVE,
                 ),
-                solvent=read.number("solvent", "kg/m3", NOT_NEGATIVE),
+                solvent=read.number("solvent", "kg/m3", LIQUID),
                 duration=duration,
             )
         )

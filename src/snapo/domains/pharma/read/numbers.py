@@ -39,10 +39,20 @@ class Bounds(NamedTuple):
         above = number > self.low if self.open_low else number >= self.low
         return above and number <= self.high
 
+    @property
+    def least(self) -> float:
+        """The smallest number that the interval holds."""
+        return float(np.nextafter(self.low, math.inf)) if self.open_low else self.low
+
 
 ANY = Bounds(-math.inf, math.inf, False, "a finite number")
 POSITIVE = Bounds(0.0, math.inf, True, "above 0")
 NOT_NEGATIVE = Bounds(0.0, math.inf, False, "at least 0")
+# Processes in liquids run at no other temperatures; a number beyond was typed in another unit.
+TEMPERATURE = Bounds(100.0, 1000.0, False, "from 100 K to 1000 K (25 degC is 298.15 K)")
+LIQUID = Bounds(0.0, 3000.0, False, "from 0 to 3000 kg/m^3")  # mass per volume of a liquid
+DENSITY = Bounds(300.0, 10_000.0, False, "from 300 to 10000 kg/m^3")  # of crystals
+POROSITY = Bounds(0.1, 0.95, False, "from 0.1 to 0.95")  # of a cake of crystals
 SHARE = Bounds(0.0, 1.0, False, "a share from 0 to 1")
 INSIDE = Bounds(0.0, float(np.nextafter(1.0, 0.0)), True, "between 0 and 1, without either")
 
@@ -65,6 +75,8 @@ def quantity(
         raise section.error(key, raw, f"allowed is {bounds.words}")
     if abs(value) > LARGEST:
         raise section.error(key, raw, f"allowed is {bounds.words}; {TOO_LARGE}")
+    if unit == "K" and not difference and not TEMPERATURE.holds(value):
+        raise section.error(key, raw, f"allowed is {TEMPERATURE.words}")
     return value
 
 
@@ -97,7 +109,7 @@ def _example(unit: str) -> str:
 
 def given(
     name: str, values: np.ndarray, labels: Sequence[str], unit: str,
-    index: np.ndarray | None = None, words: str = "", own: str = "",
+    index: np.ndarray | None = None, words: str = "", own: str = "", bounds: Bounds = ANY,
 ) -> Given:  # fmt: skip
     """Numbers of a case with all that is said about them; used in order unless `index` says else.
 
@@ -116,6 +128,8 @@ def given(
         trade_factor=1.0 if own in PURE else 1 / conversion(own, unit, difference=True).scale,
         group=name.partition(".")[0],
         words=words,
+        low=TEMPERATURE.low if unit == "K" else bounds.least,
+        high=TEMPERATURE.high if unit == "K" else bounds.high,
     )
 
 
@@ -126,7 +140,7 @@ def single(
     """One number, index [], called `name` in tables of sensitivities."""
     value = quantity(section, key, raw, unit, bounds)
     own = unit_of(section, key, raw, unit)
-    return given(name, np.array([value]), ("",), unit, np.array(0), words, own)
+    return given(name, np.array([value]), ("",), unit, np.array(0), words, own, bounds)
 
 
 def listed(section: Section, key: str, raw: Any, unit: str, bounds: Bounds = ANY) -> list[float]:
@@ -156,7 +170,7 @@ def several(
     values = np.array(listed(section, key, raw, unit, bounds))
     if isinstance(labels, str):
         labels = tuple(f"{labels}{i}" for i in range(len(values)))
-    return given(name, values, labels, unit, words=words)
+    return given(name, values, labels, unit, words=words, bounds=bounds)
 
 
 def absent(name: str, unit: str) -> Given:
@@ -180,7 +194,7 @@ def profile(
     edges = len(values) if table.kind == "linear" else len(values) + 1
     shares = np.linspace(0.0, 1.0, edges) if table.at is None else _shares(inner, table.at, edges)
     labels = tuple(f"node {i}" for i in range(len(values)))
-    numbers = given(name, np.array(values), labels, unit, words=words)
+    numbers = given(name, np.array(values), labels, unit, words=words, bounds=bounds)
     ramp = None
     if table.ramp is not None:
         ramp = quantity(inner, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)

@@ -102,6 +102,8 @@ def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
         low, high = (quantity(section, key, getattr(table, key), unit) for key in ("low", "high"))
         if not low < high:
             raise section.error("high", table.high, "high must lie above low")
+        numbers.check(section, "low", table.low, (name, entry), low)
+        numbers.check(section, "high", table.high, (name, entry), high)
         own = unit_of(section, "low", table.low, unit)
         change = conversion(own, unit)
         if not low <= start <= high:

@@ -14,6 +14,7 @@ from ..quality.records import Attribute, Distribution, Parameter, Uncertainty
 from ..units.operation import Unit
 from .entries import Numbers
 from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
+from .plausible.drawn import check_drawn
 from .quantities import UnitError, conversion
 from .tables import (
     AttributeTable,
@@ -58,6 +59,8 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
     own = unit_of(section, "range[0]", table.range[0], unit)
     low, high = _pair(section, "range", table.range, unit)
     inner = _pair(section, "normal", table.normal, unit)
+    for end in (low, high):
+        numbers.check(section, "range", table.range, (name, entry), end)
     change = conversion(own, unit)
 
     def said(number: float) -> str:
@@ -75,6 +78,7 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
     spread = None
     if table.distribution is not None:
         spread = read_distribution(section, table.distribution, unit)
+        check_drawn(section, table.distribution, spread, numbers, (name, entry))
     return Parameter(
         table.name, name, entry, own, change.scale, change.offset, low, high, *inner, spread,
         table.control, table.source,
@@ -174,6 +178,7 @@ def read_uncertainty(
             if distribution.kind == "lognormal" and numbers.value(entry) <= 0:
                 what = f'"lognormal" needs a nominal value above 0; {table.of} has another'
                 raise section.error("distribution", table.distribution, what)
+            check_drawn(section, table.distribution, distribution, numbers, entry)
             which.append(entry)
             spreads.append(distribution)
             when.append(table.when)

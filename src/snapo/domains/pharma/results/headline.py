@@ -5,6 +5,7 @@ from typing import Any
 from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
+from .checks import status
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
@@ -19,10 +20,8 @@ def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:
         "engine": "none: no policy is trained",
         "paths": {"evaluate": capable.get("batches", 0)},
         "seed": case.training.seed,
-        "status": "ok",
+        "status": status(run),
     }
-    if run.get("optimise") and not run.get("optimise.converged"):
-        found["status"] = "the best recipe did not converge"
     if not loop:
         return found
     references = {"recipe_as_given": recipe, "best_fixed_recipe": loop["baseline"]}

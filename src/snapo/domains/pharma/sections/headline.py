@@ -3,8 +3,8 @@
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity
 
+from ..results.checks import checks
 from .run import Run, limits
-from .verification import checks
 
 
 def headline(run: Run) -> Section:

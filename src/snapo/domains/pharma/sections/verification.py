@@ -3,30 +3,8 @@
 from snapo.report.page import Block, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, power
 
+from ..results.checks import closed
 from .run import Run
-
-CLOSED, AGREED = 1e-10, 1e-10
-
-
-def checks(run: Run) -> list[tuple[str, bool]]:
-    """(name of the check, whether it held)."""
-    found = []
-    balances = run.get("balances")
-    if balances:
-        found.append(("balances", all(_closed(each) for each in balances)))
-    if run.get("convergence") is not None:
-        found.append(("convergence in time", bool(run.get("convergence.passed"))))
-    if run.get("certificate"):
-        good = all(each.get("passed") for each in run.get("certificate"))
-        found.append(("adjoint against differences", good))
-    closure = finite(run.get("attribution.closure"))
-    if closure is not None:
-        found.append(("paths add up", closure <= AGREED))
-    return found
-
-
-def _closed(each: dict) -> bool:
-    return abs(finite(each.get("relative")) or 0.0) <= CLOSED or each.get("quantity") == "energy"
 
 
 def verification(run: Run) -> Section:
@@ -51,17 +29,21 @@ def _balances(run: Run) -> Table | Missing:
         (
             each["unit"],
             each["quantity"],
-            Mark(_closed(each), "closes" if _closed(each) else "open"),
+            Mark(closed(each), "closes" if closed(each) else "open"),
             number(each["inflow"]),
+            number(each["made"]) if each["made"] else "0",
             number(each["outflow"]),
             number(each["accumulation"]),
             power(abs(each["relative"])),
         )
         for each in rows
     ]
-    head = [("Unit", ""), ("Balance of", ""), ("", ""), ("In", ""), ("Out", ""), ("Stays", ""),
-            ("Relative gap", "")]  # fmt: skip
-    caption = "Balances of one batch: mass and solvent in kg, species in kmol, energy in J"
+    names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
+    head = [(name, "") for name in names]
+    caption = (
+        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
+        "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
+    )
     return Table(head, body, caption, 3)
 
 

@@ -21,7 +21,7 @@ from ..flowsheet.ledger import Finish, ledger
 from ..flowsheet.stream import MOMENTS, Stream
 from ..given import absent, fixed, use
 from ..read.fields import Text, number, profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POSITIVE
+from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.event import saturation_share
@@ -125,7 +125,7 @@ class Crystalliser(Timed):
             solubility=read_solubility(read.inner("solubility", SolubilityTable)),
             kinetics=read_kinetics(read.inner("kinetics", KineticsTable)),
             shape=read.number("shape", "1", POSITIVE),
-            density=read.number("density", "kg/m3", POSITIVE),
+            density=read.number("density", "kg/m3", DENSITY),
             nuclei_size=read.number("nuclei_size", "m", NOT_NEGATIVE),
             seed=seed,
             separate=table.separate,

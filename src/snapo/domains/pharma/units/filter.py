@@ -19,7 +19,7 @@ from ..flowsheet.ledger import Finish, ledger
 from ..flowsheet.stream import Stream, clear
 from ..given import use
 from ..read.fields import number, quantity, word
-from ..read.numbers import INSIDE, NOT_NEGATIVE, POSITIVE, SHARE
+from ..read.numbers import NOT_NEGATIVE, POROSITY, POSITIVE, SHARE
 from .crystals.population import mean_sizes
 from .operation import Inlet, Instant
 
@@ -105,7 +105,7 @@ class Filter(Instant):
             pressure=read.number("pressure", "Pa", POSITIVE),
             viscosity=read.number("viscosity", "Pa*s", POSITIVE),
             medium_resistance=read.number("medium_resistance", "1/m", NOT_NEGATIVE),
-            porosity=read.number("porosity", "1", INSIDE),
+            porosity=read.number("porosity", "1", POROSITY),
             saturation=read.number("saturation", "1", SHARE),
             resistance=read.perhaps("resistance", "m/kg", POSITIVE),
             wash=table.wash,

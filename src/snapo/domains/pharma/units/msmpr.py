@@ -29,7 +29,7 @@ from ..flowsheet.ledger import Finish, ledger
 from ..flowsheet.stream import MOMENTS
 from ..given import fixed, use
 from ..read.fields import Text, number, quantity
-from ..read.numbers import NOT_NEGATIVE, POSITIVE, SHARE
+from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
 from .crystals.population import SIZE, cell_powers, mean_sizes
 from .crystals.sizes import SizesTable, read_edges
 from .crystals.solubility import Solubility, SolubilityTable, read_solubility, solubility
@@ -127,7 +127,7 @@ class Msmpr(Instant):
             growth_power=read.number("growth_power", "1", NOT_NEGATIVE),
             suspension_power=read.number("suspension_power", "1", SHARE),
             shape=read.number("shape", "1", POSITIVE),
-            density=read.number("density", "kg/m3", POSITIVE),
+            density=read.number("density", "kg/m3", DENSITY),
             edges=None if grid is None else read_edges(grid),
         )
 
@@ -141,6 +141,9 @@ class Msmpr(Instant):
 
     def sizes(self, inlets):
         return (None if self.edges is None else Grid.of(self.edges),)
+
+    def lasts(self, inlets):
+        return (True,)
 
     def measures(self, species):
         found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}

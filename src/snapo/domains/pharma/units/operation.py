@@ -23,6 +23,7 @@ from ..flowsheet.ledger import Finish
 from ..flowsheet.network import Network
 from ..flowsheet.stream import Stream
 from ..read.reader import Reader
+from ..time.defect import too_long
 from ..time.dynamics import Dynamics, Track
 from ..time.integrate import ended, integrate
 from ..time.numerics import Numerics
@@ -49,7 +50,8 @@ class Inlet(NamedTuple):
 
 class Outcome(NamedTuple):
     """The delivery of a unit; `reached` of `duration` s (equal where all went well; both 0 for a
-    unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`."""
+    unit without time), its `track`, and from the track's rows to states; `error` as in `Solved`;
+    `rough`: s from which the steps of a mesh were too long, None where that was not examined."""
 
     finish: Finish
     duration: Float[Array, ""]
@@ -57,6 +59,7 @@ class Outcome(NamedTuple):
     track: Track | None
     states: Callable[..., dict[str, Array]] | None
     error: Float[Array, ""] | None = None
+    rough: Float[Array, ""] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +105,10 @@ class Unit(ABC):
     @abstractmethod
     def sizes(self, inlets: tuple[Sizes, ...]) -> tuple[Sizes, ...]:
         """On which grid crystals are counted at each outlet, from those at the inlets."""
+
+    def lasts(self, inlets: tuple[bool, ...]) -> tuple[bool, ...]:
+        """Whether each outlet is a flow over a time, from whether the inlets are; else a batch."""
+        return (False,) * len(self.outlets)
 
     @abstractmethod
     def measures(self, species: tuple[str, ...]) -> dict[str, str]:
@@ -166,9 +173,11 @@ class Timed(Unit):
         else:
             solved = ended(problem, end)
         finish = problem.finish(solved.final, *solved.controls)
-        return Outcome(
-            finish, problem.duration, solved.reached, solved.track, problem.states, solved.error
-        )
+        rough = None
+        if solved.track is not None and solved.error is None and numerics.method == "mesh":
+            rough = too_long(problem, numerics, solved.track)
+        reached, states = solved.reached, problem.states
+        return Outcome(finish, problem.duration, reached, solved.track, states, solved.error, rough)
 
 
 @dataclass(frozen=True, eq=False)

@@ -152,6 +152,9 @@ class Reactor(Timed):
     def sizes(self, inlets):
         return (NO_CRYSTALS,)
 
+    def lasts(self, inlets):
+        return (self.kind in ("stirred", "plug-flow"),)
+
     def measures(self, species):
         return self.states(species)
 

@@ -72,6 +72,9 @@ class Splitter(Instant):
     def sizes(self, inlets):
         return inlets * len(self.ports)
 
+    def lasts(self, inlets):
+        return inlets * len(self.ports)
+
     def measures(self, species):
         return {}
 

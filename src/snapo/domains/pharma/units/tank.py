@@ -52,11 +52,17 @@ class Tank(Instant):
     def sizes(self, inlets):
         return (together(inlets),)
 
+    def lasts(self, inlets):
+        return (all(inlets),)
+
     def measures(self, species):
         return {}
 
     def equations(self):
-        return ["amounts and moments add up; temperature by volume"]
+        return [
+            "amounts and moments add up; temperature by volume",
+            "flows run over the longest of their durations; with a batch among them, one batch",
+        ]
 
     def deliver(self, network, inlets, inputs):
         return Finish((mixed(inlets),), {}, ledger(len(network.species)))
@@ -66,10 +72,15 @@ AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "mome
 
 
 def mixed(streams: tuple[Stream, ...]) -> Stream:
-    """The sum of the amounts, as one batch; temperature by volume, that is with equal heat
-    capacities per volume. Crystals must be of one kind: density and shape are those of the
-    streams that have any. They stay counted where all are counted on one grid."""
+    """The sum of the amounts, over the longest of their durations, or as one batch where one of
+    them is a batch; temperature by volume, that is with equal heat capacities per volume.
+
+    Crystals must be of one kind: density and shape are those of the streams that have any. They
+    stay counted where all are counted on one grid.
+    """
     total = {name: sum(getattr(each, name) for each in streams) for name in AMOUNTS}
+    times = jnp.stack([each.duration for each in streams])
+    duration = jnp.where(jnp.all(times > 0), jnp.max(times), 0.0)
     warmth = sum(each.volume * each.temperature for each in streams)
     grid = together(tuple(each.grid for each in streams))
     numbers = jnp.zeros(grid.cells if grid else 0)
@@ -86,7 +97,7 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     return streams[0].replace(
         **total,
         temperature=warmth / total["volume"],
-        duration=jnp.zeros(()),
+        duration=duration,
         density=of_crystals("density"),
         shape=of_crystals("shape"),
         numbers=numbers,

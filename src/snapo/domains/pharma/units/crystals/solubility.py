@@ -87,6 +87,12 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
     return jnp.exp(total) if record.kind == "exponential" else total
 
 
+def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
+    """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent; NumPy alone."""
+    found = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
+    return np.exp(found) if record.kind == "exponential" else found
+
+
 def antisolvent_factor(record: Solubility, inputs: dict[str, Any], fraction) -> Array:
     """exp(b1 w + b2 w^2) at the anti-solvent's mass fraction w of the solute-free liquid."""
     b1, b2 = use(inputs, record.antisolvent)

@@ -6,13 +6,13 @@ import numpy as np
 
 from snapo.case.error import CaseError
 
-from ..control.stages import staged
-from ..flowsheet.case import Connection, PharmaCase
-from ..flowsheet.feed import Feed
-from ..flowsheet.order import ancestors
-from ..quality.draws import process_entries
-from ..time.profile import Profile
-from ..units.operation import Unit, timed
+from ...control.stages import staged
+from ...flowsheet.case import Connection, PharmaCase
+from ...flowsheet.feed import Feed
+from ...flowsheet.order import ancestors
+from ...quality.draws import process_entries
+from ...time.profile import Profile
+from ...units.operation import Unit, timed
 
 
 def check_decided(case: PharmaCase) -> None:
@@ -73,6 +73,7 @@ def check_amounts(
 ) -> None:
     """Continuous units need a feed with a duration; a dose adds up to its feed."""
     by_name = {feed.name: feed for feed in feeds}
+    lasting = _lasting(feeds, units, connections)
     for unit in units:
         fed = {c.inlet: by_name.get(c.source) for c in connections if c.target == unit.name}
         for inlet in unit.inlets:
@@ -82,9 +83,40 @@ def check_amounts(
             if feed is not None and inlet.lasting and feed.duration is None:
                 what = f"unit {unit.name} runs continuously and needs to know over which time"
                 raise CaseError(str(file), f"feeds.{feed.name}.duration", None, what)
+            if inlet.lasting and not lasting[unit.name, inlet.name]:
+                what = (
+                    f"unit {unit.name} runs continuously, and a batch reaches its inlet "
+                    f"{inlet.name}: every feed of a flow needs a duration"
+                )
+                raise CaseError(str(file), f"units.{unit.name}", None, what)
+        notes += _uneven(unit, fed.values())
         if unit.time is not None:
             for profile in unit.profiles:
                 notes += _steep(profile, float(unit.time.values[0]))
+
+
+def _lasting(feeds, units, connections) -> dict[tuple[str, str], bool]:
+    """{(unit, inlet): whether what comes is a flow over a time}; units in the order of flow."""
+    made: dict[tuple[str, str], bool] = {(f.name, ""): f.duration is not None for f in feeds}
+    found: dict[tuple[str, str], bool] = {}
+    for unit in units:
+        source = {c.inlet: (c.source, c.outlet) for c in connections if c.target == unit.name}
+        for inlet in unit.inlets:
+            found[unit.name, inlet.name] = made[source[inlet.name]]
+        out = unit.lasts(tuple(found[unit.name, inlet.name] for inlet in unit.inlets))
+        made |= {(unit.name, port): each for port, each in zip(unit.outlets, out)}
+    return found
+
+
+def _uneven(unit: Unit, fed) -> list[str]:
+    """A remark where flows of unlike durations meet."""
+    times = sorted({f.duration for f in fed if f is not None and f.duration is not None})
+    if len(times) < 2:
+        return []
+    return [
+        f"{unit.name} takes in flows of {times[0]:g} to {times[-1]:g} s: all are spread evenly "
+        f"over {times[-1]:g} s."
+    ]
 
 
 def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:

@@ -1,0 +1,43 @@
+"""Values that a measure cannot have: what the equations give where their assumptions end."""
+
+import math
+
+from .case import PharmaCase
+
+ROUND_OFF = 1e-9  # in the domain's unit: what round-off may take from a number that is zero
+
+
+def least(measure: str) -> float:
+    """The least value of a measure that is possible, in the domain's unit.
+
+    Amounts, times, sizes and shares are not below 0; a supersaturation (c - c*)/c* not below -1.
+    New crystals are the crystals less the seed, of which some may have dissolved.
+    """
+    unit, _, name = measure.partition(".")
+    if unit == "process":
+        return -math.inf
+    return (-1.0 if name == "supersaturation" else 0.0) - ROUND_OFF
+
+
+def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
+    """The first measure with a value that cannot be, in words; "" where there is none."""
+    units = {
+        f"{unit.name}.{name}": measured
+        for unit in case.units
+        for name, measured in unit.measures(case.network.species).items()
+    }
+    for name, value in measures.items():
+        if not math.isfinite(value):
+            return f"{name} is not a number"
+        if value < least(name):
+            own = units.get(name, "1")
+            said = f"{value:.6g}" + ("" if own == "1" else f" {own}")
+            hint = HINTS.get(name.partition(".")[2], "")
+            return f"{name} is {said}, which cannot be{hint}"
+    return ""
+
+
+HINTS = {
+    "time": ": the voids of the cake hold more liquid than the slurry brings",
+    "supersaturation": ": the solubility there is below 0",
+}

@@ -1,0 +1,50 @@
+"""Distributions that draw what a number cannot be: the share of such draws, noted or refused."""
+
+import math
+from typing import Any
+
+from scipy.special import ndtr
+
+from snapo.case.table import Section
+
+from ...given import Entry
+from ...quality.records import Distribution
+from ..entries import Numbers, limits
+
+REFUSED, NOTED = 1e-3, 1e-7  # of the draws
+
+
+def check_drawn(
+    section: Section, raw: Any, distribution: Distribution, numbers: Numbers, entry: Entry
+) -> None:
+    """Refuses a distribution of which one draw in a thousand is impossible; notes rarer ones."""
+    given = numbers.givens[entry[0]]
+    share = outside(distribution, numbers.value(entry), given.low, given.high)
+    if share <= NOTED:
+        return
+    said = f"{100 * share:.2g} % of its draws are none that {numbers.said(entry)} can have"
+    said += f" ({limits(given)})"
+    if share > REFUSED:
+        hint = "" if given.low < 0 else '; kind "lognormal" stays above 0'
+        raise section.error("distribution", raw, f"{said}{hint}")
+    section.notes.append(f"{section.name}: {said}.")
+
+
+def outside(distribution: Distribution, centre: float, low: float, high: float) -> float:
+    """The share of draws below `low` or above `high`; formulas in `Distribution`."""
+    spread = distribution.spread
+
+    def below(x: float) -> float:
+        if math.isinf(x):
+            return 0.0 if x < 0 else 1.0
+        match distribution.kind:
+            case "normal":
+                return float(ndtr((x - centre) / spread))
+            case "uniform":
+                return min(1.0, max(0.0, ((x - centre) / spread + 1) / 2))
+            case "lognormal":
+                if x <= 0 or x < 1e-300:
+                    return 0.0
+                return float(ndtr((math.log(x / centre) + spread**2 / 2) / spread))
+
+    return below(low) + 1 - below(high)

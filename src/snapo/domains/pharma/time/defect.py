@@ -1,0 +1,39 @@
+"""Whether fixed steps were short enough: the residual of the differential equation between them.
+
+Of every step the cubic through both ends and slopes is put into the equation at its middle
+(Enright, SIAM J. Numer. Anal. 1989). Where a step is too long for the fastest motion the residual
+is as large as the state itself, also where the ends look smooth; elsewhere it falls with the
+fourth power of the step.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from .dynamics import Dynamics, Track
+from .mesh import edges_of, make_mesh
+from .numerics import Numerics
+
+LOOSE = 0.01  # of the largest value so far: residuals that add up to more are no solution
+SMALL = 0.01  # of a state's largest value, or of one: what is smaller counts as this
+
+
+def too_long(problem: Dynamics, numerics: Numerics, track: Track) -> Float[Array, ""]:
+    """s at which the residuals of a `track` on the mesh first add up to more than `LOOSE`; the
+    duration where they never do."""
+    mesh = make_mesh(
+        edges_of(tuple(profile for profile, _ in problem.controls)), numerics.steps, problem.event
+    )
+    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
+    step = (problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0]))[:, None]
+    state = jnp.asarray(track.state)
+    start, end, rate = state[:-1], state[1:], jax.vmap(problem.rate)
+    first, last = rate(start, drive[:, 0]), rate(end, drive[:, 2])
+    middle = (start + end) / 2 + step / 8 * (first - last)
+    residual = step * (rate(middle, drive[:, 1]) + (first + last) / 4) - 1.5 * (end - start)
+    lost = jnp.cumsum(jnp.abs(residual), axis=0)
+    least = SMALL * jnp.minimum(1.0, jnp.max(jnp.abs(state), axis=0))
+    size = jnp.maximum(jax.lax.cummax(jnp.abs(end)), least)
+    bad = jnp.any(~(lost <= LOOSE * size) & (size > 0), axis=1)  # NaN is bad too
+    when = mesh.stages[jnp.argmax(bad), 0]
+    return jnp.where(jnp.any(bad), problem.duration * when, problem.duration)

@@ -1,0 +1,100 @@
+"""What is impossible is refused when the case is read, with its limit; what is odd is noted."""
+
+import tomllib
+
+import pytest
+from tests.domains.pharma.pharma_cases import TEMPLATE
+
+from snapo.case.error import CaseError
+from snapo.domains.pharma.quality.records import Distribution
+from snapo.domains.pharma.read.case import resolve
+from snapo.domains.pharma.read.plausible.drawn import outside
+
+
+def read(*changes):
+    """The template with texts replaced."""
+    text = TEMPLATE.read_text(encoding="utf-8")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new, 1)
+    return resolve(TEMPLATE, tomllib.loads(text))
+
+
+COLD = '"5 K", "308 K", "295 K", "278.15 K"'
+GROWTH = 'of = "crystalliser.kinetics.growth"\ndistribution = { kind = "lognormal", spread = 0.1 }'
+REFUSED = {
+    "crystalliser at 5 K": (
+        '"313.15 K", "308 K", "295 K", "278.15 K"', COLD, "from 100 K to 1000 K"),
+    "reactor at 5,000 K": (
+        'duration = "3600 s"\ntemperature = "313.15 K"', 'duration = "3600 s"\ntemperature = '
+        '"5000 K"', "from 100 K to 1000 K (25 degC is 298.15 K)"),
+    "Celsius typed as kelvin": (
+        'temperature = "323.15 K"\nrate', 'temperature = "25 K"\nrate', "25 degC is 298.15 K"),
+    "porosity 0.99": ("porosity = 0.4", "porosity = 0.99", "allowed is from 0.1 to 0.95"),
+    "seed that fills the vessel": (
+        'loading = "0.02 kg/m^3"', 'loading = "2000 kg/m^3"',
+        "units.crystalliser.seed: the seed takes 166.7 % of the volume; allowed is less than 50 %"),
+    "negative solubility": (
+        "coefficients = [226.9, -1.88, 3.89e-3]", "coefficients = [216.9, -1.88, 3.89e-3]",
+        "units.crystalliser.solubility: at 278.15 K, which crystalliser comes to, it is -5."),
+    "density of another unit": (
+        'density = "1200 kg/m^3"', 'density = "1.2 kg/m^3"', "from 300 to 10000 kg/m^3"),
+    "solvent in kilograms a litre": (
+        'solvent = "887.6 kg/m^3"', 'solvent = "887.6 kg/L"', "from 0 to 3000 kg/m^3"),
+    "a liquid heavier than any": (
+        'A = "0.33 mol/L", B', 'A = "33 mol/L", B', "weigh 4204.1 kg in a cubic metre"),
+    "normal rate constants below zero": (
+        GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"normal", spread = "9 um/s"'),
+        "29 % of its draws are none that crystalliser.kinetics.growth can have (at least 0 m/s); "
+        'kind "lognormal" stays above 0'),
+    "uniform rate constants below zero": (
+        GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"uniform", spread = "10 um/s"'),
+        "25 % of its draws are none"),
+    "a studied wash ratio below zero": (
+        "range = [1, 4]", "range = [-1, 4]", "filter.wash_ratio is at least 0"),
+    "a studied temperature at 5 K": (
+        'range = ["303 K", "323 K"]', 'range = ["5 K", "323 K"]', "from 100 K to 1000 K"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("mistake", REFUSED)
+def test_what_cannot_be_is_refused(mistake):
+    old, new, words = REFUSED[mistake]
+    with pytest.raises(CaseError) as caught:
+        read((old, new))
+    assert words in str(caught.value)
+
+
+ODD = {
+    "hot": ('temperature = "323.15 K"\nrate', 'temperature = "323.15 degC"\nrate',
+            "dryer.temperature is 596.3 K: processes in liquids mostly run from 200 to 500 K."),
+    "porous": ("porosity = 0.4", "porosity = 0.9", "filter.porosity is 0.9: cakes mostly have"),
+    "light": ('density = "1200 kg/m^3"', 'density = "500 kg/m^3"', "crystals mostly have 800"),
+    "rare": (GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"normal", spread = "1.5 um/s"'),
+             "uncertainty[1]: 0.043 % of its draws are none that"),
+    "solubility where it is studied": (
+        'range = ["273.15 K", "283.15 K"]', 'range = ["240 K", "283.15 K"]',
+        "crystalliser.temperature may come to 241.3"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("oddity", ODD)
+def test_what_is_unusual_is_noted(oddity):
+    old, new, words = ODD[oddity]
+    changes = [(old, new)]
+    if oddity == "hot":
+        changes.append(('range = ["313.15 K", "333.15 K"]\nnormal = ["321.15 K", "325.15 K"]',
+                        'range = ["313.15 K", "633.15 K"]\nnormal = ["321.15 K", "600 K"]'))  # fmt: skip
+    assert words in " ".join(read(*changes).notes)
+
+
+def test_the_template_has_no_remark():
+    assert read().notes == ()
+
+
+@pytest.mark.parametrize(
+    ("kind", "spread", "centre", "share"),
+    [("normal", 1.0, 1.0, 0.15865525393), ("uniform", 2.0, 1.0, 0.25), ("lognormal", 1.0, 1.0, 0)],
+)
+def test_the_share_below_zero_by_closed_form(kind, spread, centre, share):
+    assert outside(Distribution(kind, spread), centre, 5e-324, float("inf")) == pytest.approx(share)

@@ -1,0 +1,149 @@
+"""Nothing that is not a number, unstable, impossible or not converged ends with status "ok"."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, TEMPLATE
+from tests.domains.pharma.process_cases import cake_filter, flagship, number
+
+from snapo.cli.main import main
+from snapo.domains.pharma.flowsheet.possible import least
+from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.quality.limits import Limits
+from snapo.domains.pharma.read.case import resolve
+from snapo.domains.pharma.results.checks import status
+
+FIRST_ORDER = """kind = "pharma"
+[species]
+A = { molar_mass = "100 g/mol" }
+B = { molar_mass = "100 g/mol" }
+[[reactions]]
+name = "r"
+equation = "A -> B"
+prefactor = "0.26 1/s"
+activation = "0 J/mol"
+[feeds.charge]
+volume = "60 L"
+temperature = "313.15 K"
+concentration = { A = "1 mol/L" }
+solvent = "887.6 kg/m^3"
+[units.reactor]
+type = "reactor"
+duration = "1 h"
+temperature = "313.15 K"
+[[connections]]
+from = "charge"
+to = "reactor.feed"
+[[parameters]]
+name = "t"
+of = "reactor.duration"
+range = ["30 min", "90 min"]
+normal = ["55 min", "65 min"]
+source = "made up"
+[[attributes]]
+name = "A left"
+measure = "reactor.concentration.A"
+unit = "mol/L"
+high = "0.5 mol/L"
+citation = "made up"
+[numerics]
+method = "mesh"
+refine = false
+[evaluation]
+paths = 64
+"""
+
+
+def first_order(rate: float, **numerics):
+    data = tomllib.loads(FIRST_ORDER)
+    data["reactions"][0]["prefactor"] = f"{rate} 1/s"
+    data["numerics"] |= numerics
+    return resolve(TEMPLATE, data)
+
+
+@pytest.mark.prove
+def test_an_unstable_integration_fails_the_command(tmp_path, capsys):
+    """A -> B at 0.26 1/s for an hour on 320 steps: 9.6e28 mol/L, or a zero that nothing warrants."""
+    (tmp_path / "case.toml").write_text(FIRST_ORDER, encoding="utf-8")
+    out = tmp_path / "run"
+    assert main(["solve", str(tmp_path), "--out", str(out), "--json"]) == 1
+    found = json.loads(capsys.readouterr().out)
+    words = "integration failed: reactor: the time steps are too long from 0 s on"
+    assert found["status"].startswith(words)
+    assert words.removeprefix("integration failed: ") in (out / "report.html").read_text("utf-8")
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(("rate", "good"), [(0.26, False), (0.2476, False), (0.02, True)])
+def test_steps_that_are_too_long_are_told_from_good_ones(rate, good):
+    run = Process(first_order(rate)).run()
+    assert (run.status == "ok") == good, run.status
+    if good:
+        assert run.measures["reactor.concentration.A"] == pytest.approx(np.exp(-72), abs=1e-12)
+
+
+@pytest.mark.prove
+def test_what_cannot_be_is_a_status_and_keeps_no_limit():
+    """A porosity of 0.9 leaves less filtrate than nothing: its time is below 0 and under 300 s."""
+    case = flagship(units=tuple(
+        cake_filter(porosity=number("filter.porosity", 0.99)) if each.name == "filter" else each
+        for each in flagship().units
+    ))  # fmt: skip
+    run = Process(case).run()
+    assert run.measures["filter.time"] < 0
+    assert run.status.startswith("filter.time is -") and "which cannot be" in run.status
+
+
+def test_a_limit_is_not_kept_by_what_cannot_be():
+    limits = Limits.of(resolve(TEMPLATE, tomllib.loads(TEMPLATE.read_text("utf-8"))))
+    good = np.array([27.0, 80.0, 0.1, 500.0, 80.0, 200.0])
+    assert limits.hold(good).all()
+    assert limits.hold(np.where(np.arange(6) == 5, -20.9, good)).tolist() == [True] * 5 + [False]
+    assert least("crystalliser.supersaturation") == pytest.approx(-1)
+    assert least("process.yield.C.A") == -np.inf
+
+
+class Tables(dict):
+    """Tables of a run."""
+
+    def get(self, path, default=None):
+        found = self
+        for key in path.split("."):
+            found = dict.get(found, key) if isinstance(found, dict) else None
+        return default if found is None else found
+
+
+GOOD = {
+    "run": {"status": "ok", "attributes": {"a": 1.0}},
+    "balances": [{"quantity": "mass", "relative": 0.0}],
+    "convergence": {"passed": True},
+    "certificate": [{"passed": True}],
+    "attribution": {"closure": 1e-14},
+    "capability": {"batches": 1000, "failed": 1},
+}
+
+
+@pytest.mark.parametrize(
+    ("wrong", "said"),
+    [
+        ({"run": {"status": "reactor: did not converge at 3 s"}}, "reactor: did not converge at 3 s"),
+        ({"run": {"status": "ok", "attributes": {"a": None}}}, "a is not a number"),
+        ({"balances": [{"quantity": "A", "relative": 1e-3}]}, "a check fails: balances"),
+        ({"balances": [{"quantity": "A", "relative": None}]}, "a check fails: balances"),
+        ({"convergence": {"passed": False}}, "a check fails: convergence in time"),
+        ({"certificate": [{"passed": False}]}, "a check fails: adjoint against differences"),
+        ({"attribution": {"closure": None}}, "a check fails: paths add up"),
+        ({"estimation": {"converged": False, "message": "cap"}}, "the fit did not converge: cap"),
+        ({"optimise": {"converged": False}}, "the best recipe did not converge"),
+        ({"capability": {"batches": 1000, "failed": 20}}, "2 % of the batches gave no finite result"),
+    ],
+)  # fmt: skip
+def test_every_failed_check_is_a_status(wrong, said):
+    assert status(Tables(GOOD)) == "ok"
+    assert status(Tables(GOOD | wrong)) == said
+
+
+def test_the_case_of_other_tests_is_in_order():
+    assert resolve(TEMPLATE, tomllib.loads(CASE) | {"estimation": None}).notes == ()
