@@ -32,7 +32,11 @@ def whole(folder: Path) -> str:
 def test_a_whole_run(fake, tmp_path):
     found, told = carried(tmp_path, parts([1, 2, 4]))
     assert (found["status"], found["value"], found["failures"]) == ("ok", 7, {})
-    assert set(found["seconds"]) == {"first sum", "doubled", "alone", "total"}
+    seconds = dict(found["seconds"])
+    whole_time = seconds.pop("total")
+    assert set(seconds) == {"preparing", "first sum", "doubled", "alone", "report"}
+    assert seconds["report"] > 0
+    assert whole_time == pytest.approx(sum(seconds.values()))
     assert told == ["first sum", "doubled", "alone"]
     assert json.loads((tmp_path / "result.json").read_text()) == found
     assert json.loads((tmp_path / "parts" / "first-sum.json").read_text()) == {"sums": {"total": 7}}

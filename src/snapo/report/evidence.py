@@ -20,6 +20,7 @@ BELOW = (
     ("gradient_norm", "Gradient norm", "inject", "-"),
     ("temperature", "Temperature", "limit", "--"),
 )
+TOTAL = "of all parts, before this page"
 CHECKED = (("certificate.bump_check", "family"), ("certificate.feasibility", "limit"))
 
 
@@ -139,13 +140,20 @@ def verdict(passed: Any, good: str, bad: str) -> Mark | str:
     return "not tried" if passed is None else Mark(bool(passed), good if passed else bad)
 
 
+def spent(run: Folder) -> dict[str, float]:
+    """Wall-clock seconds by name; "total" is without the writing of reports, which no page can know
+    of itself."""
+    known = run.get("seconds") or run.result.get("seconds") or {}
+    found = {name: each for name, each in known.items() if finite(each) is not None}
+    page = found.pop("report", 0.0)
+    return found | {"total": found["total"] - page} if "total" in found else found
+
+
 def times(run: Folder) -> list[Facts]:
     """What the run took, part by part."""
-    known = run.get("seconds") or run.result.get("seconds") or {}
     facts = [
-        (name.capitalize(), seconds(each), "wall clock")
-        for name, each in known.items()
-        if finite(each) is not None
+        (name.capitalize(), seconds(each), TOTAL if name == "total" else "wall clock")
+        for name, each in spent(run).items()
     ]
     return [Facts(facts)] if facts else []
 

@@ -22,17 +22,25 @@ DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 
 def carry_out(
-    domain: Domain, study: Study, out: Path, decides: Mapping[str, Any], resume: bool, tell: Tell
+    domain: Domain,
+    study: Study,
+    out: Path,
+    decides: Mapping[str, Any],
+    resume: bool,
+    tell: Tell,
+    preparing: float = 0.0,
 ) -> dict[str, Any]:
     """Does the parts of a study one after another, and returns what result.json says.
 
-    A part that fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the
-    parts that are done are reported, and the interrupt goes on to the caller.
+    `preparing`: the seconds that reading the case and making the study took. A part that fails
+    leaves a note and a status; parts that need it are skipped. On Ctrl-C the parts that are done
+    are reported, and the interrupt goes on to the caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, tell, resume)
     record["about"] = run_folder.plain_json(study.about)
     run.found |= json.loads(json.dumps(record["about"]))
+    _spend(record, "preparing", preparing)
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:
@@ -119,7 +127,7 @@ class _Writer:
 
     def __init__(self, domain: Domain, run: StudyRun, record: dict[str, Any]):
         self.domain, self.run, self.record = domain, run, record
-        self.began = self.last = time.perf_counter()
+        self.last = time.perf_counter()
         self.took = 0.0
 
     def part_done(self) -> None:
@@ -130,22 +138,41 @@ class _Writer:
     def write(self) -> dict[str, Any]:
         """Result and report of the run so far."""
         started, run = time.perf_counter(), self.run
-        result = outcome(run, self.record)
-        text = json.dumps(run_folder.plain_json(result), indent=1)
-        _guarded(run, lambda: write_text(run.folder / run_folder.RESULT, text))
+        _keep(run, outcome(run, self.record))
         _guarded(run, lambda: write_report(self.domain, run.folder))
         self.last = time.perf_counter()
         self.took = self.last - started
+        # The time of writing belongs to the total, and is known only now.
+        _spend(self.record, "report", self.took)
+        result = outcome(run, self.record)
+        _keep(run, result)
+        _guarded(run, lambda: run_folder.save(run.folder, self.record))
         if run.troubles:
             result["status"] = "not written"
         return result
 
 
+def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
+    """Adds to the time that a run took beside its parts, in this session and in earlier ones."""
+    beside = record.setdefault("beside", {})
+    beside[name] = beside.get(name, 0.0) + seconds
+
+
+def _keep(run: StudyRun, result: Mapping[str, Any]) -> None:
+    text = json.dumps(run_folder.plain_json(result), indent=1)
+    _guarded(run, lambda: write_text(run.folder / run_folder.RESULT, text))
+
+
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
-    """What result.json says: the study's own words, and the state of its parts."""
+    """What result.json says: the study's own words, and the state of its parts.
+
+    "seconds" has those of every part, of preparing the case and of writing reports, whose sum is
+    the "total"; and the stages of the training, which are within its part.
+    """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
     seconds = {name: state["seconds"] for name, state in states.items()}
+    seconds = record.get("beside", {}) | seconds
     result["seconds"] = {
         **result.get("seconds", {}), **seconds, "total": sum(seconds.values())
     }  # fmt: skip

@@ -1,5 +1,6 @@
 """The work of every command, the same for all domains; the command line only prints it."""
 
+import time
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -131,6 +132,7 @@ def solve(
     from . import run_folder
     from .cores import use_every_core
 
+    began = time.perf_counter()
     loaded = load(asked)
     _remarks(loaded, tell)
     out = out or loaded.file.parent / "run"
@@ -149,7 +151,8 @@ def solve(
     if resume:
         run_folder.check_same(out, decides)
     run_folder.copy_case(loaded.file, out)
-    return carry_out(loaded.domain, study, out, decides, resume, tell)
+    preparing = time.perf_counter() - began
+    return carry_out(loaded.domain, study, out, decides, resume, tell, preparing)
 
 
 def certify(

@@ -38,9 +38,9 @@ def making(run: Folder) -> Section:
 def _times(run: Folder) -> list[Facts]:
     """The stages of the training and the total; the parts have theirs in their table."""
     found = [
-        (name.capitalize(), seconds(each), "wall clock")
-        for name, each in run.result.get("seconds", {}).items()
-        if name not in run.parts and finite(each) is not None
+        (name.capitalize(), seconds(each), evidence.TOTAL if name == "total" else "wall clock")
+        for name, each in evidence.spent(run).items()
+        if name not in run.parts
     ]
     return [Facts(found)] if found else []
 

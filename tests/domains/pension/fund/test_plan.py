@@ -6,15 +6,24 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.domains.pension.market_cases import cash_flows, full
+from tests.domains.pension.market_cases import plan as hand_plan
 from tests.domains.pension.people_cases import contributing, given, indexing, people_case, plan
 
 from snapo.domains.pension.fund.contributions import CONTRIBUTIONS
 from snapo.domains.pension.fund.increases import INCREASES
 from snapo.domains.pension.fund.plan import contribution, indexation, indexation_flags
+from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.terms import plan_terms
+from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.read.tables_people import ContributionTable, IndexationTable
 from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import CashPlan
+from snapo.engine import Xla
+from snapo.engine.native import Native
 from snapo.problem.inputs import plain
+from snapo.problem.prepare import prepare
+from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact, Smooth
 
 EXACT = Exact()
@@ -170,3 +179,21 @@ def test_increases_fall_on_the_first_of_the_month():
 def test_the_format_has_the_kinds_that_the_rules_have():
     assert get_args(get_type_hints(ContributionTable)["kind"]) == tuple(CONTRIBUTIONS)
     assert get_args(get_type_hints(IndexationTable)["kind"]) == tuple(INCREASES)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("engine", [Xla, Native])
+def test_payments_agreed_in_money_are_paid_on_top_whatever_the_limits(engine):
+    """A closed plan with a cap in shares of salaries, which are zero, gets its recovery plan."""
+    agreed = CashPlan(given("contribution_schedule", [3.0, 4.0, 5.0]), np.array([1, 1, 4]))
+    capped = {"has_cap": True, "schedule": agreed}
+    rule = contributing("spread", normal_cost="rate", **capped)
+    case = full(6, plan=hand_plan(contribution=rule), flows=cash_flows([200.0], [30]))
+    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    draws = Pseudo(1).draws(np.arange(8), simulator)
+    schedule = prepare(simulator, pension_inputs(case))
+    made = engine("float64").values(
+        simulator, ConstantMix(case), schedule, draws, EXACT, record=("outputs",)
+    )
+    paid = np.asarray(made.record["outputs"]["contribution"])
+    assert paid[:, 0] == pytest.approx([0, 7, 0, 0, 5, 0])

@@ -146,6 +146,16 @@ MISTAKES = {
         ["assets.csv", "kind", "'shares'", "hedge-fund"],
     ),
     "class twice": ("assets.csv", "Property,property", "Equity,property", ["assets.csv", "name"]),
+    "misspelt bound": (
+        "assets.csv", "low,high,group", "low,hihg,group",
+        ["assets.csv, line 3", "'hihg'", "the nearest known column is high"],
+    ),
+    "misspelt salary": ("cohorts.csv", "salary", "salery", ["cohorts.csv", "'salery'", "salary"]),
+    "misspelt cost of swaps": ("overlay.csv", ",cost", ",csot", ["overlay.csv", "'csot'", "cost"]),
+    "recovery plan without a time": (
+        "case.toml", 'kind = "spread"   ', 'schedule = "curve.csv"\nkind = "spread"   ',
+        ["curve.csv", "column amount is missing"],
+    ),
     "two kinds of cash": ("assets.csv", "Bonds 10y,bond", "Bonds 10y,cash", ["maturity", "bond"]),
     "bond without a maturity": (
         "assets.csv", "0.0003,10,", "0.0003,,",

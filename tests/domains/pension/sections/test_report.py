@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.sections import risk
 from snapo.domains.pension.sections.page import SECTIONS
 from snapo.domains.pension.sections.run import PensionRun
 from snapo.study import report
@@ -345,3 +346,11 @@ def test_the_page_reads_its_run(folder):
     assert run.horizon == "after 10 years"
     assert run.size(2.5e8, None)[0] == 1e6
     assert "A small pension fund" in write_report(folder).read_text(encoding="utf-8")
+
+
+def test_a_parallel_shift_keeps_its_digits_where_the_objective_is_no_money():
+    row = {"input": "zero_rate", "move": "1 bp", "reacting": 2e-4}
+    rows = [row | {"label": "1y", "effect": 0.001, "standard_error": 2e-5}]
+    whole = row | {"effect": 0.001309, "standard_error": 4e-6}
+    table = risk._nodes(whole, rows, 1.0, "objective")
+    assert table.rows[-1][:3] == ("Parallel = sum", "1 bp", "+0.0013090")

@@ -11,7 +11,7 @@ from snapo.problem.simulator import Schedule
 
 from ..market.curve import log_bond
 from ..market.dynamics import market_schedule
-from ..market.state import MarketSteps, MarketTerms
+from ..market.state import MarketSteps, MarketTerms, without_empty
 from ..people.liability import People, nodes, people
 from ..records.case import PensionCase
 from ..records.inputs import use
@@ -52,7 +52,8 @@ class Terms(NamedTuple):
 
 class Period(NamedTuple):
     """One step, the same for all paths: people at its start, the curve's `shape` [J] at the
-    payment nodes, flags of indexation, `time` as a share of the horizon."""
+    payment nodes, flags of indexation, `time` as a share of the horizon, `agreed` the
+    contributions agreed in money, None without any."""
 
     market: MarketSteps
     people: People
@@ -60,6 +61,7 @@ class Period(NamedTuple):
     due: Array
     averaging: Array
     time: Array
+    agreed: Array | None = None
 
 
 def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
@@ -82,16 +84,25 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         last_shape=shape[-1],
     )
     return Schedule(
-        _without_empty(constants),
+        without_empty(constants),
         Period(
-            market=_without_empty(steps),
+            market=without_empty(steps),
             people=jax.tree.map(lambda leaf: leaf[:-1], found),
             shape=shape[:-1],
             due=jnp.asarray(due, float),
             averaging=jnp.asarray(averaging, float),
             time=jnp.arange(case.steps) / case.steps,
+            agreed=_agreed(case, inputs),
         ),
     )
+
+
+def _agreed(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
+    """Payments agreed in money, by step."""
+    plan = case.plan.contribution.schedule
+    if plan is None:
+        return None
+    return jnp.zeros(case.steps).at[plan.step.copy()].add(use(inputs, plan.amount))
 
 
 def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray) -> Swaps | None:
@@ -130,8 +141,3 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     if basis.future_indexation == "full":
         found = found - log_bond(case.inflation.break_even, inputs, years)
     return found
-
-
-def _without_empty(tree: Any) -> Any:
-    """The same without arrays of size zero, which stand for absent parts of a case."""
-    return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)

@@ -151,6 +151,8 @@ class PensionSimulator(Simulator):
             step=self.case.step,
             smooth=smooth,
         )
+        if now.agreed is not None:
+            received = received + now.agreed
         alive = state.theta * jnp.exp(-state.deaths)
         benefit = alive * (people.benefit + state.fresh * people.fresh_benefit)
         return Flows(received, benefit, people.expenses * jnp.exp(market.log_price))

@@ -2,6 +2,7 @@
 
 from typing import Any, NamedTuple
 
+import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
@@ -75,3 +76,8 @@ def at_start(factors: Array, spread: Array | None = None, shown: Array | None = 
 def log_factor(terms: MarketTerms, shape: Float[Array, " J"], market: Market) -> Array:
     """[J] ln of the factor of a payment's forward value, at the market's factors."""
     return shape - terms.slope @ market.factors
+
+
+def without_empty(tree: Any) -> Any:
+    """The same without arrays of size zero, which stand for absent parts of a case."""
+    return jax.tree.map(lambda leaf: leaf if leaf.size else None, tree)

@@ -18,11 +18,11 @@ from ..records.inputs import every_given
 from ..records.plan import Plan
 from . import people, plan, tables, tables_people
 from .assets import read_assets
+from .cash_plan import Clock
 from .cells import Grid, Place, known_words
 from .correlation import read_correlations
-from .curve import read_curve
+from .curve import read_curve, read_inflation, read_rates
 from .holdings import read_credit, read_currencies, read_overlay
-from .models import read_inflation, read_rates
 from .mortality import read_lee_carter, read_mortality
 from .objective import read_objectives
 from .scenarios import read_scenarios
@@ -75,7 +75,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     classes = [each.name for each in market["assets"].classes]
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
-    rules = _plan(reader, fund.currency)
+    rules = _plan(reader, grid, start)
     case = PensionCase(
         file=file,
         title=top.title,
@@ -147,9 +147,10 @@ def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     }
 
 
-def _plan(reader: _Reader, money: str) -> Plan:
+def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
     """`[plan]` with the two tables below it."""
-    table = reader.table(tables_people.PlanTable, "plan")
+    table, money = reader.table(tables_people.PlanTable, "plan"), grid.currency
+    clock = Clock(grid, start, table.timing == "arrears")
     names = ("plan.indexation", "plan.contribution")
     indexation = reader.table(tables_people.IndexationTable, names[0], table.indexation)
     contribution = reader.table(tables_people.ContributionTable, names[1], table.contribution)
@@ -157,7 +158,7 @@ def _plan(reader: _Reader, money: str) -> Plan:
         reader.place("plan"),
         table,
         plan.read_indexation(reader.place(names[0]), indexation),
-        plan.read_contribution(reader.place(names[1]), contribution, money),
+        plan.read_contribution(reader.place(names[1]), contribution, clock),
         money,
     )
 

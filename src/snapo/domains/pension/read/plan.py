@@ -5,6 +5,7 @@ A number that the rule of a case does not look at is no input: its `Given` stays
 
 from collections.abc import Iterable
 
+from snapo.case.csv import Mention
 from snapo.case.given import Given
 from snapo.case.table import Section, Table
 
@@ -13,6 +14,7 @@ from ..fund.increases import INCREASES
 from ..records.case import Frontier
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
 from ..records.said import YEARLY, Said, amount, rate, share, time
+from .cash_plan import Clock, read_cash_plan
 from .cells import empty, single
 from .tables import FrontierTable
 from .tables_people import (
@@ -114,9 +116,12 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     )
 
 
-def read_contribution(section: Section, table: ContributionTable, money: str) -> Contribution:
-    """The rule of contributions with its limits."""
-    kind, rule = table.kind, CONTRIBUTIONS[table.kind]
+def read_contribution(section: Section, table: ContributionTable, clock: Clock) -> Contribution:
+    """The rule of contributions with its limits, and payments agreed in money."""
+    kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], clock.grid.currency
+    schedule = None
+    if table.schedule is not None:
+        schedule = read_cash_plan(Mention(section, "schedule", table.schedule), clock)
     used = list(rule.takes)
     if rule.by_cost:
         used.append("rate" if table.normal_cost == "rate" else "loading")
@@ -155,6 +160,7 @@ def read_contribution(section: Section, table: ContributionTable, money: str) ->
         has_floor="floor" in used,
         has_cap="cap" in used,
         has_sponsor_limit="sponsor_limit" in used,
+        schedule=schedule,
     )
 
 

@@ -122,6 +122,7 @@ class ContributionTable(Table):
     floor: float | None = Field(None, description="a share of salaries")
     cap: float | None = Field(None, description="a share of salaries")
     sponsor_limit: NotNegative | None = Field(None, description="money per year, at least 0")
+    schedule: Name | None = csv("date,amount (or year,amount)", None)
 
 
 class LiabilityTable(Table):

@@ -3,6 +3,8 @@
 from dataclasses import dataclass
 from typing import Literal
 
+import numpy as np
+
 from snapo.case.given import Given
 
 
@@ -31,8 +33,19 @@ class Indexation:
 
 
 @dataclass(frozen=True, eq=False)
+class CashPlan:
+    """Payments agreed in money, such as a recovery plan's.
+
+    - `amount`: money of each row given, index [n]; `step`: [n] the step in which it is paid.
+    """
+
+    amount: Given
+    step: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
 class Contribution:
-    """The payment of each step; C = normal cost + recovery, then limits.
+    """The payment of each step; C = normal cost + recovery, then limits, and then `schedule`.
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
       plus `spread_factor` per year times (liability - assets), surplus is spread too;
@@ -42,6 +55,7 @@ class Contribution:
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
       Each applies only where its flag is set. All `Given`s index [].
+    - `schedule`: paid on top, whatever the limits; None where the case has none.
     """
 
     kind: Literal["none", "fixed", "normal-cost", "spread", "target"]
@@ -57,6 +71,7 @@ class Contribution:
     has_floor: bool
     has_cap: bool
     has_sponsor_limit: bool
+    schedule: CashPlan | None = None
 
 
 @dataclass(frozen=True, eq=False)

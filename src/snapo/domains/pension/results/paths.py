@@ -161,12 +161,17 @@ def mix(record: Record) -> dict[str, Any]:
 def limits_by_step(record: Record, round_off: float) -> dict[str, Any]:
     """Shares of the paths that break a limit: in each step [T], and ever.
 
-    "weights": a weight or a group leaves its bounds by more than `round_off`; with swaps,
-    "collateral": eligible assets do not cover the need under stress.
+    "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
+    not cover the need under stress. Less than `round_off` is no breach: the learned policy often
+    holds exactly as many swaps as its assets back, and the last bit may lie on either side.
+
+    **Arguments:**
+
+    - `round_off`: of a weight; of the assets now, per step, for collateral.
     """
     broken = {"weights": record.outputs["bound_excess"] > round_off}
     if record.case.buckets:
-        broken["collateral"] = record.outputs["collateral_shortfall"] > 0
+        broken["collateral"] = record.outputs["collateral_shortfall"] > round_off
     return {
         name: {"share": each.mean(1), "ever": float(each.any(0).mean())}
         for name, each in broken.items()

@@ -71,18 +71,29 @@ def _scenario(case: PensionCase, name: str, shocks: Sequence[Shock]) -> Stressed
 
 
 def _moved(curve: Curve, lines: Sequence[Shock]) -> np.ndarray:
-    """The quotes of a curve whose zero rates the lines move."""
+    """The quotes of a curve whose zero rates the lines move.
+
+    "multiply" acts on annual rates, as the factors of regulators do; then "add", which on
+    continuous ones is a shift of every forward rate too.
+    """
+    factors = [line for line in lines if line.kind == "multiply"]
     zero = zero_rates(curve)
-    for kind in ("multiply", "add"):
-        own = [line for line in lines if line.kind == kind]
-        for line in own:
-            if not line.label:
-                zero = line.of(zero)
-        known = sorted((float(line.label), line.size) for line in own if line.label)
-        if known:
-            tenors, sizes = np.array(known).T
-            zero = own[0].of(zero, np.interp(curve.tenor, tenors, sizes))
-    return from_zero_rates(curve, zero)
+    if factors:
+        zero = np.log1p(_by_tenor(curve, factors, np.expm1(zero)))
+    return from_zero_rates(curve, _by_tenor(curve, [s for s in lines if s.kind == "add"], zero))
+
+
+def _by_tenor(curve: Curve, lines: Sequence[Shock], rates: np.ndarray) -> np.ndarray:
+    """Rates [n] moved by lines of one kind: those without a tenor move all of them alike, those
+    with one by sizes that are linear between tenors and constant outside."""
+    for line in lines:
+        if not line.label:
+            rates = line.of(rates)
+    known = sorted((float(line.label), line.size) for line in lines if line.label)
+    if known:
+        tenors, sizes = np.array(known).T
+        rates = lines[0].of(rates, np.interp(curve.tenor, tenors, sizes))
+    return rates
 
 
 def stressed(

@@ -22,7 +22,7 @@ from . import (
     variance,
 )
 from .figures import table as reconciliation
-from .figures.lines import reconciled
+from .figures.lines import examine
 from .setup import make_setup
 
 TRAINED = (TRAINING.name,)
@@ -49,7 +49,7 @@ def pension_study(case: PensionCase, engine: str) -> Study:
 
     **Raises:** `CaseError` where a figure of the actuary's is missed: before anything is written.
     """
-    reconciled(case)
+    examine(case)
 
     @cache
     def setup() -> Setup:

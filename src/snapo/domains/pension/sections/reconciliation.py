@@ -5,7 +5,7 @@ import numpy as np
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, plus_minus, power
+from snapo.report.quantity import finite, number, percent, plus_minus, power
 
 from .evidence import checks
 from .run import PensionRun, points, share
@@ -92,7 +92,7 @@ def reconciliation(run: PensionRun) -> Section:
         return Section("reconciliation", title, short, [Missing(text)])
     rows = [_line(each) for each in data.get("lines", [])]
     head = [("Figure", ""), ("", ""), ("This model", ""), ("Given", ""), ("Error", "")]
-    blocks: list[Block] = []
+    blocks: list[Block] = [Text(f"Note: {each}.", caveat=True) for each in data.get("remarks", [])]
     if rows:
         blocks.append(Table(head, rows, "Own figures, and those of the actuary where given", 2))
     scale, unit = run.size(data.get("liability"))
@@ -102,6 +102,8 @@ def reconciliation(run: PensionRun) -> Section:
                 ("Liability", f"{number((finite(data.get('liability')) or 0) / scale, 2)}", unit),
                 ("Duration", number(data.get("duration"), 2), "years, −d ln L / d parallel shift"),
                 ("Convexity", number(data.get("convexity"), 1), "years², of a parallel shift"),
+                ("Duration of assets", number(data.get("asset_duration"), 2), "years, with swaps"),
+                ("Hedge ratio", percent(data.get("hedge_ratio"), 0), "of a parallel shift"),
                 ("Inflation +1 bp", run.large(data.get("inflation01"), 3, True), "change of L"),
             ]
         )

@@ -46,7 +46,8 @@ def sensitivities(run: PensionRun) -> Section:
     curves = dict.fromkeys(row["input"] for row in rows if row.get("group") == CURVE)
     for name in curves:
         own = [row for row in rows if row["input"] == name]
-        blocks.append(_nodes(name, own, scale, unit))
+        whole = next(each for each in families if each["input"] == name)
+        blocks.append(_nodes(whole, own, scale, unit))
     others = [row for row in rows if row["input"] not in curves]
     if others:
         blocks.append(_others(others, scale, unit))
@@ -80,7 +81,9 @@ def _families(families: list[dict], scale: float, unit: str) -> Table:
 
 def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple:
     effect, error = scale * (finite(each["effect"]) or 0.0), finite(each.get("standard_error"))
-    places = min(decimals([scale * error], 2) if error else decimals([effect], 4), 6)
+    # No digit beyond the error's second one; six of the effect where it hardly has an error.
+    places = decimals([effect], 6 if error else 4)
+    places = min(decimals([scale * error], 2), places) if error else places
     reacting = finite(each.get("reacting"))
     numbers = () if count is None else (str(count),)
     return (
@@ -93,17 +96,17 @@ def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple
     )
 
 
-def _nodes(name: str, rows: list[dict], scale: float, unit: str) -> Table:
-    """One line per node and their sum, which is the parallel shift."""
+def _nodes(whole: dict, rows: list[dict], scale: float, unit: str) -> Table:
+    """One line per node, and the `whole` input moved at once: the parallel shift, which is their
+    sum."""
+    name = name_of(whole["input"])
     body = [_row(each, each["label"], scale) for each in rows]
-    total = sum(finite(each["effect"]) or 0.0 for each in rows) * scale
-    react = sum(finite(each.get("reacting")) or 0.0 for each in rows) * scale
-    body.append(("Parallel = sum", "1 bp", number(total, 3, True), "", number(react, 3, True)))
+    body.append(_row(whole, "Parallel = sum", scale))
     head = [("Node", ""), ("Rise", ""), ("Decisions held", unit), ("Std. error", unit)]
     head.append(("Policy reacting", unit))
-    folded = f"{name_of(name)} by node: {len(rows)} key rates"
+    folded = f"{name} by node: {len(rows)} key rates"
     strong = frozenset([len(body) - 1])
-    return Table(head, body, f"Key rates: {name_of(name)}", 2, strong=strong, folded=folded)
+    return Table(head, body, f"Key rates: {name}", 2, strong=strong, folded=folded)
 
 
 def _others(rows: list[dict], scale: float, unit: str) -> Table:

@@ -1,39 +1,107 @@
 """The case in a few lines, and its reconciliation with the actuary's own figures."""
 
+from functools import lru_cache
+from typing import NamedTuple
+
 from snapo.case.error import CaseError
 from snapo.problem.inputs import plain
 
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
-from .reconcile import Line
-from .reconcile import check as reconcile
+from .human import Human, human
+from .monthly import against_months
+from .plausible import remarks
+from .reconcile import Figures, Line, check, figures
 
 SCENARIOS = {"P": "P (real-world)", "Q": "Q (risk-neutral)"}
+MONEY = ("liability", "liability on payment nodes")
+SIZES = ((1e9, " billion"), (1e6, " million"), (1e3, " thousand"))
+
+
+class Examined(NamedTuple):
+    """A case before any simulation: its figures, the reconciliation, and remarks for its owner."""
+
+    figures: Figures
+    lines: list[Line]
+    human: Human
+    remarks: list[str]
+
+
+@lru_cache(maxsize=1)  # a study asks before anything is written, and again for its first part
+def examine(case: PensionCase) -> Examined:
+    """Figures, reconciliation and remarks.
+
+    **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
+    """
+    inputs = plain(pension_inputs(case))
+    found = figures(case, inputs)
+    known = reconciled(case, found)
+    seen = human(case, inputs, found)
+    return Examined(found, known, seen, [*remarks(case, seen), *against_months(case, found)])
 
 
 def lines(case: PensionCase) -> list[str]:
-    """Horizon, inputs and figures of a case: nothing is trained."""
+    """Horizon, inputs and figures of a case as a human compares them: nothing is trained."""
     inputs = pension_inputs(case)
     numbers = sum(entry.value.size for entry in inputs.values())
-    found = [
+    found = examine(case)
+    return [
         f"{case.title}: {case.steps} decisions over {case.steps * case.step:g} years, "
         f"{len(case.assets.classes)} classes, {case.buckets} swap tenors",
         f"scenarios: {'supplied' if case.scenarios else SCENARIOS[case.measure]}",
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
+        *_human(case, found.human),
+        *(_line(case, line) for line in found.lines),
+        *(f"note: {each}" for each in found.remarks),
     ]
-    for line in reconciled(case):
-        known = "" if line.given is None else f", given {line.given:,.6g}"
-        found.append(f"{line.name}: {line.own:,.6g}{known}")
-    return found
 
 
-def reconciled(case: PensionCase) -> list[Line]:
-    """The lines of the reconciliation.
+def _human(case: PensionCase, found: Human) -> list[str]:
+    """The figures that a human recognises, a line for each kind."""
+    size = [
+        f"assets {readable(found.assets, case.currency)}",
+        f"liability {readable(found.liability, case.currency)}",
+    ]
+    if found.funding is not None:
+        size.append(f"funding ratio {found.funding:.1%}")
+    lengths = [f"liability {found.duration:.1f} years", f"assets {found.asset_duration:.1f} years"]
+    if found.hedge_ratio is not None:
+        lengths.append(f"hedge ratio {found.hedge_ratio:.0%}")
+    told = [", ".join(size), f"duration: {', '.join(lengths)}", f"rates: {_by_tenor(found.rate)}"]
+    if found.rate_volatility:
+        told.append(f"volatility of rates, a year: {_by_tenor(found.rate_volatility)}")
+    grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())
+    told.append(f"returns a year, without shocks: {grown}")
+    return told
+
+
+def _by_tenor(values: dict[int, float]) -> str:
+    return ", ".join(f"{tenor}y {each:.2%}" for tenor, each in values.items())
+
+
+def readable(amount: float, currency: str) -> str:
+    """Money with four digits and its size in words: "EUR 308.3 million"."""
+    size, word = next((each for each in SIZES if abs(amount) >= each[0]), (1.0, ""))
+    return f"{currency} {amount / size:,.1f}{word}"
+
+
+def _line(case: PensionCase, line: Line) -> str:
+    money = line.name in MONEY
+
+    def shown(value: float) -> str:
+        return readable(value, case.currency) if money else f"{value:,.6g}"
+
+    known = "" if line.given is None else f", given {shown(line.given)} ({line.error:+.1e})"
+    return f"{line.name}: {shown(line.own)}{known}"
+
+
+def reconciled(case: PensionCase, known: Figures | None = None) -> list[Line]:
+    """The lines of the reconciliation; `known`: the figures, where they are known already.
 
     **Raises:** `CaseError` where a figure of the actuary's is missed by more than its tolerance.
     """
-    found = reconcile(case, plain(pension_inputs(case)))
+    found = check(case, plain(pension_inputs(case)), known)
     for line in found:
         if not line.ok and line.given is not None and case.reconcile is not None:
             tolerance = case.reconcile.tolerance

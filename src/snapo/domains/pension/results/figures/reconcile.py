@@ -70,9 +70,10 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     )
 
 
-def check(case: PensionCase, inputs: dict[str, Any]) -> list[Line]:
-    """The actuary's liability and duration against the model's, then the model against itself."""
-    found = figures(case, inputs)
+def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = None) -> list[Line]:
+    """The actuary's liability and duration against the model's, then the model against itself;
+    `known`: the figures, where they are known already."""
+    found = known or figures(case, inputs)
     asked = case.reconcile
     lines = [
         _line("liability", found.liability, asked and asked.liability, asked and asked.tolerance),

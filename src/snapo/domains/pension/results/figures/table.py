@@ -4,33 +4,39 @@ from typing import Any
 
 import numpy as np
 
-from snapo.problem.inputs import plain
 from snapo.study.study import StudyRun
 
 from ...records.case import PensionCase
-from ...records.inputs import pension_inputs
 from ..setup import case_of
-from .lines import reconciled
-from .reconcile import BASIS_POINT, Figures, figures
+from .lines import examine
+from .reconcile import BASIS_POINT, Figures
 
 
 def work(run: StudyRun) -> dict[str, Any]:
-    """ "reconciliation" with lines, figures and yearly payments; "liability", "funding" today."""
+    """ "reconciliation" with lines, figures, remarks and yearly payments; "liability", "funding"
+    today."""
     case = case_of(run)
-    found, each = figures(case, plain(pension_inputs(case))), round(1 / case.step)
+    examined, each = examine(case), round(1 / case.step)
+    found, seen = examined.figures, examined.human
+    for remark in examined.remarks:
+        run.tell(f"note: {remark}")
     flow = np.asarray(found.cash_flow)
     whole = len(flow) // each * each
     table = {
-        "lines": [line._asdict() for line in reconciled(case)],
+        "lines": [line._asdict() for line in examined.lines],
+        "remarks": examined.remarks,
         "liability": found.liability,
         "duration": found.duration,
         "convexity": found.convexity,
         "inflation01": found.inflation01,
+        "asset_duration": seen.asset_duration,
+        "hedge_ratio": seen.hedge_ratio,
+        "rate_volatility": seen.rate_volatility,
+        "returns": seen.returns,
         "key_rate_durations": _key_rate_durations(case, found),
         "cash_flow": flow[:whole].reshape(-1, each).sum(1),
     }
-    funding = float(case.assets.amount.used()) / found.liability if found.liability else None
-    return {"reconciliation": table, "liability": found.liability, "funding": funding}
+    return {"reconciliation": table, "liability": found.liability, "funding": seen.funding}
 
 
 def _key_rate_durations(case: PensionCase, found: Figures) -> dict[str, Any]:

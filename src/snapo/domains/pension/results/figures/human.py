@@ -1,0 +1,122 @@
+"""The figures by which a human recognises a fund: its size, durations, volatilities and returns."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...market.assets.asset_class import log_prices
+from ...market.assets.swaps import swap_log_prices
+from ...market.correlation import matrix
+from ...market.curve import log_bond
+from ...market.dynamics import market_schedule, move
+from ...market.shocks import reach, slots
+from ...market.state import without_empty
+from ...records.case import PensionCase
+from .reconcile import BASIS_POINT, Figures
+
+TENORS = (1, 10, 30)  # years at which rates are told
+
+
+class Human(NamedTuple):
+    """The figures, on today's curve and of the models before any simulation.
+
+    - `assets`, `liability`: money; `funding`: their ratio, None without a liability.
+    - `duration`: of the liability; `asset_duration`: of assets with swaps over assets; years, of a
+      parallel shift of the curve. `hedge_ratio`: the change of assets and swaps over that of the
+      liability for that shift; None where the liability does not follow the curve.
+    - `rate`, `rate_volatility`: continuous zero rates, and the standard deviation of their change
+      in a year at the pace of today; by `TENORS`. `rate_volatility` is empty under supplied
+      scenarios.
+    - `returns`: {class: geometric return per year over the horizon}, on the path without shocks;
+      under supplied scenarios the mean of the training paths.
+    """
+
+    assets: float
+    liability: float
+    funding: float | None
+    duration: float
+    asset_duration: float
+    hedge_ratio: float | None
+    rate: dict[int, float]
+    rate_volatility: dict[int, float]
+    returns: dict[str, float]
+
+
+def human(case: PensionCase, inputs: dict[str, Any], found: Figures) -> Human:
+    """All of them; `found` are the case's own `reconcile.figures`."""
+    assets, liability = float(case.assets.amount.used()), found.liability
+    with jax.enable_x64(True):
+        given = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}
+        held = _parallel(case, given)
+        rates = np.asarray(-log_bond(case.curve, given, np.array(TENORS))) / TENORS
+        volatility = {} if case.scenarios is not None else _rate_volatility(case, given)
+        grown = _supplied(case) if case.scenarios is not None else _median(case, given)
+    owed = float(np.sum(found.key_rate)) / BASIS_POINT
+    return Human(
+        assets=assets,
+        liability=liability,
+        funding=assets / liability if liability else None,
+        duration=found.duration,
+        asset_duration=-held / assets,
+        hedge_ratio=held / owed if owed else None,
+        rate=dict(zip(TENORS, rates.tolist())),
+        rate_volatility=volatility,
+        returns=dict(zip((each.name for each in case.assets.classes), grown.tolist())),
+    )
+
+
+def _parallel(case: PensionCase, given: dict[str, Any]) -> float:
+    """d (assets and swaps today) / d parallel shift of the curve, money."""
+    name = case.curve.rate.name
+    quotes = jnp.asarray(case.curve.rate.values)
+
+    def worth(shift):
+        moved = given | {name: quotes + shift}
+        held = case.assets.weight.used() * float(case.assets.amount.used())
+        total = held @ log_prices(case, moved)
+        if case.overlay is not None:
+            total = total + case.overlay.notional.used() @ swap_log_prices(case, moved)
+        return total
+
+    return float(jax.jit(jax.grad(worth))(jnp.zeros(())))
+
+
+def _rate_volatility(case: PensionCase, given: dict[str, Any]) -> dict[int, float]:
+    """Of Gaussian factors: a zero rate of u years moves by B(u) / u times each of them."""
+    count = case.rates.count()
+    together = np.asarray(matrix(case, given))[:count, :count]
+    now = case.rates.volatility.used()[0]
+    loads = [
+        now * np.asarray(reach(case.rates.mean_reversion.used(), float(u))) / u for u in TENORS
+    ]
+    return {u: float(np.sqrt(load @ together @ load)) for u, load in zip(TENORS, loads)}
+
+
+def _median(case: PensionCase, given: dict[str, Any]) -> np.ndarray:
+    """[n] returns per year along the path on which every shock is zero."""
+    # Bases and mortality do not matter to returns.
+    market = replace(case, lee_carter=None)
+
+    def roll(given):
+        terms, steps, _ = market_schedule(market, given, np.array([round(1 / case.step)]))
+        terms, steps = without_empty(terms), without_empty(steps)
+        none = jnp.zeros(slots(market).size)
+
+        def step(state, now):
+            moved = move(market, terms, now, state, none)
+            return moved.market, moved.gross
+
+        return jax.lax.scan(step, terms.start, steps)[1]
+
+    gross = np.asarray(jax.jit(roll)(given))
+    return np.expm1(np.log(gross).mean(0) / case.step)
+
+
+def _supplied(case: PensionCase) -> np.ndarray:
+    """[n] the same of ready-made paths: their mean log returns."""
+    assert case.scenarios is not None
+    simple = case.scenarios.training[:, :, : len(case.assets.classes)]
+    return np.expm1(np.log1p(simple).mean((0, 1)) / case.step)

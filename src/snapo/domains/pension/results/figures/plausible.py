@@ -1,0 +1,107 @@
+"""Remarks on a case that can be read but looks like a slip: figures far from those of funds.
+
+The ranges are wide: a fund outside one of them is possible, and its owner knows why.
+"""
+
+from collections.abc import Iterator
+
+from ...fund.contributions import CONTRIBUTIONS
+from ...records.case import PensionCase
+from ...records.people import ACTIVE
+from .human import Human
+
+FUNDING = (0.4, 2.5)
+DURATION = (2.0, 40.0)  # years, of the liability
+HEDGE = (-0.25, 1.5)
+RATE = (-0.02, 0.15)  # continuous zero rates
+RATE_VOLATILITY = (0.001, 0.025)  # a year; since 1970 the 10-year rates of G7 countries lie within
+RETURN = (-0.03, 0.12)  # geometric, a year
+ASSET_VOLATILITY = (0.01, 0.6)
+
+
+def remarks(case: PensionCase, found: Human) -> list[str]:
+    """A sentence for each figure outside its range, and for a deficit that nothing will close."""
+    return [*_size(case, found), *_market(case, found), *_unpaid(case, found)]
+
+
+def _outside(value: float, allowed: tuple[float, float]) -> bool:
+    return not allowed[0] <= value <= allowed[1]
+
+
+def _size(case: PensionCase, found: Human) -> Iterator[str]:
+    if found.funding is not None and _outside(found.funding, FUNDING):
+        yield (
+            f"the funding ratio is {found.funding:.4g}, assets of {found.assets:,.6g} against a "
+            f"liability of {found.liability:,.6g} {case.currency}: is fund.assets in the unit of "
+            "the members' pensions?"
+        )
+    if found.liability and _outside(found.duration, DURATION):
+        years = f"below {DURATION[0]:g} or above {DURATION[1]:g}"
+        yield f"the duration of the liability is {found.duration:.3g} years, seldom {years}"
+    if found.hedge_ratio is not None and _outside(found.hedge_ratio, HEDGE):
+        yield (
+            f"assets and swaps move {found.hedge_ratio:.3g} times as far with rates as the "
+            "liability: are the notionals of the swaps in the unit of fund.assets?"
+        )
+
+
+def _market(case: PensionCase, found: Human) -> Iterator[str]:
+    for tenor, rate in found.rate.items():
+        if _outside(rate, RATE):
+            yield f"the zero rate at {tenor} years is {rate:.1%}: fractions are meant, 0.02 is 2 %"
+    for tenor, volatility in found.rate_volatility.items():
+        # Mean reversion leaves little of a volatility at 30 years.
+        low = RATE_VOLATILITY[0] if tenor <= 10 else 0.0
+        if _outside(volatility, (low, RATE_VOLATILITY[1])):
+            yield (
+                f"the volatility of the {tenor}-year rate is {volatility:.2%} a year, seldom below "
+                f"{low:.1%} or above {RATE_VOLATILITY[1]:.1%}: see rates.volatility (0.008 is "
+                "0.8 % a year) and mean_reversion"
+            )
+    for name, mean in found.returns.items():
+        if _outside(mean, RETURN):
+            yield (
+                f"{name} grows by {mean:.1%} a year where nothing happens, seldom "
+                f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
+            )
+    volatility = case.assets.volatility
+    for place, rank in zip(case.assets.shocks, range(len(case.assets.shocks))):
+        size = float(volatility.used()[0, rank])
+        if case.scenarios is None and _outside(size, ASSET_VOLATILITY):
+            name = case.assets.classes[place].name
+            yield f"the volatility of {name} is {size:.1%}, seldom {_percent(ASSET_VOLATILITY)}"
+
+
+def _percent(allowed: tuple[float, float]) -> str:
+    return f"below {allowed[0]:.0%} or above {allowed[1]:.0%}"
+
+
+def _unpaid(case: PensionCase, found: Human) -> Iterator[str]:
+    """A deficit that no contribution will ever close."""
+    paid = case.plan.contribution
+    target = float(paid.target_ratio.used()) if paid.kind == "target" else 1.0
+    if found.funding is None or found.funding >= target or paid.schedule is not None:
+        return
+    closed = not _has_salaries(case)
+    responds = CONTRIBUTIONS[paid.kind].responds
+    if paid.kind == "none":
+        reason = 'contributions are of kind "none"'
+    elif closed and paid.has_cap:
+        reason = "the cap is a share of salaries, and there are none"
+    elif closed and not responds:
+        reason = f'contributions of kind "{paid.kind}" follow salaries, and there are none'
+    else:
+        return
+    yield (
+        f"the fund is {found.funding:.1%} funded, {target:.0%} is the aim, and nothing is ever "
+        f"paid in: {reason}. Payments agreed in money go into plan.contribution.schedule, a limit "
+        "in money into sponsor_limit"
+    )
+
+
+def _has_salaries(case: PensionCase) -> bool:
+    """Whether anybody earns a salary on which contributions can be paid."""
+    if case.members is None:
+        return bool(case.cash_flows is not None and case.cash_flows.salary.values.any())
+    earning = case.members.status == ACTIVE
+    return bool(earning.any() and case.members.salary.used()[earning].any())

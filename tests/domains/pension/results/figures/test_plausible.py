@@ -1,0 +1,117 @@
+"""What `check` shows to a human, and its remarks on cases that look like a slip."""
+
+import numpy as np
+import pytest
+from tests.domains.pension.miniature import short_case
+
+from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.read.case import read_case
+from snapo.domains.pension.results.figures.human import Human
+from snapo.domains.pension.results.figures.lines import readable
+from snapo.domains.pension.results.figures.plausible import remarks
+
+USUAL = Human(
+    assets=325e6,
+    liability=308.3e6,
+    funding=1.054,
+    duration=18.7,
+    asset_duration=6.4,
+    hedge_ratio=0.36,
+    rate={1: 0.021, 10: 0.024, 30: 0.024},
+    rate_volatility={1: 0.008, 10: 0.007, 30: 0.005},
+    returns={"Cash": 0.02, "Equity": 0.054},
+)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    return read_case(short_case(tmp_path_factory.mktemp("fund") / "case"))
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({}, None),
+        ({"assets": 325.0, "funding": 325 / 308.3e6}, "the members' pensions"),
+        ({"duration": 120.0}, "the duration of the liability is 120 years"),
+        ({"hedge_ratio": 40.0}, "the notionals of the swaps"),
+        ({"rate": {1: 2.1}}, "0.02 is 2 %"),
+        ({"rate_volatility": {10: 0.69}}, "the volatility of the 10-year rate is 69.00% a year"),
+        ({"returns": {"Equity": 0.54}}, "Equity grows by 54.0% a year"),
+    ],
+)
+def test_a_figure_far_from_those_of_funds_is_remarked(small, changes, named):
+    found = remarks(small, USUAL._replace(**changes))
+    assert len(found) == (named is not None)
+    assert all(named in each for each in found)
+
+
+def test_money_is_readable():
+    assert readable(308297419.0, "EUR") == "EUR 308.3 million"
+    assert readable(325.0, "EUR") == "EUR 325.0"
+    assert readable(-1.234e9, "GBP") == "GBP -1.2 billion"
+
+
+def closed(folder, *changes):
+    """The small example without its actives, funded at three quarters."""
+    copy = short_case(folder, [("case.toml", "assets = 325000000.0", "assets = 150000000.0")])
+    file = copy / "cohorts.csv"
+    lines = [line for line in file.read_text().splitlines() if ",active," not in line]
+    file.write_text("\n".join(lines) + "\n")
+    text = (copy / "case.toml").read_text()
+    text = text.replace("liability = 308297419.0\nduration = 18.71\n", "")
+    text = text.replace("floor = 0.05                    # share of salaries\n", "")
+    text = text.replace('"salary",', "").replace('"contribution_floor", ', "")
+    for old, new in changes:
+        assert old in text
+        text = text.replace(old, new)
+    (copy / "case.toml").write_text(text)
+    return copy
+
+
+@pytest.mark.prove
+def test_check_shows_the_figures_of_a_human(tmp_path):
+    text = "\n".join(DOMAIN.check(read_case(short_case(tmp_path / "case"))))
+    assert "funding ratio 105.4%" in text
+    assert "liability EUR 308.3 million" in text
+    assert "duration: liability 18.7 years, assets 6.4 years, hedge ratio 36%" in text
+    # sigma (1 - exp(-a u)) / (a u) at a = .03, sigma = .008.
+    at = [0.008 * -np.expm1(-0.03 * u) / (0.03 * u) for u in (1, 10, 30)]
+    assert ", ".join(f"{u}y {each:.2%}" for u, each in zip((1, 10, 30), at)) in text
+    assert "Equity 5.4%" in text
+    assert "note:" not in text
+
+
+@pytest.mark.prove
+def test_check_remarks_on_slips(tmp_path):
+    slips = [
+        ("case.toml", "assets = 325000000.0", "assets = 325.0"),
+        ("case.toml", "volatility = 0.008", "volatility = 0.8"),
+    ]
+    found = [
+        each
+        for each in DOMAIN.check(read_case(short_case(tmp_path / "case", slips)))
+        if each.startswith("note: ")
+    ]
+    assert any("is fund.assets in the unit" in each for each in found)
+    assert any("the volatility of the 10-year rate is 69" in each for each in found)
+
+
+@pytest.mark.prove
+def test_a_closed_plan_in_deficit_that_gets_nothing_is_told_so(tmp_path):
+    unpaid = DOMAIN.check(read_case(closed(tmp_path / "closed")))
+    (note,) = [each for each in unpaid if each.startswith("note: ")]
+    assert "funded" in note
+    assert "the cap is a share of salaries, and there are none" in note
+    assert "plan.contribution.schedule" in note
+
+
+@pytest.mark.prove
+def test_yearly_steps_are_compared_with_monthly_ones(tmp_path):
+    yearly = [
+        ("case.toml", '# step = "month"  ', 'step = "year"  '),
+        ("case.toml", "liability = 308297419.0\nduration = 18.71\n", ""),
+    ]
+    found = DOMAIN.check(read_case(short_case(tmp_path / "case", yearly)))
+    (note,) = [each for each in found if "monthly steps" in each]
+    assert "the liability differs by -" in note
