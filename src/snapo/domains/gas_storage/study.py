@@ -17,10 +17,10 @@ from .references.intrinsic import intrinsic
 from .references.lattice import lattice
 from .results.certificate import CERTIFICATE
 from .results.deltas import DELTAS
-from .results.profile import PROFILE
+from .results.profile import PROFILE, today
 from .results.shadow_prices import SHADOW_PRICES
 from .results.values import VALUES
-from .setup import bare_problem, case_of, factors, fitted_value, make_setup
+from .setup import bare_problem, case_of, factors, fitted_value, make_setup, moved_setup
 
 KIND = "gas-storage"
 
@@ -53,8 +53,16 @@ def study(case: StorageCase, options: Options) -> Study:
     if options.reference:
         parts.append(DYNAMIC_PROGRAMMING)
     parts.append(VALUES)
-    about = _about(case, bare)
-    return Study(KIND, about, tuple(parts), _result, lambda: ready.setup, relaxation)
+    return Study(
+        KIND,
+        _about(case, bare),
+        tuple(parts),
+        _result,
+        lambda: ready.setup,
+        relaxation,
+        moved=moved_setup,
+        today=today,  # pyright: ignore[reportArgumentType]
+    )
 
 
 def _relaxation(ready: "_Ready"):
