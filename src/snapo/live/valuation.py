@@ -17,7 +17,6 @@ from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
-from snapo.solver.solve import Evaluation
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
 from snapo.study.study import Setup, Study
 
@@ -35,6 +34,13 @@ class Counts(NamedTuple):
     value: int = PATHS
     deltas: int = DELTA_PATHS
     fans: int = FAN_PATHS
+
+    @classmethod
+    def at_most(cls, paths: int, deltas: int | None = None) -> "Counts":
+        """The usual numbers, none above `paths`."""
+        return cls(
+            min(PATHS, paths), min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths)
+        )
 
 
 class Valuation:
@@ -206,10 +212,6 @@ def open_run(
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
     places = Places(domain.read, read_files(file.parent, data), setup.problem.named)
-    return Valuation(study, solution, places, counts or _counts(setup.evaluation))
-
-
-def _counts(run: Evaluation) -> Counts:
-    """No more paths than the run itself has."""
-    value = min(PATHS, run.paths)
-    return Counts(value, min(DELTA_PATHS, run.sensitivity_paths or value, value), FAN_PATHS)
+    most = setup.evaluation
+    counts = counts or Counts.at_most(most.paths, most.sensitivity_paths)
+    return Valuation(study, solution, places, counts)
