@@ -3,7 +3,7 @@
 import asyncio
 import sys
 import webbrowser
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,27 +26,15 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         what = "this run has no trained policy: solve its case again, or go on with --resume"
         raise CaseError(str(run), "", None, what)
     about = record.get("about", {})
-    unit = about.get("currency") if record["kind"] != "own" else about.get("unit")
     keys = ("value", "standard_error", "status", "bound", "paths")
     return {
         "title": about.get("title", run.name),
         "kind": record["kind"],
-        "unit": unit or "",
         "days": about.get("days"),
         "step": about.get("step", "step"),
-        "units": _units(about),
         "folder": str(run),
         "result": {key: result.get(key) for key in keys},
     }
-
-
-def _units(about: Mapping[str, Any]) -> dict[str, str]:
-    """Units of states and outputs, where the run says them."""
-    gas, money = about.get("volume_unit"), about.get("currency")
-    if not gas:
-        return {}
-    named = {"inventory": gas, "injection": gas, "withdrawal": gas}
-    return named | {"cash_flow": money, "costs": money}
 
 
 def open_page(

@@ -68,10 +68,16 @@ def derivatives(held: Mapping[str, Estimate], named: Mapping[str, Input]) -> lis
     return [_derivative(name, given, held[name]) for name, given in named.items()]
 
 
+def usual(given: Input) -> np.ndarray:
+    """By how much every number of an input moves, shaped like it."""
+    if given.move is None:
+        return SHARE * given.value
+    return np.full(given.value.shape, given.move)
+
+
 def _derivative(name: str, given: Input, found: Estimate) -> dict[str, Any]:
     shape, size = given.value.shape, given.value.size
-    whole = SHARE * given.value if given.move is None else np.full(shape, given.move)
-    effect, error = found.along(whole)
+    effect, error = found.along(usual(given))
     rows = []
     for label, at in handles(given)[:MOST_ROWS]:
         direction = np.zeros(size)

@@ -66,6 +66,11 @@ class Valuation:
             for name, given in self.named.items()
         ]
 
+    def units(self) -> dict[str, Any]:
+        """`unit` of the value, and `units` of states and outputs by name, where they are known."""
+        about = self.study.about
+        return {"unit": about.get("value_unit", ""), "units": dict(about.get("units", {}))}
+
     def changed(self, values: Values) -> dict[str, np.ndarray]:
         """The inputs that differ from the run's, shaped like them.
 

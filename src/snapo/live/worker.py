@@ -119,7 +119,7 @@ def main(arguments: list[str] | None = None) -> int:
         return 2
     base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
     counts = valuation.counts._asdict()
-    post(stage="ready", inputs=valuation.inputs(), base=base, counts=counts)
+    post(stage="ready", inputs=valuation.inputs(), base=base, counts=counts, **valuation.units())
     serve(valuation, Desk(sys.stdin), post)
     return 0
 

@@ -101,6 +101,8 @@ def study(case: OwnCase, options: Options) -> Study:
         "title": case.title,
         "step": case.step,
         "unit": case.unit,
+        "value_unit": case.unit,
+        "units": dict(case.units),
         "horizon": case.simulator.horizon,
         "simulator": ":".join(case.place),
         "objective": case.objective_words,

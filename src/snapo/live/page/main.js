@@ -50,7 +50,6 @@ function about({ about }) {
   document.title = `${about.title} – snapo`;
   at("title").textContent = about.title;
   at("about").textContent = `${about.kind}, ${about.folder}`;
-  at("unit").textContent = about.unit;
   if (!page.base) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
@@ -74,6 +73,9 @@ function ready(message) {
   page.base = message.base;
   page.ready = true;
   page.paths = message.counts.value;
+  page.unit = message.unit;
+  page.units = message.units;
+  at("unit").textContent = page.unit;
   trouble("");
   if (first) {
     page.inputs = message.inputs;
@@ -215,7 +217,7 @@ function deltas(found) {
   const scaled = (table) => table.find((each) => each.input === name).rows.map((row) => ({ ...row, value: row.value / input.factor, standard_error: row.standard_error / input.factor }));
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = `${page.about.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
+  at("delta-note").textContent = `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
   const head = element("tr", {}, ...["", "now", "standard error", "the run's"].map((text) => element("th", { scope: "col" }, text)));
   at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), shown(row.value), shown(row.standard_error, 3), shown(base[i].value)].map((text) => element("td", {}, text)))));
   const effects = found.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
@@ -231,7 +233,7 @@ function fans(found) {
   const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
   const days = page.about.days, step = page.about.step;
   drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
-  const unit = page.about.units[name];
+  const unit = page.units[name];
   at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
 }
 
