@@ -18,8 +18,6 @@ from snapo.study import commands
 from snapo.study.domain import Options
 from snapo.study.run_folder import plain_json
 
-pytestmark = pytest.mark.prove
-
 MOVED = {
     "gas-storage": {"forward_curve": 1.03, "volatility": 1.1, "max_injection": 0.9},
     "own": {"price": 1.02},
@@ -64,7 +62,14 @@ class Worker:
         return found
 
 
-@pytest.fixture(scope="module", params=sorted(MOVED))
+KINDS = [
+    pytest.param("gas-storage", marks=pytest.mark.prove),
+    pytest.param("own", marks=pytest.mark.prove),
+    pytest.param("pension", marks=pytest.mark.study),  # its code takes minutes to compile
+]
+
+
+@pytest.fixture(scope="module", params=KINDS)
 def kind(request):
     return request.param
 
@@ -115,3 +120,19 @@ def test_refusals_come_in_the_words_of_the_case_format(worker):
 def test_back_at_the_run_everything_is_the_run(worker):
     found, base = worker.tables(7, {}), worker.ready["base"]
     assert found == base and found["value"]["change"] == 0
+
+
+def test_training_again_starts_from_the_policy_and_can_be_cancelled(kind, worker):
+    if kind != "gas-storage":
+        pytest.skip("one kind is enough")
+    curve = next(each for each in worker.ready["inputs"] if each["name"] == "forward_curve")
+    moved = {"forward_curve": [1.05 * x for x in curve["values"]]}
+    found = worker.tables(20, moved)["value"]
+    worker.ask(do="train", n=20, values=moved)
+    assert worker.hear("training", "refused")["table"]["step"] == 0
+    after = worker.hear("trained", "refused", "cancelled")["table"]
+    assert after["value"] - after["gain"] == pytest.approx(found["value"], rel=1e-9)
+    worker.ask(do="train", n=20, values=moved)
+    worker.ask(do="cancel", n=-1)
+    assert worker.hear("trained", "cancelled")["stage"] == "cancelled"
+    assert worker.tables(21, moved)["value"] == found  # the page's policy is the run's

@@ -42,7 +42,7 @@ class Crew:
             self._waiting[order["page"]] = order
         if self.state["stage"] == "ready":
             self._write(order)
-        elif order["do"] != "move":
+        elif order["do"] not in ("move", "cancel"):
             words = "the calculation is starting; try again in a moment"
             await self.hear(
                 {"page": order["page"], "n": order["n"], "stage": "refused", "message": words}

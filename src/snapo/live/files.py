@@ -48,6 +48,10 @@ class Files:
         """The case with another value at one place of its tables."""
         return replace(self, tables=_put(self.tables, key, value))
 
+    def without(self, names: Sequence[str]) -> "Files":
+        """The case without these tables."""
+        return replace(self, tables={k: v for k, v in self.tables.items() if k not in names})
+
     def with_sheet(self, name: str, sheet: Sheet) -> "Files":
         """The case with another CSV of this name."""
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})

@@ -103,6 +103,7 @@ class Server:
         finally:
             self.pages.pop(name, None)
             self.crew.forget(name)
+            await self.crew.ask({"do": "cancel", "page": name, "n": -1})
             for key in [key for key in self._last if key[0] == name]:
                 del self._last[key]
         return socket
@@ -124,6 +125,14 @@ class Server:
                     await self.crew.ask({"do": "move", "page": page, "n": n, "values": values})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
+                case "train":
+                    found = self._last.get((page, n))
+                    if found is None or "value" not in found:
+                        raise Refused("these numbers are not valued yet")
+                    given = {"page": page, "n": n, "values": found["values"]}
+                    await self.crew.ask({"do": "train", **given})
+                case "cancel":
+                    await self.crew.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":
                     self.scenarios.forget(str(order.get("id", "")))
                     await self._tell_all(self._kept())

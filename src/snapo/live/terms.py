@@ -10,7 +10,7 @@ from snapo.problem.inputs import Input
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import Estimate
 
-MOST_DAYS = 24  # dates that are handles of their own; more of them are moved by month
+MOST_DAYS = 62  # dates that are handles of their own; more of them are moved by month
 MOST_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
 

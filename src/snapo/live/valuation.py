@@ -4,19 +4,22 @@ Every number is that of `snapo solve` of the moved case with the same policy, se
 paths, to the bits: the same functions on the same scenarios, with guide and hedge of the new case.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver import statistics
 from snapo.solver.by_block.passes import Way
-from snapo.solver.evaluate import estimate, path_totals, worth_of_groups
+from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
+from snapo.solver.train import begin, train
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
 from snapo.study.study import Setup, Study
 
@@ -25,6 +28,7 @@ from .places import Places
 from .terms import derivatives, described, slopes
 
 PATHS, DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 12288, 4096, 1024, 2048
+TOLD = 12  # times that a training tells how far it is
 Values = Mapping[str, np.ndarray]
 
 
@@ -93,6 +97,7 @@ class Valuation:
     def files(self, values: Values) -> Files:
         """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
         files, paths = self.places.moved(self.changed(values)).files, self.counts
+        files = files.without(self.study.checks)
         table = dict(files.tables.get("evaluation", {}))
         table |= {"paths": paths.value, "sensitivity_paths": paths.deltas}
         return files.with_value(("evaluation",), table)
@@ -103,11 +108,7 @@ class Valuation:
         **Raises:** `CaseError` where the case's own reader refuses the numbers.
         """
         changed = self.changed(values)
-        moved = self.places.moved(changed)
-        setup = self.setup
-        if changed:
-            assert self.study.moved is not None
-            setup = self.study.moved(setup, moved.case)
+        setup = self._at(changed)
         yield "value", self._value(setup, changed)
         yield "deltas", self._deltas(setup)
         if self.study.today is not None and self.solution.policy is not None:
@@ -115,10 +116,48 @@ class Valuation:
         yield "fans", self._fans(setup)
         yield "health", self._health(setup)
 
+    def train_again(self, values: Values, told: Callable[[int, int], None]) -> dict[str, Any]:
+        """The policy trained on at these inputs, and what that gains on the same paths.
+
+        It starts from the run's policy, which stays the one that the page values. `told` hears of
+        the steps done and of all; what it raises ends the training.
+        """
+        setup, policy = self._at(self.changed(values)), self.solution.policy
+        assert policy is not None
+        steps = setup.training.steps
+        training = replace(setup.training, validation_every=max(1, steps // TOLD))
+        state = begin(policy, training)
+        told(0, steps)
+        state = train(
+            setup.problem, state, training, setup.engines.train,
+            [lambda progress: told(progress.step, steps)],
+        )  # fmt: skip
+        before, _ = self._worth(setup, policy)
+        after, found = self._worth(setup, state.best)
+        gain = statistics.of_shares(after - before)
+        return {
+            "value": found.value,
+            "standard_error": found.standard_error,
+            "gain": gain.value,
+            "gain_error": gain.standard_error,
+            "steps": state.step,
+            "status": state.status,
+        }
+
+    def _at(self, changed: Values) -> Setup:
+        """The setup at the inputs that differ from the run's, read from the case they make."""
+        moved = self.places.moved(changed)
+        if not changed:
+            return self.setup
+        assert self.study.moved is not None
+        return self.study.moved(self.setup, moved.case)
+
     def _value(self, setup: Setup, changed: Values) -> dict[str, Any]:
-        groups, found = self._worth(setup)
+        policy = self.solution.policy
+        assert policy is not None
+        groups, found = self._worth(setup, policy)
         if self._base is None:
-            self._base = groups if not changed else self._worth(self.setup)[0]
+            self._base = groups if not changed else self._worth(self.setup, policy)[0]
         change = statistics.of_shares(groups - self._base)
         first = {
             name: float(self.slopes[name] @ (new - self.named[name].value).ravel())
@@ -134,9 +173,9 @@ class Valuation:
             "by_input": first,
         }
 
-    def _worth(self, setup: Setup):
-        problem, policy = setup.problem, self.solution.policy
-        assert policy is not None
+    def _worth(self, setup: Setup, policy: Policy) -> tuple[np.ndarray, Value]:
+        """The shares of independent groups of paths, and the value that they make."""
+        problem = setup.problem
         source, controls = problem.sources.evaluation, problem.simulator.control_variates()
         totals = path_totals(problem, policy, self.counts.value, engine=setup.engines.evaluate)
         groups = worth_of_groups(problem.objective, totals, source, controls)

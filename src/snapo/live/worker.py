@@ -34,7 +34,10 @@ class Post:
 
 
 class Desk:
-    """Requests as they come: moves by page, the newest only, and everything else in order."""
+    """Requests as they come: moves by page, the newest only, and everything else in order.
+
+    A newer move ends a page's training too, and so does "cancel", with a number of no move.
+    """
 
     def __init__(self, lines: TextIO):
         self.lines = lines
@@ -45,8 +48,10 @@ class Desk:
     def _read(self) -> None:
         for line in self.lines:
             order = json.loads(line)
-            if order.get("do") == "move":
+            if order.get("do") in ("move", "train", "cancel"):
                 self.newest[order["page"]] = order["n"]
+            if order.get("do") == "cancel":
+                continue
             self.orders.put(order)
         self.orders.put(None)
 
@@ -61,6 +66,8 @@ def serve(valuation: Valuation, desk: Desk, post: Post) -> None:
         try:
             if order["do"] == "move":
                 _move(valuation, desk, post, order)
+            elif order["do"] == "train":
+                _train(valuation, desk, post, order)
             elif order["do"] == "write":
                 files = valuation.files(order["values"])
                 files.write(Path(order["folder"]))
@@ -83,6 +90,26 @@ def _move(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]
             post(**address, stage="done")
             return
         post(**address, stage=found[0], table=found[1])
+
+
+class Cancelled(Exception):
+    """The page does not want it any more."""
+
+
+def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+    address = {"page": order["page"], "n": order["n"]}
+
+    def told(step: int, of: int) -> None:
+        if desk.stale(order):
+            raise Cancelled
+        post(**address, stage="training", table={"step": step, "of": of})
+
+    try:
+        found = valuation.train_again(order["values"], told)
+    except Cancelled:
+        post(**address, stage="cancelled")
+    else:
+        post(**address, stage="trained", table=found)
 
 
 def in_words(error: CaseError) -> str:

@@ -74,7 +74,9 @@ class Study:
     - `setup`: gives what training takes, the same object every time; None where nothing trains.
     - `relaxation`: gives the inner problem of the bound from above; or says why there is none.
     - `moved`: gives the setup at a case that differs in the numbers of its inputs alone, as fast
-      as it can: with code that is compiled already. None: the problem at the moved inputs is all.
+      as it can: with code that is compiled already. None: its inputs cannot be moved.
+    - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
+      written without them.
     - `today`: says the decision of today: of a setup and a policy, the rows of a table.
     """
 
@@ -87,6 +89,7 @@ class Study:
         "no bound from above is known for this kind of case"
     )
     moved: Callable[[Setup, Any], Setup] | None = None
+    checks: Sequence[str] = ()
     today: Callable[[Setup, Policy], "Today"] | None = None
 
     def __post_init__(self):

@@ -19,7 +19,7 @@ export function controls(place, inputs, moved) {
     const box = element("details", { className: "group", open: groups.size < 4 || k === 0 }, element("summary", {}, name, mark));
     for (const input of members) {
       input.now = [...input.values];
-      box.append(input.handles.length > 1 ? table(input, moved) : single(input, moved));
+      box.append(input.values.length > 1 ? table(input, moved) : single(input, moved));
     }
     place.append(box);
     for (const input of members) {

@@ -37,7 +37,7 @@ function trouble(words) {
 }
 
 function heard(message) {
-  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {} };
+  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled };
   if (stages[message.stage]) return stages[message.stage](message);
   if (message.n !== page.n) return;
   page.now[message.stage] = message.table;
@@ -59,6 +59,7 @@ function about({ about }) {
 
 function starting(message) {
   page.ready = false;
+  idle("");
   status("starting", "busy");
   trouble(message.message);
 }
@@ -156,6 +157,31 @@ function done(message) {
   status(`revalued in ${shown(message.seconds, 2)} s`);
 }
 
+function training({ n, table }) {
+  if (n !== page.n) return;
+  at("train").disabled = true;
+  at("cancel").hidden = at("progress").hidden = false;
+  at("progress").max = table.of;
+  at("progress").value = table.step;
+  at("trained").textContent = `step ${table.step} of ${table.of}`;
+}
+
+function idle(words) {
+  at("train").disabled = false;
+  at("cancel").hidden = at("progress").hidden = true;
+  at("trained").textContent = words;
+}
+
+function trained({ n, table }) {
+  if (n !== page.n) return;
+  const after = `${shown(table.value, 6)} ${error(table.standard_error)}, a gain of ${shown(table.gain, 4)} ${error(table.gain_error)}`;
+  idle(`After ${table.steps} more steps the value is ${after}. To have that policy, keep the scenario and solve its case.`);
+}
+
+function cancelled() {
+  idle("Training was cancelled.");
+}
+
 function fact(name, value, note) {
   return element("div", {}, element("dt", {}, name), element("dd", {}, value, note ? element("span", { className: "quiet" }, ` ${note}`) : ""));
 }
@@ -181,6 +207,8 @@ function value(found) {
   at("error").textContent = error(found.standard_error);
   facts(predicted(), found);
   offer(page.inputs.some(changed));
+  at("again").hidden = false;
+  idle("");
 }
 
 function health(found) {
@@ -189,7 +217,7 @@ function health(found) {
   box.hidden = false;
   box.classList.toggle("far", far);
   box.textContent = far
-    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} times that where it was trained. Training again would gain.`
+    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} times that where it was trained.`
     : "The policy is near its best here, as far as its gradient tells.";
 }
 
@@ -203,7 +231,7 @@ function today(found) {
 }
 
 function choices() {
-  const many = page.inputs.filter((input) => input.handles.length > 1);
+  const many = page.inputs.filter((input) => input.values.length > 1);
   const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
   at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
   const names = page.base.fans.map((each) => each.name);
@@ -270,6 +298,8 @@ function kept(message) {
   });
 }
 
+at("train").addEventListener("click", () => page.valued === page.n && send({ do: "train", n: page.n }));
+at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("reset").addEventListener("click", () => load({}));
 at("delta-input").addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));
 at("fan-name").addEventListener("change", () => page.now.fans && fans(page.now.fans));

@@ -39,7 +39,7 @@ export function column(text) {
   const lines = text.split(/\r?\n/).filter((line) => line.trim() !== "");
   const cells = lines.map((line) => line.split(/[\t;]/).map((cell) => cell.trim()).filter(Boolean).at(-1) ?? "");
   const found = cells.map(parsed);
-  if (found.length > 1 && Number.isNaN(found[0])) {
+  if (found.length > 1 && Number.isNaN(found[0]) && /^\p{L}/u.test(cells[0])) {
     found.shift();
     cells.shift();
   }

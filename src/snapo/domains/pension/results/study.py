@@ -58,7 +58,8 @@ def pension_study(case: PensionCase, engine: str) -> Study:
     def moved(before: Setup, other: PensionCase) -> Setup:
         return moved_setup(before, other, engine)
 
-    return Study("pension", about(case), PARTS, result, setup, moved=moved)
+    checks = ("reconcile",)
+    return Study("pension", about(case), PARTS, result, setup, moved=moved, checks=checks)
 
 
 def about(case: PensionCase) -> dict[str, Any]:
