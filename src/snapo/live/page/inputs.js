@@ -39,7 +39,7 @@ export const changed = (input) => input.now.some((v, i) => v !== input.values[i]
 export const unit = (input) => input.trade_unit || (input.unit === "1" ? "" : input.unit);
 
 export function label(input) {
-  return (input.words || input.name.replaceAll("_", " ")).replace(/^./, (c) => c.toUpperCase());
+  return input.name.replaceAll(/[_.]/g, " ").replace(/^./, (c) => c.toUpperCase());
 }
 
 // The size of one usual move of a number, in the unit of the case.
@@ -51,7 +51,7 @@ export function usual(input, i) {
 
 function titled(input, ...below) {
   input.box = element("div", { className: "input" },
-    element("div", { className: "title" }, element("b", {}, label(input)), element("span", {}, input.name)), ...below);
+    element("div", { className: "title" }, element("b", {}, label(input)), element("span", {}, input.words)), ...below);
   input.box.dataset.input = input.name;
   input.refuse = (words) => {
     input.box.querySelector(".bad")?.remove();
@@ -162,7 +162,7 @@ function table(input, moved) {
   all.addEventListener("keydown", (event) => event.key === "Enter" && shift());
   const back = element("button", { type: "button", onclick: () => { input.now = [...input.values]; input.refuse(""); input.show(); moved(true); } }, "Back to the run's");
   const tools = element("div", { className: "tools" }, element("label", {}, "Shift all by ", all), element("span", {}, unit(input)), element("button", { type: "button", onclick: shift }, "Shift"), back);
-  const numbers = element("details", {}, element("summary", {}, "Numbers: type, or paste a column"), element("div", { className: "scroll" }, element("table", { className: "numbers" }, ...rows)));
+  const numbers = element("details", {}, element("summary", {}, "Numbers: type, or paste a column"), element("div", { className: "scroll tall" }, element("table", { className: "numbers" }, ...rows)));
   input.show = () => {
     boxes.forEach((box) => box.refresh());
     back.disabled = !changed(input);

@@ -96,7 +96,8 @@ function home() {
   page.valued = page.n;
   for (const stage of Object.keys(page.now)) render(stage);
   status("the run's numbers");
-  send({ do: "move", n: page.n, values: {} });
+  at("again").hidden = true;
+  send({ do: "cancel" });
 }
 
 function values() {
@@ -207,7 +208,7 @@ function value(found) {
   at("error").textContent = error(found.standard_error);
   facts(predicted(), found);
   offer(page.inputs.some(changed));
-  at("again").hidden = false;
+  at("again").hidden = !page.inputs.some(changed);
   idle("");
 }
 
@@ -235,7 +236,7 @@ function choices() {
   const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
   at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
   const names = page.base.fans.map((each) => each.name);
-  const first = names.includes("inventory") ? "inventory" : names[0];
+  const first = names.find((name) => page.units[name]) ?? names[0];
   at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
 }
 
