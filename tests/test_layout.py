@@ -22,6 +22,7 @@ ORDER = [
     "case",
     "report",
     "study",
+    "live",
     "testing",
     "domains",
     "cli",

@@ -25,6 +25,7 @@ def run(options: argparse.Namespace) -> int:
         "solve": _solve,
         "certify": _certify,
         "report": _report,
+        "open": _open,
         "compare": _compare,
         "bench": _bench,
     }
@@ -110,6 +111,21 @@ def _certify(options: argparse.Namespace) -> Answer:
 def _report(options: argparse.Namespace) -> Answer:
     file = commands.report(options.run)
     return {"status": "ok", "report": file}, str(file), OK
+
+
+def _open(options: argparse.Namespace) -> Answer:
+    from snapo.live.open import open_page
+
+    open_page(
+        options.run,
+        say,
+        simulator=options.simulator,
+        port=options.port,
+        browser=not options.no_browser,
+        paths=options.paths,
+        engine=options.engine,
+    )
+    return {"status": "ok"}, "", OK
 
 
 def _compare(options: argparse.Namespace) -> Answer:

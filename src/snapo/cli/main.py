@@ -35,6 +35,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_solve,
         _add_certify,
         _add_report,
+        _add_open,
         _add_compare,
         _add_bench,
     ):
@@ -94,6 +95,18 @@ def _add_report(commands) -> None:
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
 
 
+def _add_open(commands) -> None:
+    page = commands.add_parser("open", help="move the inputs of a run and see its value, live")
+    page.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    page.add_argument(
+        "--port", metavar="N", type=_port, default=0, help="of this machine (default: a free one)"
+    )
+    page.add_argument("--no-browser", action="store_true", help="print the address only")
+    page.add_argument("--paths", metavar="N", type=_paths, help="to value on (default: 12288)")
+    page.add_argument("--engine", choices=ENGINES, default="auto")
+    _add_simulator(page)
+
+
 def _add_compare(commands) -> None:
     compare = commands.add_parser("compare", help="say how two runs differ")
     compare.add_argument("first", metavar="RUN", type=Path)
@@ -133,6 +146,12 @@ def _add_simulator(parser: argparse.ArgumentParser) -> None:
 def _paths(text: str) -> int:
     if not text.isascii() or not text.isdigit() or int(text) < 2 or int(text) % 2:
         raise argparse.ArgumentTypeError(f"{text!r} is not an even number, 2 or more")
+    return int(text)
+
+
+def _port(text: str) -> int:
+    if not text.isascii() or not text.isdigit() or int(text) > 65535:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a port, 0 to 65535")
     return int(text)
 
 

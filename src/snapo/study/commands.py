@@ -173,21 +173,34 @@ def certify(
     from .cores import use_every_core
 
     record = run_folder.read(run)
-    domain = find(record.get("kind"), str(run / run_folder.RUN))
+    domain = domain_of_run(run, record, simulator)
     file, data = case_of_run(run, record)
-    code = record["decides"].get("options", {}).get("simulator")
-    if simulator is None and code:
-        what = f"the run's simulator is code of its owner; name it again: --simulator {code}"
-        raise CaseError(str(run), "", None, what)
     tell(f"reading {file}")
-    if simulator is not None and isinstance(domain, RunsCode):
-        domain = domain.with_simulator(*simulator)
     use_every_core()
     from .carry_out import certify as certified
     from .parts.bound import PATHS
 
     study = domain.study(domain.read(file, data), Options(engine))
     return certified(domain, study, run, tell, paths or PATHS, penalty)
+
+
+def domain_of_run(
+    run: Path, record: Mapping[str, Any], simulator: tuple[str, str] | None = None
+) -> Domain:
+    """The domain of a run, with the simulator that the command line names again.
+
+    **Raises:** `CaseError` where the run's simulator is code of its owner, and is not named.
+    """
+    from . import run_folder
+
+    domain = find(record.get("kind"), str(run / run_folder.RUN))
+    code = record["decides"].get("options", {}).get("simulator")
+    if simulator is None and code:
+        what = f"the run's simulator is code of its owner; name it again: --simulator {code}"
+        raise CaseError(str(run), "", None, what)
+    if simulator is not None and isinstance(domain, RunsCode):
+        return domain.with_simulator(*simulator)
+    return domain
 
 
 def report(run: Path) -> Path:

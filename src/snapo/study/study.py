@@ -31,6 +31,19 @@ class Setup(NamedTuple):
     engines: Engines
 
 
+class Today(NamedTuple):
+    """The decision of today in the words of its domain.
+
+    - `words`: in one line, "withdraw 164 MWh"; `facts`: (name, number, unit) beside it.
+    - `columns`: (name, unit) of the table, and its `rows`.
+    """
+
+    words: str
+    facts: Sequence[tuple[str, float | None, str]] = ()
+    columns: Sequence[tuple[str, str]] = ()
+    rows: Sequence[Sequence[Any]] = ()
+
+
 class Part(NamedTuple):
     """One piece of a run.
 
@@ -60,6 +73,11 @@ class Study:
     - `result`: what result.json says, from the run so far: "value", "standard_error", "status" …
     - `setup`: gives what training takes, the same object every time; None where nothing trains.
     - `relaxation`: gives the inner problem of the bound from above; or says why there is none.
+    - `moved`: gives the setup at a case that differs in the numbers of its inputs alone, as fast
+      as it can: with code that is compiled already. None: its inputs cannot be moved.
+    - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
+      written without them.
+    - `today`: says the decision of today: of a setup and a policy, the rows of a table.
     """
 
     kind: str
@@ -70,6 +88,9 @@ class Study:
     relaxation: Callable[[], Relaxation] | str = (
         "no bound from above is known for this kind of case"
     )
+    moved: Callable[[Setup, Any], Setup] | None = None
+    checks: Sequence[str] = ()
+    today: Callable[[Setup, Policy], "Today"] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

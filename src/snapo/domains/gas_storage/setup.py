@@ -11,7 +11,8 @@ from snapo.engine import Engines, choose
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
-from snapo.solver.sensitivity import sensitivities
+from snapo.problem.smooth import Exact
+from snapo.solver.by_block.passes import Way
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
@@ -22,7 +23,7 @@ from .bounds.value_iteration import FittedValue, fit_value
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
 from .contract.schedule import of_prices
-from .contract.simulator import StorageSimulator, simulator_of
+from .contract.simulator import StorageSimulator, largest_rate, mean_price, simulator_of
 from .policy.fitted_guide import FittedKnots
 from .policy.network import GuidePolicy, PricingPolicy, StoragePolicy
 from .policy.value_table import ValueTable
@@ -46,21 +47,45 @@ def make_setup(case: StorageCase, engine: str = "auto", fitted: FittedValue | No
     training = Training(**case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
-    # No hedge yet, but its place: the compiled `prepare` serves before and after.
-    simulator = StorageSimulator(  # pyright: ignore[reportCallIssue]
-        case, guide(problem, fitted), np.zeros(len(case.days))
-    )
     sources = case.model.sources(seed) or evaluation.sources(seed)
-    problem = replace(problem, simulator=simulator, sources=sources)
+    problem = _guided(replace(problem, sources=sources), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     try:
         engines = choose(engine, problem, policy)
     except ValueError as error:
         raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
-    if case.model.martingale:
-        hedged = replace(simulator, hedge=_hedge(problem, engines, seed))
-        problem = replace(problem, simulator=hedged)
-    return Setup(problem, policy, training, evaluation, engines)
+    return Setup(_hedged(problem, engines, seed), policy, training, evaluation, engines)
+
+
+def moved_setup(setup: Setup, case: StorageCase) -> Setup:
+    """The setup of a case that differs in the numbers of its inputs alone; nothing is compiled.
+
+    The same numbers as those of `make_setup(case)`.
+    """
+    simulator = simulator_of(setup.problem)
+    scales = {"price_scale": mean_price(case), "rate_scale": largest_rate(case)}
+    scales = {name: np.asarray(scale) for name, scale in scales.items()}
+    bare = replace(simulator, guide=None, hedge=None, **scales)
+    values = {name: given.value for name, given in storage_inputs(case).items()}
+    problem = replace(setup.problem, simulator=bare).at(values)
+    problem = _guided(problem, fitted_value(problem))
+    return setup._replace(problem=_hedged(problem, setup.engines, setup.training.seed))
+
+
+def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
+    """The problem with its guide."""
+    simulator = simulator_of(problem)
+    # No hedge yet, but its place: the compiled `prepare` serves before and after.
+    place = np.zeros(simulator.horizon)
+    return replace(problem, simulator=replace(simulator, guide=guide(problem, fitted), hedge=place))
+
+
+def _hedged(problem: Problem, engines: Engines, seed: int) -> Problem:
+    """The problem with its control variate, where there is one."""
+    simulator = simulator_of(problem)
+    if not simulator.process.martingale:
+        return problem
+    return replace(problem, simulator=replace(simulator, hedge=_hedge(problem, engines, seed)))
 
 
 def fitted_value(problem: Problem) -> FittedValue | None:
@@ -116,7 +141,9 @@ def _hedge(problem: Problem, engines: Engines, seed: int) -> np.ndarray:
     """Forward volumes [T] for the control variate: the deltas of the guide's rule."""
     plain = replace(problem, objective=Mean(OUTPUT))
     on = _measured_on(plain, Pseudo(seed, stream=stream(EVALUATE, HEDGE)))
-    found = sensitivities(on, GuidePolicy(), HEDGE_PATHS, engine=engines.evaluate)
+    way = Way(on, engines.evaluate.bind(on), GuidePolicy(), Exact(), held=True)
+    found = way.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
     simulator = simulator_of(problem)
     curve = simulator.case.market.forward_curve.name
-    return found.held[curve].value[: simulator.horizon] / problem.schedule.steps.gas_discount
+    deltas = found.inputs[curve].value[: simulator.horizon]
+    return deltas / problem.schedule.steps.gas_discount

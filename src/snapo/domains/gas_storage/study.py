@@ -17,12 +17,13 @@ from .references.intrinsic import intrinsic
 from .references.lattice import lattice
 from .results.certificate import CERTIFICATE
 from .results.deltas import DELTAS
-from .results.profile import PROFILE
+from .results.profile import PROFILE, today
 from .results.shadow_prices import SHADOW_PRICES
 from .results.values import VALUES
-from .setup import bare_problem, case_of, factors, fitted_value, make_setup
+from .setup import bare_problem, case_of, factors, fitted_value, make_setup, moved_setup
 
 KIND = "gas-storage"
+IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of the cash flow
 
 
 def lines(case: StorageCase) -> list[str]:
@@ -53,8 +54,16 @@ def study(case: StorageCase, options: Options) -> Study:
     if options.reference:
         parts.append(DYNAMIC_PROGRAMMING)
     parts.append(VALUES)
-    about = _about(case, bare)
-    return Study(KIND, about, tuple(parts), _result, lambda: ready.setup, relaxation)
+    return Study(
+        KIND,
+        _about(case, bare),
+        tuple(parts),
+        _result,
+        lambda: ready.setup,
+        relaxation,
+        moved=moved_setup,
+        today=today,  # pyright: ignore[reportArgumentType]
+    )
 
 
 def _relaxation(ready: "_Ready"):
@@ -94,6 +103,9 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "days": [day.isoformat() for day in case.days],
         "model": case.model.words(),
         "objective": case.objective.kind,
+        "value_unit": case.currency if case.objective.kind in IN_MONEY else "",
+        "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)
+        | dict.fromkeys(("cash_flow", "costs"), case.currency),
         "notes": [*notes, *case.notes],
         "fixed_costs": fixed_costs_value(case),
     }

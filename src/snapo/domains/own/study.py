@@ -21,6 +21,7 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import leaves, profile_part
+from snapo.study.same import same_program
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -100,13 +101,23 @@ def study(case: OwnCase, options: Options) -> Study:
         "title": case.title,
         "step": case.step,
         "unit": case.unit,
+        "value_unit": case.unit,
+        "units": dict(case.units),
         "horizon": case.simulator.horizon,
         "simulator": ":".join(case.place),
         "objective": case.objective_words,
         "objective_output": case.output,
         "notes": notes,
     }
-    return Study("own", about, tuple(parts), _result, lambda: setup, _relaxation(setup.problem))
+    relaxation = _relaxation(setup.problem)
+
+    def moved(before: Setup, other: OwnCase) -> Setup:
+        if not same_program(before.problem, other.simulator):
+            return make_setup(other, options.engine)
+        values = {name: given.value for name, given in other.inputs.items()}
+        return before._replace(problem=before.problem.at(values))
+
+    return Study("own", about, tuple(parts), _result, lambda: setup, relaxation, moved=moved)
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

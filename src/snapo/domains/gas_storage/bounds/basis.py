@@ -82,19 +82,26 @@ class Basis:
         found = np.append(constant, hinges)
         return np.append(found, 1.0) if self.common else found
 
-    def of_whitened(self, y: np.ndarray, days: slice) -> np.ndarray:
+    def of_whitened(
+        self, y: np.ndarray, days: slice, polynomials: np.ndarray | None = None
+    ) -> np.ndarray:
         """[days, n + hinges, paths] the part without g, from whitened factors [days, kept, paths].
 
         A factor that does not vary on a day counts as zero, and functions of it as nothing.
+        `polynomials`: those of y, where they are known.
         """
-        plain = self._polynomials(y) * self._alive[days][:, :, None]
+        known = self.polynomials(y) if polynomials is None else polynomials
+        plain = known * self._alive[days][:, :, None]
         hinges = np.maximum(y[:, :1] - self.hinges[:, None], 0.0) * self._moving[days, :1, None]
         return np.concatenate([plain, hinges], axis=1)
 
-    def ahead_of_whitened(self, y: np.ndarray, days: slice) -> np.ndarray:
+    def ahead_of_whitened(
+        self, y: np.ndarray, days: slice, polynomials: np.ndarray | None = None
+    ) -> np.ndarray:
         """The same as expected for the day after each of `days`, which are not the last."""
         after = slice(days.start + 1, days.stop + 1)
-        now, moves = self._polynomials(y) * self._alive[days][:, :, None], self._moves[after]
+        known = self.polynomials(y) if polynomials is None else polynomials
+        now, moves = known * self._alive[days][:, :, None], self._moves[after]
         plain = moves * now if moves.shape[-1] == 1 else moves @ now
         row = self._turn[after][:, 0]
         deviation = np.sqrt(np.maximum(1 - np.sum(row**2, axis=1), NOTHING))
@@ -105,7 +112,7 @@ class Basis:
     def _whitened(self, states: np.ndarray, days: slice) -> np.ndarray:
         return np.einsum("tij,tjp->tip", self._whiten[days], states[:, self.kept])
 
-    def _polynomials(self, y: np.ndarray) -> np.ndarray:
+    def polynomials(self, y: np.ndarray) -> np.ndarray:
         """[..., n, paths] products of Hermite polynomials, from whitened factors."""
         most = self.powers.max(axis=0)
         tables = [_hermite(y[..., i, :], degree) for i, degree in enumerate(most)]

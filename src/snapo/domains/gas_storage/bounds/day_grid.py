@@ -77,8 +77,12 @@ class DayGrid(NamedTuple):
     sell_bends: Bends | None
 
 
-def day_grids(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:
+def day_grids(
+    schedule, interpolation: Interpolation, inventories: int, bends: bool = True
+) -> list[DayGrid]:
     """All T days; `inventories` points from 0 to the largest inventory, and others beside them.
+
+    Without `bends` the grids are for values of the best flow, not for values above them.
 
     Only inventories that the one in store can become. Ratchet rows are nodes, and so are the
     inventories where the intrinsic value bends most: those that just can be emptied or filled in
@@ -95,7 +99,7 @@ def day_grids(schedule, interpolation: Interpolation, inventories: int) -> list[
     for t in range(horizon):
         regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
         nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
-    return [_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1]) for t in range(horizon)]
+    return [_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)]
 
 
 def _spacing(schedule, inventories: int) -> float:
@@ -128,7 +132,9 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
     return np.union1d(regular[~near | np.isin(regular, fixed)], bent)
 
 
-def _day(schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarray) -> DayGrid:
+def _day(
+    schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarray, bends: bool
+) -> DayGrid:
     keep, down, _, up = moves(schedule, day_rates, t, nodes)
     near = ON_NODE * volume_scale(schedule)
     return DayGrid(
@@ -138,7 +144,7 @@ def _day(schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarra
         holding_cost(schedule, t, nodes),
         _reach(after, np.minimum(np.maximum(down, keep), up), up, up >= keep - near),
         _reach(after, down, np.maximum(np.minimum(up, keep), down), down <= keep + near),
-        *_bends(schedule, day_rates, t, nodes, after),
+        *(_bends(schedule, day_rates, t, nodes, after) if bends else (None, None)),
     )
 
 
@@ -208,6 +214,7 @@ def _sorted(cell, share, target, keep) -> Bends | None:
 
 
 def _rows(numbers: np.ndarray) -> Rows:
-    if np.all(np.diff(numbers) == 1):
+    first, last = numbers[0], numbers[-1]
+    if last - first == len(numbers) - 1 and (numbers[1:] - numbers[:-1] == 1).all():
         return slice(int(numbers[0]), int(numbers[-1]) + 1)
     return numbers

@@ -37,12 +37,13 @@ def fitted_marginal(schedule, fitted: FittedValue, levels: int = LEVELS) -> Fitt
     basis, steps = fitted.basis, schedule.steps
     horizon = len(steps.forward)
     y, level, weight = states_of(basis)
+    known = basis.polynomials(y[None])
     size = len(basis.powers) + bool(basis.common)
     table = np.zeros((horizon, levels, size))
     for t in range(horizon):
         slope = _slopes(fitted, t + 1, steps.next_low[t], steps.next_high[t], levels)
-        plain = basis.of_whitened(y[None], slice(t, t + 1))[0, : len(basis.powers)]
-        ahead = scaled(basis, t, basis.ahead_of_whitened(y[None], slice(t, t + 1))[0], level)
+        plain = basis.of_whitened(y[None], slice(t, t + 1), known)[0, : len(basis.powers)]
+        ahead = scaled(basis, t, basis.ahead_of_whitened(y[None], slice(t, t + 1), known)[0], level)
         table[t] = regress(scaled(basis, t, plain, level), product(slope, ahead), weight)
         if fitted.nodes[t + 1].size == 1:  # no choice of inventory: the spot is as good as any
             table[t] = 0.0

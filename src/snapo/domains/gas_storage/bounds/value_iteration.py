@@ -58,17 +58,18 @@ def fit_value(
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
     basis = gaussian_basis(factors, constants.end_fraction != 0)
-    days = day_grids(schedule, interpolation, inventories)
+    days = day_grids(schedule, interpolation, inventories, bends=False)
     y, level, weight = states_of(basis)
+    known = basis.polynomials(y[None])  # the same points every day
     nodes = [day.nodes for day in days] + [days[-1].after]
     spot = constants.end_forward * _noise(basis, horizon, y, level)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
-        here = scaled(basis, t, basis.of_whitened(y[None], slice(t, t + 1))[0], level)
+        here = scaled(basis, t, basis.of_whitened(y[None], slice(t, t + 1), known)[0], level)
         coefficients[t] = regress(here, value, weight)
         if t:
-            ahead = basis.ahead_of_whitened(y[None], slice(t - 1, t))[0]
+            ahead = basis.ahead_of_whitened(y[None], slice(t - 1, t), known)[0]
             ahead = scaled(basis, t - 1, ahead, level)
             spot = steps.forward[t - 1] * _noise(basis, t - 1, y, level)
             prices = unit_prices(schedule, t - 1, spot)

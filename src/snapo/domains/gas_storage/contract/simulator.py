@@ -39,12 +39,23 @@ class StorageSimulator(Simulator):
     - `guide`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
+    - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
+      rate; by default those of the case.
     """
 
     case: StorageCase = eqx.field(static=True)
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     action: Box = eqx.field(static=True, default=Box(2, 0.0, 1.0))
+    # Arrays, so that code compiled for one curve serves another.
+    price_scale: Float[np.ndarray, ""] | None = None
+    rate_scale: Float[np.ndarray, ""] | None = None
+
+    def __post_init__(self):
+        if self.price_scale is None:
+            self.price_scale = np.asarray(mean_price(self.case))
+        if self.rate_scale is None:
+            self.rate_scale = np.asarray(largest_rate(self.case))
 
     @property
     def process(self) -> PriceProcess:
@@ -92,7 +103,7 @@ class StorageSimulator(Simulator):
             next_low=low[1:],
             next_high=high[1:],
             price=prices,
-            ahead=curve_ahead(forward, self._price_scale()),
+            ahead=curve_ahead(forward, self.price_scale),
             guide=None if self.guide is None else jax.tree.map(jnp.asarray, self.guide.knots),
             hedge=jnp.zeros(t) if self.hedge is None else jnp.asarray(self.hedge),
             **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
@@ -114,8 +125,8 @@ class StorageSimulator(Simulator):
             last_day=jnp.asarray(float(case.end_day)),
             price=constants,
             end_price=last,
-            price_scale=jnp.asarray(self._price_scale()),
-            rate_scale=jnp.asarray(float(self._largest_rate())),
+            price_scale=jnp.asarray(self.price_scale),
+            rate_scale=jnp.asarray(self.rate_scale),
         )
 
     def limits(self, inputs: dict[str, Any]) -> Limits:
@@ -140,17 +151,6 @@ class StorageSimulator(Simulator):
             use(inputs, each)[-1] for each in (contract.min_inventory, contract.max_inventory)
         )
         return contract.at_end.interval(inputs, low, high)
-
-    def _largest_rate(self) -> float:
-        rows = self.case.contract.ratchets
-        return max(
-            np.max(rows.withdrawal.used(), initial=0),
-            np.max(rows.injection.used(), initial=0),
-            1e-9,
-        )
-
-    def _price_scale(self) -> float:
-        return float(np.mean(np.abs(self.case.market.forward_curve.used())))
 
     def initial(self, constants: Terms, noise) -> State:
         return State(constants.inventory, self.process.initial(constants.price, noise))
@@ -231,6 +231,18 @@ def simulator_of(problem: Problem) -> StorageSimulator:
     if not isinstance(simulator, StorageSimulator):
         raise TypeError(f"{type(simulator).__name__} is not a gas store.")
     return simulator
+
+
+def mean_price(case: StorageCase) -> float:
+    """The mean size of the forward prices."""
+    return float(np.mean(np.abs(case.market.forward_curve.used())))
+
+
+def largest_rate(case: StorageCase) -> float:
+    """The largest volume that may move on a day."""
+    rows = case.contract.ratchets
+    rates = (np.max(each.used(), initial=0.0) for each in (rows.withdrawal, rows.injection))
+    return float(max(*rates, 1e-9))
 
 
 _PER_DAY = (

@@ -7,9 +7,10 @@ import numpy as np
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver.solution import Solution
-from snapo.study.study import Part, Setup, StudyRun
+from snapo.study.study import Part, Setup, StudyRun, Today
 
 from ..contract.records import StorageCase
+from ..policy.network import PricingPolicy
 from ..policy.triggers import Triggers, decide, triggers
 from ..setup import beside, case_of, policy_of
 
@@ -87,6 +88,29 @@ def _levels(schedule) -> tuple[float, np.ndarray]:
     return here, np.unique(np.append(np.linspace(low, high, 11), here))
 
 
+def today(setup: Setup, policy: PricingPolicy) -> Today:
+    """The first day's decision at the forward price, by inventory in store."""
+    problem, case = setup.problem, case_of(setup)
+    here, levels = _levels(problem.schedule)
+    at = triggers(problem, policy, np.zeros(len(levels), int), levels)
+    now, rows = _ladder(problem, policy, (here, levels), at)
+    gas, price = case.volume_unit, f"{case.currency}/{case.volume_unit}"
+    facts = [
+        ("spot", float(problem.schedule.steps.forward[0]), price),
+        ("inventory", now["inventory"], gas),
+        ("inject below", now["inject_below"], price),
+        ("withdraw above", now["withdraw_above"], price),
+    ]
+    columns = [
+        ("inventory", gas), ("action", ""), ("volume", gas),
+        ("inject below", price), ("withdraw above", price),
+    ]  # fmt: skip
+    names = ("inventory", "action", "volume", "inject_below", "withdraw_above")
+    volume = f" {now['volume']:,.0f} {gas}" if now["volume"] else ""
+    words = f"{now['action']}{volume} on {case.days[0]}"
+    return Today(words, facts, columns, [[row[name] for name in names] for row in rows])
+
+
 def _today(
     problem: Problem,
     case: StorageCase,
@@ -95,8 +119,21 @@ def _today(
     at: Triggers,
 ) -> dict[str, Any]:
     """The first day's decision at the inventory in store, and at the other levels."""
+    now, rows = _ladder(problem, policy_of(solution), place, at)
+    now |= {"date": case.days[0].isoformat(), "spot": problem.schedule.steps.forward[0]}
+    # The network's own price of gas is pinned down at the trigger alone; the adjoint's everywhere.
+    if solution.sensitivities is not None:
+        stored = solution.sensitivities.held[case.contract.inventory.name]
+        now["marginal_value"] = float(stored.value.sum())
+    return now | {"ladder": rows}
+
+
+def _ladder(
+    problem: Problem, policy: PricingPolicy, place: tuple[float, np.ndarray], at: Triggers
+) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """The first day's decision at the inventory in store, and at every level."""
     here, levels = place
-    decided = decide(problem, policy_of(solution), 0, levels)
+    decided = decide(problem, policy, 0, levels)
     net = decided.injection - decided.withdrawal
 
     def line(i: int) -> dict[str, Any]:
@@ -108,10 +145,5 @@ def _today(
             "volume": abs(net[i]),
         }
 
-    now = line(int(np.flatnonzero(levels == here)[0]))
-    now |= {"date": case.days[0].isoformat(), "spot": problem.schedule.steps.forward[0]}
-    # The network's own price of gas is pinned down at the trigger alone; the adjoint's everywhere.
-    if solution.sensitivities is not None:
-        stored = solution.sensitivities.held[case.contract.inventory.name]
-        now["marginal_value"] = float(stored.value.sum())
-    return now | {"ladder": [line(i) for i in range(len(levels))]}
+    rows = [line(i) for i in range(len(levels))]
+    return rows[int(np.flatnonzero(levels == here)[0])].copy(), rows

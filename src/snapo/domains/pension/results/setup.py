@@ -11,6 +11,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources, Supplied
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
+from snapo.study.same import same_program
 from snapo.study.study import Setup, StudyRun
 
 from ..fund.simulator import PensionSimulator
@@ -35,6 +36,18 @@ def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     except ValueError as error:
         raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
     return Setup(problem, policy, training, evaluation, engines)
+
+
+def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
+    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
+
+    Nothing is compiled where the fund takes these numbers from its inputs only.
+    """
+    other = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    if not same_program(setup.problem, other):
+        return make_setup(case, engine)
+    values = {name: given.value for name, given in pension_inputs(case).items()}
+    return setup._replace(problem=setup.problem.at(values))
 
 
 def case_of(run: StudyRun) -> PensionCase:

@@ -23,7 +23,7 @@ from . import (
 )
 from .figures import table as reconciliation
 from .figures.lines import examine
-from .setup import make_setup
+from .setup import make_setup, moved_setup
 
 TRAINED = (TRAINING.name,)
 PARTS = (
@@ -55,7 +55,11 @@ def pension_study(case: PensionCase, engine: str) -> Study:
     def setup() -> Setup:
         return make_setup(case, engine)
 
-    return Study("pension", about(case), PARTS, result, setup)
+    def moved(before: Setup, other: PensionCase) -> Setup:
+        return moved_setup(before, other, engine)
+
+    checks = ("reconcile",)
+    return Study("pension", about(case), PARTS, result, setup, moved=moved, checks=checks)
 
 
 def about(case: PensionCase) -> dict[str, Any]:

@@ -1,0 +1,1 @@
+"""The live page: inputs of a run are moved, and its trained policy is valued anew."""

@@ -1,0 +1,82 @@
+"""`snapo open RUN`: the page of a run, until it is ended."""
+
+import asyncio
+import sys
+import webbrowser
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.study import run_folder
+from snapo.study.commands import domain_of_run
+
+Tell = Callable[[str], None]
+
+
+def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
+    """All that is known of a run from its files: nothing is computed.
+
+    **Raises:** `CaseError` where there is no run, or one without a policy.
+    """
+    record = run_folder.read(run)
+    domain_of_run(run, record, simulator)
+    result = run_folder.read_table(run / run_folder.RESULT) or {}
+    if not (run / run_folder.POLICY).is_file() or result.get("value") is None:
+        what = "this run has no trained policy: solve its case again, or go on with --resume"
+        raise CaseError(str(run), "", None, what)
+    about = record.get("about", {})
+    keys = ("value", "standard_error", "status", "bound", "paths")
+    return {
+        "title": about.get("title", run.name),
+        "kind": record["kind"],
+        "days": about.get("days"),
+        "step": about.get("step", "step"),
+        "folder": str(run),
+        "result": {key: result.get(key) for key in keys},
+    }
+
+
+def open_page(
+    run: Path,
+    tell: Tell,
+    *,
+    simulator: tuple[str, str] | None = None,
+    port: int = 0,
+    browser: bool = True,
+    paths: int | None = None,
+    engine: str = "auto",
+) -> None:
+    """Serves the page of a run until Ctrl-C.
+
+    **Raises:** `CaseError` where there is no such run, the port is taken, or the extra is missing.
+    """
+    about = about_run(run, simulator)
+    try:
+        from .server import Server
+    except ModuleNotFoundError as error:
+        what = f"the page needs {error.name}: pip install 'snapo[live]'"
+        raise CaseError("snapo open", "", None, what) from None
+    worker = [sys.executable, "-m", "snapo.live.worker", str(run), "--engine", engine]
+    if simulator is not None:
+        worker += ["--simulator", ":".join(simulator)]
+    if paths is not None:
+        worker += ["--paths", str(paths)]
+
+    async def serve() -> None:
+        server = Server(run, about, worker)
+        try:
+            await server.start(port)
+        except OSError as error:
+            what = f"this machine cannot be listened to there ({error.strerror})"
+            raise CaseError("--port", "", port, what) from None
+        tell(f"the page is at {server.address}")
+        tell("it is for this machine alone; Ctrl-C ends it")
+        if browser:
+            webbrowser.open(server.address)
+        try:
+            await asyncio.Event().wait()
+        finally:
+            await server.close()
+
+    asyncio.run(serve())

@@ -1,0 +1,128 @@
+// Charts as SVG, drawn anew whenever their numbers or their width change.
+
+import { shown, ticks } from "./numbers.js";
+
+const SVG = "http://www.w3.org/2000/svg";
+
+export function node(name, attributes = {}, text) {
+  const made = document.createElementNS(SVG, name);
+  for (const [key, value] of Object.entries(attributes)) made.setAttribute(key, value);
+  if (text !== undefined) made.textContent = text;
+  return made;
+}
+
+export function element(name, attributes = {}, ...children) {
+  const made = document.createElement(name);
+  for (const [key, value] of Object.entries(attributes)) {
+    if (key.startsWith("on")) made.addEventListener(key.slice(2), value);
+    else if (key in made && key !== "list") made[key] = value;
+    else made.setAttribute(key, value);
+  }
+  made.append(...children);
+  return made;
+}
+
+// Draws into `place` now and at every width; `make(width)` gives the SVG.
+export function drawn(place, make) {
+  place.make = make;
+  const draw = () => {
+    if (place.clientWidth) place.replaceChildren(...[place.make(place.clientWidth)].flat());
+  };
+  if (!place.watch) {
+    let last = 0;
+    place.watch = new ResizeObserver(() => {
+      if (place.clientWidth !== last) {
+        last = place.clientWidth;
+        if (place.clientWidth) place.replaceChildren(...[place.make(place.clientWidth)].flat());
+      }
+    });
+    place.watch.observe(place);
+  }
+  draw();
+}
+
+// A frame with a vertical scale: { svg, x(i), y(v), left, right, top, bottom }.
+export function frame(width, height, low, high, label) {
+  const left = 54, right = width - 8, top = 10, bottom = height - 24;
+  const span = high - low || 1;
+  const y = (v) => bottom - ((v - low) / span) * (bottom - top);
+  const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": label });
+  for (const tick of ticks(low, high, 4)) {
+    svg.append(node("line", { class: Math.abs(tick) < 1e-12 * span ? "zero" : "rule", x1: left, x2: right, y1: y(tick), y2: y(tick) }));
+    svg.append(node("text", { x: left - 6, y: y(tick) + 4, "text-anchor": "end" }, shown(tick, 4)));
+  }
+  return { svg, y, left, right, top, bottom };
+}
+
+// Labels below, as many as there is room for.
+export function below(svg, labels, x, bottom, room) {
+  const widest = Math.max(...labels.map((label) => label.length)) * 6.2 + 10;
+  const every = Math.max(1, Math.ceil((labels.length * widest) / room));
+  labels.forEach((label, i) => {
+    if (i % every === 0) svg.append(node("text", { x: x(i), y: bottom + 16, "text-anchor": "middle" }, label));
+  });
+}
+
+const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
+
+// Bands and means over time, with the mean of the run beside them.
+export function fan(width, series, before, labels) {
+  const all = [...series.p05, ...series.p95, ...(before ? before.mean : [])].filter(Number.isFinite);
+  const low = Math.min(...all), high = Math.max(...all), pad = (high - low || Math.abs(high) || 1) * 0.04;
+  const chart = frame(width, 240, low - pad, high + pad, `${series.name} over time`);
+  const count = series.mean.length;
+  const x = (i) => chart.left + (i / Math.max(1, count - 1)) * (chart.right - chart.left);
+  const band = (a, b, name) => {
+    const there = a.map((v, i) => [x(i), chart.y(v)]), back = b.map((v, i) => [x(i), chart.y(v)]).reverse();
+    chart.svg.append(node("path", { class: name, d: path([...there, ...back]) + "Z" }));
+  };
+  band(series.p05, series.p95, "wide");
+  band(series.p25, series.p75, "close");
+  if (before) chart.svg.append(node("path", { class: "base", d: path(before.mean.map((v, i) => [x(i), chart.y(v)])) }));
+  chart.svg.append(node("path", { class: "now", d: path(series.mean.map((v, i) => [x(i), chart.y(v)])) }));
+  const room = chart.right - chart.left, steps = Math.max(1, Math.floor(room / 120));
+  for (let k = 0; k <= steps; k++) {
+    const i = Math.round((k / steps) * (count - 1));
+    const anchor = k === 0 ? "start" : k === steps ? "end" : "middle";
+    chart.svg.append(node("text", { x: x(i), y: chart.bottom + 16, "text-anchor": anchor }, labels(i)));
+  }
+  return chart.svg;
+}
+
+// A bar for each row, with its standard error, and the run's own as an outline.
+export function bars(width, rows, before, label) {
+  const numbers = rows.flatMap((row, i) => [row.value - 2 * (row.standard_error || 0), row.value + 2 * (row.standard_error || 0), before?.[i]?.value ?? 0]);
+  const low = Math.min(0, ...numbers), high = Math.max(0, ...numbers), pad = (high - low || 1) * 0.03;
+  const chart = frame(width, 230, low - (low < 0 ? pad : 0), high + (high > 0 ? pad : 0), label);
+  const slot = (chart.right - chart.left) / rows.length, wide = Math.min(46, slot * 0.66);
+  const x = (i) => chart.left + (i + 0.5) * slot;
+  const bar = (v, i, name) => chart.svg.append(node("rect", { class: name, x: x(i) - wide / 2, width: wide, y: Math.min(chart.y(0), chart.y(v)), height: Math.max(0.5, Math.abs(chart.y(v) - chart.y(0))) }));
+  rows.forEach((row, i) => {
+    bar(row.value, i, "bar");
+    if (before?.[i]) bar(before[i].value, i, "ghost");
+    const half = 2 * (row.standard_error || 0);
+    chart.svg.append(node("line", { class: "whisker", x1: x(i), x2: x(i), y1: chart.y(row.value - half), y2: chart.y(row.value + half) }));
+  });
+  below(chart.svg, rows.map((row) => row.label || ""), x, chart.bottom, chart.right - chart.left);
+  return chart.svg;
+}
+
+// Effects side by side: a horizontal bar for each, the largest first.
+export function tornado(width, rows) {
+  const line = 24, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
+  const names = width * 0.5, middle = (names + width) / 2, half = (width - names) / 2 - 58;
+  const svg = node("svg", { viewBox: `0 0 ${width} ${rows.length * line + 4}`, height: rows.length * line + 4, role: "img", "aria-label": "Effect of moving each input" });
+  svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: 0, y2: rows.length * line }));
+  const room = Math.floor(names / 6.1);
+  rows.forEach((row, i) => {
+    const y = i * line + 4, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
+    const name = row.name.length > room ? row.name.slice(0, room - 1) + "…" : row.name;
+    const text = node("text", { x: 0, y: y + 12 }, name);
+    text.append(node("title", {}, row.name));
+    svg.append(text);
+    svg.append(node("rect", { class: "bar", x: row.effect < 0 ? middle - length : middle, width: length, y, height: line - 9 }));
+    const after = row.effect < 0 ? middle - length - 5 : middle + length + 5;
+    svg.append(node("text", { x: after, y: y + 12, "text-anchor": row.effect < 0 ? "end" : "start" }, row.shown));
+  });
+  return svg;
+}

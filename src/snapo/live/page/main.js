@@ -1,0 +1,307 @@
+// The page: what the server says is shown, and what the hand moves is sent.
+
+import { changed, controls, label, unit } from "./inputs.js";
+import { bars, drawn, element, fan, tornado } from "./draw.js";
+import { error, shown, signed } from "./numbers.js";
+import { offer, scenarios } from "./scenarios.js";
+
+const at = (id) => document.getElementById(id);
+const MEMORY = "snapo moved"; // of this tab: a reload finds the moved numbers again
+const QUIET = 220; // milliseconds without a further move, after which the exact value is asked for
+
+const page = { about: null, inputs: [], base: null, now: {}, n: 0, valued: -1, socket: null, timer: null, ready: false };
+
+function connect() {
+  const socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
+  page.socket = socket;
+  socket.addEventListener("message", (event) => heard(JSON.parse(event.data)));
+  socket.addEventListener("close", () => {
+    status("not connected", "lost");
+    page.ready = false;
+    setTimeout(connect, 1500);
+  });
+}
+
+function send(order) {
+  if (page.socket.readyState === WebSocket.OPEN) page.socket.send(JSON.stringify(order));
+}
+
+function status(words, kind = "") {
+  at("status").textContent = words;
+  at("status").className = kind;
+}
+
+function trouble(words) {
+  at("trouble").textContent = words ?? "";
+  at("trouble").hidden = !words;
+}
+
+function heard(message) {
+  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled };
+  if (stages[message.stage]) return stages[message.stage](message);
+  if (message.n !== page.n) return;
+  page.now[message.stage] = message.table;
+  if (message.stage === "value") page.valued = message.n;
+  render(message.stage);
+}
+
+function about({ about }) {
+  page.about = about;
+  document.title = `${about.title} – snapo`;
+  at("title").textContent = about.title;
+  at("about").textContent = `${about.kind}, ${about.folder}`;
+  if (!page.base) {
+    at("figure").textContent = shown(about.result.value, 6);
+    at("error").textContent = error(about.result.standard_error);
+    at("changes").replaceChildren(fact("of the run", "as solve reported it"));
+  }
+}
+
+function starting(message) {
+  page.ready = false;
+  idle("");
+  status("starting", "busy");
+  trouble(message.message);
+}
+
+function failed(message) {
+  status("no calculation", "lost");
+  trouble(message.message);
+}
+
+function ready(message) {
+  const first = !page.base;
+  page.base = message.base;
+  page.ready = true;
+  page.paths = message.counts.value;
+  page.unit = message.unit;
+  page.units = message.units;
+  at("unit").textContent = page.unit;
+  trouble("");
+  if (first) {
+    page.inputs = message.inputs;
+    controls(at("groups"), page.inputs, moved);
+    remembered();
+    choices();
+  }
+  at("reset").disabled = false;
+  if (page.inputs.some(changed)) ask();
+  else home();
+}
+
+// Back at the run's own numbers: nothing to compute.
+function home() {
+  page.n += 1;
+  page.now = { ...page.base };
+  page.valued = page.n;
+  for (const stage of Object.keys(page.now)) render(stage);
+  status("the run's numbers");
+  at("again").hidden = true;
+  send({ do: "cancel" });
+}
+
+function values() {
+  return Object.fromEntries(page.inputs.filter(changed).map((input) => [input.name, input.now]));
+}
+
+function moved(done) {
+  sessionStorage.setItem(MEMORY, JSON.stringify(values()));
+  trouble("");
+  predict();
+  clearTimeout(page.timer);
+  if (done) ask();
+  else page.timer = setTimeout(ask, QUIET);
+}
+
+function ask() {
+  clearTimeout(page.timer);
+  if (!page.ready) return;
+  if (!page.inputs.some(changed)) return home();
+  page.n += 1;
+  page.sent = performance.now();
+  page.fresh = new Set();
+  status("revaluing", "busy");
+  at("value").classList.add("pending");
+  offer(false);
+  send({ do: "move", n: page.n, values: values() });
+}
+
+// To first order, from the sensitivities of the run: at once, without asking anybody.
+function predicted() {
+  let sum = 0;
+  for (const input of page.inputs) input.now.forEach((v, i) => (sum += v === input.values[i] ? 0 : input.slope[i] * (v - input.values[i])));
+  return sum;
+}
+
+function predict() {
+  if (!page.base) return;
+  const by = predicted();
+  at("value").classList.add("pending");
+  at("figure").textContent = shown(page.base.value.value + by, 6);
+  at("error").textContent = "to first order";
+  facts(by, null);
+}
+
+function refused(message) {
+  if (message.n !== page.n && message.n !== -1) return;
+  status("refused", "lost");
+  const words = message.message;
+  // The longest name that the message holds is the input that it is about.
+  const named = page.inputs.filter((input) => words.includes(input.name)).sort((a, b) => b.name.length - a.name.length)[0];
+  trouble(words);
+  if (named && changed(named)) named.refuse(words);
+}
+
+function done(message) {
+  if (message.n !== page.n) return;
+  for (const input of page.inputs) input.refuse("");
+  status(`revalued in ${shown(message.seconds, 2)} s`);
+}
+
+function training({ n, table }) {
+  if (n !== page.n) return;
+  at("train").disabled = true;
+  at("cancel").hidden = at("progress").hidden = false;
+  at("progress").max = table.of;
+  at("progress").value = table.step;
+  at("trained").textContent = `step ${table.step} of ${table.of}`;
+}
+
+function idle(words) {
+  at("train").disabled = false;
+  at("cancel").hidden = at("progress").hidden = true;
+  at("trained").textContent = words;
+}
+
+function trained({ n, table }) {
+  if (n !== page.n) return;
+  const after = `${shown(table.value, 6)} ${error(table.standard_error)}, a gain of ${shown(table.gain, 4)} ${error(table.gain_error)}`;
+  idle(`After ${table.steps} more steps the value is ${after}. To have that policy, keep the scenario and solve its case.`);
+}
+
+function cancelled() {
+  idle("Training was cancelled.");
+}
+
+function fact(name, value, note) {
+  return element("div", {}, element("dt", {}, name), element("dd", {}, value, note ? element("span", { className: "quiet" }, ` ${note}`) : ""));
+}
+
+function facts(by, found) {
+  const base = page.base.value, rows = [fact("the run's inputs", shown(base.value, 6), error(base.standard_error))];
+  const any = page.inputs.some(changed);
+  if (any) {
+    rows.push(fact("change to first order", signed(by)));
+    rows.push(fact("change, revalued", found ? signed(found.change) : "…", found ? error(found.change_error) : ""));
+  } else rows.push(fact("paths", shown(page.paths, 6)));
+  at("changes").replaceChildren(...rows);
+}
+
+function render(stage) {
+  const show = { value, deltas, today, fans, health }[stage];
+  if (show && page.now[stage]) show(page.now[stage]);
+}
+
+function value(found) {
+  at("value").classList.remove("pending");
+  at("figure").textContent = shown(found.value, 6);
+  at("error").textContent = error(found.standard_error);
+  facts(predicted(), found);
+  offer(page.inputs.some(changed));
+  at("again").hidden = !page.inputs.some(changed);
+  idle("");
+}
+
+function health(found) {
+  const box = at("health"), ratio = found.gradient / (found.at_training || 1);
+  const far = ratio > 2 && found.gradient > 2 * found.noise;
+  box.hidden = false;
+  box.classList.toggle("far", far);
+  box.textContent = far
+    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} times that where it was trained.`
+    : "The policy is near its best here, as far as its gradient tells.";
+}
+
+function today(found) {
+  at("today").hidden = false;
+  at("today-words").textContent = found.words;
+  at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(name, shown(number), unit)));
+  const head = element("tr", {}, ...found.columns.map(([name, unit]) => element("th", { scope: "col" }, unit ? `${name}, ${unit}` : name)));
+  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell) => element("td", {}, typeof cell === "string" ? cell : shown(cell)))));
+  at("today-table").replaceChildren(head, ...rows);
+}
+
+function choices() {
+  const many = page.inputs.filter((input) => input.values.length > 1);
+  const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
+  at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
+  const names = page.base.fans.map((each) => each.name);
+  const first = names.find((name) => page.units[name]) ?? names[0];
+  at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
+}
+
+function deltas(found) {
+  at("deltas").hidden = false;
+  const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name);
+  const scaled = (table) => table.find((each) => each.input === name).rows.map((row) => ({ ...row, value: row.value / input.factor, standard_error: row.standard_error / input.factor }));
+  const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
+  drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
+  at("delta-note").textContent = `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
+  const head = element("tr", {}, ...["", "now", "standard error", "the run's"].map((text) => element("th", { scope: "col" }, text)));
+  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), shown(row.value), shown(row.standard_error, 3), shown(base[i].value)].map((text) => element("td", {}, text)))));
+  const effects = found.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
+  effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
+  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, effect: each.effect, shown: signed(each.effect, 4) }))));
+}
+
+const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${unit(input)}`.trim());
+
+function fans(found) {
+  at("fans").hidden = false;
+  const name = at("fan-name").value, series = found.find((each) => each.name === name);
+  const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
+  const days = page.about.days, step = page.about.step;
+  drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
+  const unit = page.units[name];
+  at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
+}
+
+function load(numbers) {
+  for (const input of page.inputs) {
+    const found = numbers[input.name];
+    input.now = found && found.length === input.values.length ? [...found] : [...input.values];
+    input.refuse("");
+    input.show();
+  }
+  moved(true);
+}
+
+function remembered() {
+  try {
+    const found = JSON.parse(sessionStorage.getItem(MEMORY) ?? "{}");
+    for (const input of page.inputs) {
+      const numbers = found[input.name];
+      if (Array.isArray(numbers) && numbers.length === input.values.length && numbers.every(Number.isFinite)) {
+        input.now = numbers;
+        input.show();
+      }
+    }
+  } catch {
+    sessionStorage.removeItem(MEMORY);
+  }
+}
+
+function kept(message) {
+  scenarios(message.scenarios, {
+    load,
+    keep: (name) => page.valued === page.n && send({ do: "keep", n: page.n, name }),
+    forget: (id) => send({ do: "forget", id }),
+  });
+}
+
+at("train").addEventListener("click", () => page.valued === page.n && send({ do: "train", n: page.n }));
+at("cancel").addEventListener("click", () => send({ do: "cancel" }));
+at("reset").addEventListener("click", () => load({}));
+at("delta-input").addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));
+at("fan-name").addEventListener("change", () => page.now.fans && fans(page.now.fans));
+connect();

@@ -1,0 +1,36 @@
+// Named scenarios: kept, compared, taken away.
+
+import { element } from "./draw.js";
+import { error, shown, signed } from "./numbers.js";
+
+const at = (id) => document.getElementById(id);
+
+// Whether the numbers on the page can be kept now: they are valued, and not the run's.
+export function offer(possible) {
+  at("keep").querySelector("button").disabled = !possible;
+}
+
+export function scenarios(found, { load, keep, forget }) {
+  at("keep").onsubmit = (event) => {
+    event.preventDefault();
+    const name = at("keep-name").value.trim();
+    if (!name) return;
+    keep(name);
+    at("keep-name").value = "";
+  };
+  at("none-kept").hidden = found.length > 0;
+  at("scenarios-csv").hidden = found.length === 0;
+  if (!found.length) return at("kept").replaceChildren();
+  const head = element("tr", {}, ...["Scenario", "Value", "", "Change", "", "Moved", ""].map((text) => element("th", { scope: "col" }, text)));
+  at("kept").replaceChildren(head, ...found.map((each) => row(each, load, forget)));
+}
+
+function row(each, load, forget) {
+  const value = each.value ?? {}, names = Object.keys(each.values).map((name) => name.replaceAll("_", " "));
+  const tools = element("td", {},
+    element("button", { type: "button", onclick: () => load(each.values), ariaLabel: `Show ${each.name}` }, "Show"), " ",
+    each.case ? element("a", { href: `scenario/${each.id}.zip`, download: "" }, "Case") : "", " ",
+    element("button", { type: "button", onclick: () => forget(each.id), ariaLabel: `Forget ${each.name}` }, "Forget"));
+  const text = (content, kind = "") => element("td", { className: kind }, content);
+  return element("tr", {}, text(each.name, "name"), text(shown(value.value, 6)), text(error(value.standard_error)), text(signed(value.change)), text(error(value.change_error)), text(names.join(", "), "name"), tools);
+}

@@ -1,0 +1,126 @@
+"""Named scenarios: kept in the run folder, so that they outlive page, worker and server.
+
+scenarios/NAME/scenario.json    the moved inputs, and what they are worth
+scenarios/NAME/case/            the case, as `snapo solve` takes it
+"""
+
+import csv
+import datetime
+import io
+import json
+import re
+import shutil
+import unicodedata
+import zipfile
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from snapo.solver.files import write_text
+
+FOLDER, FILE, CASE = "scenarios", "scenario.json", "case"
+LONGEST, MOST = 60, 200  # letters of a name; scenarios of a run
+KEPT = ("value", "deltas", "today", "fans")
+
+
+class Refused(ValueError):
+    """Something that the page asked for and does not get; the message says why."""
+
+
+class Scenarios:
+    """The scenarios of a run."""
+
+    def __init__(self, run: Path):
+        self.folder = run / FOLDER
+
+    def all(self) -> list[dict[str, Any]]:
+        """Every scenario that can be read, in the order in which they were kept."""
+        found = [_read(each / FILE) for each in sorted(self.folder.glob("*/"))]
+        return sorted((each for each in found if each), key=lambda each: each["made"])
+
+    def keep(self, name: str, values: Mapping[str, Any], tables: Mapping[str, Any]) -> str:
+        """Keeps a scenario under a name, in place of one of the same name; returns its id.
+
+        **Raises:** `Refused` for a name that is none.
+        """
+        shown = " ".join(str(name).split())[:LONGEST]
+        if not shown:
+            raise Refused("a scenario needs a name")
+        found = slug(shown)
+        if not (self.folder / found).exists() and len(self.all()) >= MOST:
+            raise Refused(f"a run keeps {MOST} scenarios at most; forget one first")
+        made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
+        record = {"id": found, "name": shown, "made": made, "values": dict(values)}
+        record |= {key: tables[key] for key in KEPT if key in tables}
+        (self.folder / found).mkdir(parents=True, exist_ok=True)
+        write_text(self.folder / found / FILE, json.dumps(record, allow_nan=False))
+        return found
+
+    def forget(self, found: str) -> None:
+        """Removes a scenario and its case."""
+        shutil.rmtree(self.place(found), ignore_errors=True)
+
+    def place(self, found: str) -> Path:
+        """The folder of a scenario that exists.
+
+        **Raises:** `Refused` for an id that is none: no path leads out of the run.
+        """
+        if found != slug(found) or not (self.folder / found / FILE).is_file():
+            raise Refused("there is no such scenario")
+        return self.folder / found
+
+    def zipped(self, found: str) -> bytes:
+        """The case of a scenario, as a zip of its files."""
+        case = self.place(found) / CASE
+        if not case.is_dir():
+            raise Refused("this scenario has no case of its own")
+        out = io.BytesIO()
+        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
+            for each in sorted(case.iterdir()):
+                if each.is_file() and not each.is_symlink():
+                    packed.write(each, f"{found}/{each.name}")
+        return out.getvalue()
+
+    def table(self) -> str:
+        """All scenarios side by side as CSV: values, changes, and what was moved."""
+        return _csv(_compared(self.all()))
+
+
+def slug(name: str) -> str:
+    """A name of a folder from a name: small letters, digits and single hyphens."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
+    found = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:LONGEST]
+    return found or "s-" + "-".join(f"{ord(each):x}" for each in name.strip()[:8])
+
+
+def _read(file: Path) -> dict[str, Any] | None:
+    try:
+        record = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return None
+    good = isinstance(record, dict) and record.get("id") == file.parent.name
+    return record if good and isinstance(record.get("values"), dict) else None
+
+
+def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
+    yield ("scenario", "value", "standard_error", "change", "change_error", "inputs_moved", "made")
+    keys = ("value", "standard_error", "change", "change_error")
+    for each in records:
+        found = each.get("value") or {}
+        moved = " ".join(sorted(each["values"]))
+        yield (each["name"], *(found.get(key) for key in keys), moved, each["made"])
+
+
+def _csv(rows: Iterator[Sequence[Any]]) -> str:
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for row in rows:
+        writer.writerow([_cell(each) for each in row])
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    """A text that a spreadsheet would take for a formula is marked as text."""
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return value

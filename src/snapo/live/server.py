@@ -1,0 +1,221 @@
+"""The server of the page: files, one socket for each page, and scenarios to take away."""
+
+import asyncio
+import json
+import math
+from collections.abc import Mapping, Sequence
+from importlib.resources import files
+from itertools import count
+from pathlib import Path
+from typing import Any
+
+from aiohttp import WSMsgType, web
+
+from .crew import Crew
+from .guard import HOST, guard, new_token
+from .scenarios import CASE, Refused, Scenarios
+
+PAGE = files("snapo.live") / "page"
+KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
+LONGEST = 4 << 20  # bytes of a message from a page
+MOST_NUMBERS = 100_000  # of a move
+
+
+class Server:
+    """One run, one worker, any number of pages.
+
+    - `about`: the run as its files tell it; `worker`: the command that starts the calculation.
+    """
+
+    def __init__(self, run: Path, about: Mapping[str, Any], worker: Sequence[str]):
+        self.token, self.port = new_token(), 0
+        self.about, self.scenarios = dict(about), Scenarios(run)
+        self.crew = Crew(worker, self.hear)
+        self.pages: dict[str, web.WebSocketResponse] = {}
+        self._numbers = count(1)
+        self._writing: dict[tuple[str, int], asyncio.Future] = {}
+        self._last: dict[tuple[str, int], dict[str, Any]] = {}  # the tables of the last moves
+        self._runner: web.AppRunner | None = None
+
+    @property
+    def address(self) -> str:
+        """The page, with its token."""
+        return f"http://{HOST}:{self.port}/{self.token}/"
+
+    async def start(self, port: int = 0) -> None:
+        """Listens on this machine alone. **Raises:** `OSError` where the port is taken."""
+        checked, harden = guard(self.token, lambda: self.port)
+        app = web.Application(middlewares=[checked], client_max_size=LONGEST)
+        app.on_response_prepare.append(harden)
+        app.router.add_get("/{token}/", self.page)
+        app.router.add_get("/{token}/socket", self.socket)
+        app.router.add_get("/{token}/scenarios.csv", self.table)
+        app.router.add_get("/{token}/scenario/{id}.zip", self.case)
+        app.router.add_get("/{token}/{name:[a-z]+[.](?:css|js|svg)}", self.file)
+        self._runner = web.AppRunner(app, access_log=None)
+        await self._runner.setup()
+        site = web.TCPSite(self._runner, HOST, port)
+        await site.start()
+        self.port = self._runner.addresses[0][1]
+        self.crew.start()
+
+    async def close(self) -> None:
+        await self.crew.close()
+        for page in list(self.pages.values()):
+            await page.close()
+        if self._runner is not None:
+            await self._runner.cleanup()
+
+    # Files.
+
+    async def page(self, request: web.Request) -> web.Response:
+        return _sent("index.html")
+
+    async def file(self, request: web.Request) -> web.Response:
+        return _sent(request.match_info["name"])
+
+    async def table(self, request: web.Request) -> web.Response:
+        return _download(self.scenarios.table().encode(), "text/csv", "scenarios.csv")
+
+    async def case(self, request: web.Request) -> web.Response:
+        found = request.match_info["id"]
+        try:
+            body = self.scenarios.zipped(found)
+        except Refused as error:
+            raise web.HTTPNotFound(text=str(error)) from None
+        return _download(body, "application/zip", f"{found}.zip")
+
+    # Pages.
+
+    async def socket(self, request: web.Request) -> web.WebSocketResponse:
+        """One page, as long as it is open."""
+        socket = web.WebSocketResponse(max_msg_size=LONGEST, heartbeat=30)
+        await socket.prepare(request)
+        name = f"p{next(self._numbers)}"
+        self.pages[name] = socket
+        try:
+            await self._send(name, {"stage": "about", "about": self.about})
+            await self._send(name, self.crew.state)
+            await self._send(name, self._kept())
+            async for message in socket:
+                if message.type == WSMsgType.TEXT:
+                    await self._order(name, message.data)
+        finally:
+            self.pages.pop(name, None)
+            self.crew.forget(name)
+            await self.crew.ask({"do": "cancel", "page": name, "n": -1})
+            for key in [key for key in self._last if key[0] == name]:
+                del self._last[key]
+        return socket
+
+    async def _order(self, page: str, text: str) -> None:
+        """One wish of a page; one that is none is answered, and harms nobody."""
+        n = -1
+        try:
+            order = json.loads(text)
+            if not isinstance(order, dict):
+                raise Refused("this is no order")
+            n = order.get("n", -1)
+            n = n if isinstance(n, int) and not isinstance(n, bool) else -1
+            match order.get("do"):
+                case "move":
+                    values = _values(order.get("values"))
+                    self._last = {k: v for k, v in self._last.items() if k[0] != page}
+                    self._last[page, n] = {"values": values}
+                    await self.crew.ask({"do": "move", "page": page, "n": n, "values": values})
+                case "keep":
+                    await self._keep(page, n, str(order.get("name", "")))
+                case "train":
+                    found = self._last.get((page, n))
+                    if found is None or "value" not in found:
+                        raise Refused("these numbers are not valued yet")
+                    given = {"page": page, "n": n, "values": found["values"]}
+                    await self.crew.ask({"do": "train", **given})
+                case "cancel":
+                    await self.crew.ask({"do": "cancel", "page": page, "n": -1})
+                case "forget":
+                    self.scenarios.forget(str(order.get("id", "")))
+                    await self._tell_all(self._kept())
+                case _:
+                    raise Refused("this is no order")
+        except (Refused, ValueError, OverflowError, RecursionError) as error:
+            words = str(error) if isinstance(error, Refused) else "this message cannot be read"
+            await self._send(page, {"stage": "refused", "n": n, "message": words})
+        except OSError as error:
+            words = f"the run folder cannot be written ({error.strerror})"
+            await self._send(page, {"stage": "refused", "n": n, "message": words})
+
+    async def _keep(self, page: str, n: int, name: str) -> None:
+        """A scenario as it was valued, with its case; every page learns of it."""
+        found = self._last.get((page, n))
+        if found is None or "value" not in found:
+            raise Refused("these numbers are not valued yet")
+        kept = self.scenarios.keep(name, found["values"], found)
+        await self._tell_all(self._kept())
+        folder = str(self.scenarios.place(kept) / CASE)
+        order = {"do": "write", "page": page, "n": n, "values": found["values"], "folder": folder}
+        await self.crew.ask(order)
+
+    async def hear(self, message: dict[str, Any]) -> None:
+        """One line of the worker: to the page that it is for, or to all."""
+        page = message.get("page")
+        if page is None:
+            await self._tell_all(message)
+            return
+        found = self._last.get((page, message["n"]))
+        if found is not None and "table" in message:
+            found[message["stage"]] = message["table"]
+        if message["stage"] == "written":
+            await self._tell_all(self._kept())
+        await self._send(page, message)
+
+    def _kept(self) -> dict[str, Any]:
+        found = self.scenarios.all()
+        for each in found:
+            each["case"] = (self.scenarios.folder / each["id"] / CASE).is_dir()
+        return {"stage": "scenarios", "scenarios": found}
+
+    async def _tell_all(self, message: Mapping[str, Any]) -> None:
+        for page in list(self.pages):
+            await self._send(page, message)
+
+    async def _send(self, page: str, message: Mapping[str, Any]) -> None:
+        socket = self.pages.get(page)
+        if socket is not None and not socket.closed:
+            try:
+                await socket.send_str(json.dumps(message))
+            except ConnectionError:
+                self.pages.pop(page, None)
+
+
+def _values(given: Any) -> dict[str, list[float]]:
+    """{input: numbers} of a message; whether they suit the case, the case's reader says."""
+    if not isinstance(given, dict):
+        raise Refused("a move is a table of inputs")
+    found, size = {}, 0
+    for name, numbers in given.items():
+        if not isinstance(numbers, list):
+            raise Refused(f"{name}: an input is a list of numbers")
+        size += len(numbers)
+        if size > MOST_NUMBERS:
+            raise Refused(f"a move has {MOST_NUMBERS} numbers at most")
+        for number in numbers:
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                raise Refused(f"{name}: an input is a list of numbers")
+            if not math.isfinite(number):
+                raise Refused(f"{name}: every number must be finite")
+        found[name] = [float(number) for number in numbers]
+    return found
+
+
+def _sent(name: str) -> web.Response:
+    file = PAGE / name
+    if not file.is_file():
+        raise web.HTTPNotFound(text="There is no such file.")
+    kind = KINDS[name.rpartition(".")[2]]
+    return web.Response(body=file.read_bytes(), content_type=kind, charset="utf-8")
+
+
+def _download(body: bytes, kind: str, name: str) -> web.Response:
+    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
+    return web.Response(body=body, content_type=kind, headers=headers)

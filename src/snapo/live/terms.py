@@ -1,0 +1,87 @@
+"""Inputs in the terms of their owner: units, handles to drag, and derivatives per handle."""
+
+import datetime
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.inputs import Input
+from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.statistics import Estimate
+
+MOST_DAYS = 62  # dates that are handles of their own; more of them are moved by month
+MOST_ROWS = 60  # of one input in a table of derivatives
+SHARE = 0.01  # of a number that does not say its `move`
+
+
+def handles(given: Input) -> list[tuple[str, list[int]]]:
+    """(label, positions) of the parts of an input that are moved together: days go by month."""
+    labels = given.names()
+    if len(labels) > MOST_DAYS and _days(labels):
+        months: dict[str, list[int]] = {}
+        for i, label in enumerate(labels):
+            months.setdefault(label[:7], []).append(i)
+        return list(months.items())
+    return [(label, [i]) for i, label in enumerate(labels)]
+
+
+def _days(labels: tuple[str, ...]) -> bool:
+    try:
+        return all(datetime.date.fromisoformat(label) for label in labels)
+    except ValueError:
+        return False
+
+
+def described(name: str, given: Input, slope: np.ndarray, believed: str) -> dict[str, Any]:
+    """An input for the page: all that is said about it, its numbers, and d value / d number."""
+    return {
+        "name": name,
+        "words": given.words,
+        "group": given.group or "other",
+        "unit": given.unit,
+        "trade_unit": given.trade_unit,
+        "factor": given.trade_factor if given.trade_unit else 1.0,
+        "values": given.value.ravel(),
+        "shape": list(given.value.shape),
+        "handles": [{"label": label, "at": at} for label, at in handles(given)],
+        "move": given.move,
+        "slope": slope,
+        "believed": believed,
+    }
+
+
+def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str, np.ndarray]:
+    """d value / d number of every input, flat: the derivative that the run believes in."""
+    if table is None:
+        return {name: np.zeros(given.value.size) for name, given in named.items()}
+    found = {}
+    for name in named:
+        smooth = table.believed(name) == "smooth" and table.smooth is not None
+        chosen = table.smooth if smooth and table.smooth is not None else table.held
+        found[name] = chosen[name].value.ravel()
+    return found
+
+
+def derivatives(held: Mapping[str, Estimate], named: Mapping[str, Input]) -> list[dict[str, Any]]:
+    """A row for each input: the effect of its move, and of one unit more at every handle."""
+    return [_derivative(name, given, held[name]) for name, given in named.items()]
+
+
+def usual(given: Input) -> np.ndarray:
+    """By how much every number of an input moves, shaped like it."""
+    if given.move is None:
+        return SHARE * given.value
+    return np.full(given.value.shape, given.move)
+
+
+def _derivative(name: str, given: Input, found: Estimate) -> dict[str, Any]:
+    shape, size = given.value.shape, given.value.size
+    effect, error = found.along(usual(given))
+    rows = []
+    for label, at in handles(given)[:MOST_ROWS]:
+        direction = np.zeros(size)
+        direction[at] = 1.0
+        value, spread = found.along(direction.reshape(shape))
+        rows.append({"label": label, "value": value, "standard_error": spread})
+    return {"input": name, "effect": effect, "standard_error": error, "rows": rows}

@@ -1,0 +1,155 @@
+"""The process that computes: moves come in as lines of JSON, tables go out as lines of JSON.
+
+It is apart from the server, so that a page answers while it works, and outlives it. Of the moves of
+one page only the newest is worth an answer: a newer one ends the work on the one before.
+"""
+
+import argparse
+import json
+import os
+import queue
+import sys
+import threading
+import time
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, TextIO
+
+from snapo.case.error import CaseError
+from snapo.study.run_folder import plain_json
+
+from .valuation import Counts, Valuation, open_run
+
+
+class Post:
+    """Lines to the server."""
+
+    def __init__(self, out: TextIO):
+        self.out, self.lock = out, threading.Lock()
+
+    def __call__(self, **message: Any) -> None:
+        with self.lock:
+            self.out.write(json.dumps(plain_json(message), allow_nan=False) + "\n")
+            self.out.flush()
+
+
+class Desk:
+    """Requests as they come: moves by page, the newest only, and everything else in order.
+
+    A newer move ends a page's training too, and so does "cancel", with a number of no move.
+    """
+
+    def __init__(self, lines: TextIO):
+        self.lines = lines
+        self.orders: queue.Queue[dict[str, Any] | None] = queue.Queue()
+        self.newest: dict[str, int] = {}
+        threading.Thread(target=self._read, daemon=True).start()
+
+    def _read(self) -> None:
+        for line in self.lines:
+            order = json.loads(line)
+            if order.get("do") in ("move", "train", "cancel"):
+                self.newest[order["page"]] = order["n"]
+            if order.get("do") == "cancel":
+                continue
+            self.orders.put(order)
+        self.orders.put(None)
+
+    def stale(self, order: Mapping[str, Any]) -> bool:
+        """Whether the page has asked for something else since."""
+        return self.newest.get(order["page"]) != order["n"]
+
+
+def serve(valuation: Valuation, desk: Desk, post: Post) -> None:
+    """Answers until there are no more lines."""
+    while (order := desk.orders.get()) is not None:
+        try:
+            if order["do"] == "move":
+                _move(valuation, desk, post, order)
+            elif order["do"] == "train":
+                _train(valuation, desk, post, order)
+            elif order["do"] == "write":
+                files = valuation.files(order["values"])
+                files.write(Path(order["folder"]))
+                post(page=order["page"], n=order["n"], stage="written")
+        except CaseError as error:
+            post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))
+        except Exception as error:
+            words = f"{type(error).__name__}: {error}"[:500]
+            post(page=order["page"], n=order["n"], stage="refused", message=words)
+
+
+def _move(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+    started = time.perf_counter()
+    stages = valuation.stages(order["values"])
+    while not desk.stale(order):
+        found = next(stages, None)
+        seconds = time.perf_counter() - started
+        address = {"page": order["page"], "n": order["n"], "seconds": seconds}
+        if found is None:
+            post(**address, stage="done")
+            return
+        post(**address, stage=found[0], table=found[1])
+
+
+class Cancelled(Exception):
+    """The page does not want it any more."""
+
+
+def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+    address = {"page": order["page"], "n": order["n"]}
+
+    def told(step: int, of: int) -> None:
+        if desk.stale(order):
+            raise Cancelled
+        post(**address, stage="training", table={"step": step, "of": of})
+
+    try:
+        found = valuation.train_again(order["values"], told)
+    except Cancelled:
+        post(**address, stage="cancelled")
+    else:
+        post(**address, stage="trained", table=found)
+
+
+def in_words(error: CaseError) -> str:
+    """A refusal for the page: the case was written to a folder that its owner has not seen."""
+    return " ".join(_short(each) for each in (error, *error.others))
+
+
+def _short(error: CaseError) -> str:
+    file = Path(error.file).name if error.file else ""
+    return str(CaseError(file, error.where, error.value, error.allowed))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    """`python -m snapo.live.worker RUN`: the way the server starts it."""
+    parser = argparse.ArgumentParser(prog="snapo.live.worker")
+    parser.add_argument("run", type=Path)
+    parser.add_argument("--simulator")
+    parser.add_argument("--engine", default="auto")
+    parser.add_argument("--paths", type=int)
+    options = parser.parse_args(arguments)
+    # What a user's code prints must not stand between the lines of the answers.
+    out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
+    os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
+    post = Post(out)
+    from snapo.study.cores import use_every_core
+
+    use_every_core()
+    code = tuple(options.simulator.split(":")) if options.simulator else None
+    counts = None if options.paths is None else Counts.at_most(options.paths)
+    try:
+        valuation = open_run(options.run, code, options.engine, counts)  # pyright: ignore
+    except CaseError as error:
+        post(stage="failed", message=str(error))
+        return 2
+    base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
+    counts = valuation.counts._asdict()
+    post(stage="ready", inputs=valuation.inputs(), base=base, counts=counts, **valuation.units())
+    serve(valuation, Desk(sys.stdin), post)
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())

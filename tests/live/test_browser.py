@@ -1,0 +1,242 @@
+"""A real browser on a real run: every kind of control, by mouse and by keyboard alone."""
+
+import asyncio
+import json
+import os
+import shutil
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
+sync_api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
+
+from snapo.live.open import about_run  # noqa: E402
+from snapo.live.server import Server  # noqa: E402
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
+pytestmark = [
+    pytest.mark.prove,
+    pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium"),
+]
+PATIENCE = 45_000  # milliseconds: the machine may be busy
+
+
+@pytest.fixture(scope="module")
+def served(solved, tmp_path_factory):
+    """The server of a small store, in a thread of its own."""
+    run = tmp_path_factory.mktemp("browser") / "run"
+    shutil.copytree(solved("gas-storage") / "run", run)
+    about = about_run(run) | {"title": '<img src=x onerror="document.title=1">Small store'}
+    server = Server(run, about, [sys.executable, "-m", "snapo.live.worker", str(run)])
+    loop, up = asyncio.new_event_loop(), threading.Event()
+
+    async def start():
+        await server.start()
+        up.set()
+
+    def live():
+        loop.run_until_complete(start())
+        loop.run_forever()
+
+    thread = threading.Thread(target=live)
+    thread.start()
+    assert up.wait(30)
+    yield server
+    asyncio.run_coroutine_threadsafe(server.close(), loop).result(30)
+    loop.call_soon_threadsafe(loop.stop)
+    thread.join()
+    loop.close()
+
+
+@pytest.fixture(scope="module")
+def browser():
+    with sync_api.sync_playwright() as playwright:
+        found = playwright.chromium.launch(executable_path=CHROMIUM, args=["--no-sandbox"])
+        yield found
+        found.close()
+
+
+@pytest.fixture
+def page(served, browser):
+    """A page that is ready; any error of its script, and any request that leaves, fails the test."""
+    context = browser.new_context()
+    page, wrong = context.new_page(), []
+    page.on("pageerror", lambda error: wrong.append(str(error)))
+    page.on("console", lambda message: message.type == "error" and wrong.append(message.text))
+    home = f"http://127.0.0.1:{served.port}/"
+    page.on("request", lambda each: each.url.startswith(home) or wrong.append(each.url))
+    page.set_default_timeout(PATIENCE)
+    page.goto(served.address)
+    page.locator("#deltas").wait_for()
+    yield page
+    context.close()
+    assert wrong == []
+
+
+def settled(page):
+    page.locator("#status", has_text="revalued in").wait_for()
+    return page.inner_text("#figure")
+
+
+def home(page):
+    page.click("#reset")
+    page.locator("#status", has_text="the run's numbers").wait_for()
+
+
+def test_a_point_is_dragged(page):
+    before = page.inner_text("#figure")
+    handle = page.locator("[data-input=forward_curve] .handle").first
+    box = handle.bounding_box()
+    x, y = box["x"] + box["width"] / 2, box["y"] + box["height"] / 2
+    page.mouse.move(x, y)
+    page.mouse.down()
+    page.mouse.move(x, y - 20, steps=4)
+    assert page.inner_text("#error") == "to first order"
+    assert page.inner_text("#figure") != before
+    page.mouse.up()
+    after = settled(page)
+    assert after != before and page.inner_text("#error").startswith("±")
+    assert "change, revalued" in page.inner_text("#changes")
+    page.reload()  # what was moved is still moved
+    page.locator("#deltas").wait_for()
+    assert settled(page) == after
+    home(page)
+    assert page.inner_text("#figure") == before
+
+
+def test_the_keyboard_alone_is_enough(page):
+    before = page.inner_text("#figure")
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("ArrowUp")
+    page.keyboard.press("PageUp")
+    assert settled(page) != before
+    home(page)
+    group = page.locator("details.group", has=page.locator("[data-input=inventory]"))
+    group.locator("summary").first.focus()
+    page.keyboard.press("Enter")
+    slider = page.locator("[data-input=inventory] input[type=range]")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    first = settled(page)
+    assert first != before
+    field = page.locator("[data-input=inventory] input[type=text]")
+    field.focus()
+    page.keyboard.press("Control+A")
+    page.keyboard.type("12,5")
+    page.keyboard.press("Enter")
+    page.locator("#status", has_text="revaluing").wait_for()
+    assert settled(page) not in (before, first)
+    home(page)
+
+
+def test_a_column_is_pasted_and_a_bad_one_changes_nothing(page):
+    page.locator("[data-input=forward_curve] details summary").click()
+    fields = page.locator("[data-input=forward_curve] table input")
+    count, before = fields.count(), fields.first.input_value()
+
+    def paste(text):
+        fields.first.evaluate(
+            """(box, text) => { const data = new DataTransfer(); data.setData("text", text);
+            box.dispatchEvent(new ClipboardEvent("paste", { clipboardData: data, bubbles: true, cancelable: true })); }""",
+            text,
+        )
+
+    for bad in ("1\ntwo\n3", "1\n" * (count + 1), "=1+1\n2", "<b>1</b>\n2"):
+        paste(bad)
+        assert "Nothing was pasted" in page.inner_text("[data-input=forward_curve] .bad")
+        assert fields.first.input_value() == before
+    numbers = [20 + 0.25 * k for k in range(count)]
+    paste(
+        "month\tprice\n" + "\n".join(f"m{k}\t{x}".replace(".", ",") for k, x in enumerate(numbers))
+    )
+    settled(page)
+    assert [float(fields.nth(k).input_value()) for k in range(count)] == numbers
+    home(page)
+
+
+def test_what_the_case_refuses_is_said_beside_its_control(page):
+    page.locator("details.group", has=page.locator("[data-input=inventory]")).locator(
+        "summary"
+    ).first.click()
+    field = page.locator("[data-input=inventory] input[type=text]")
+    field.fill("1e6")
+    field.press("Enter")
+    page.locator("#status", has_text="refused").wait_for()
+    assert "limits allow" in page.inner_text("[data-input=inventory] .bad")
+    field.fill("many")
+    field.press("Enter")
+    assert "not a number" in page.inner_text("[data-input=inventory] .bad")
+    home(page)
+
+
+def test_scenarios_are_kept_shown_compared_and_survive_a_killed_worker(page, served):
+    assert page.inner_text("#title").startswith("<img src=x")  # a text, and no element
+    page.fill("[data-input=forward_curve] .short", "1.5")
+    page.locator("[data-input=forward_curve] .short").press("Enter")
+    value = settled(page)
+    page.fill("#keep-name", "<script>High</script>")
+    page.press("#keep-name", "Enter")
+    row = page.locator("#kept tr", has_text="<script>High</script>")
+    row.locator("a", has_text="Case").wait_for()
+    assert value in row.inner_text()
+    home(page)
+
+    os.kill(served.crew.process.pid, signal.SIGKILL)
+    page.locator("#status", has_text="starting").wait_for()
+    assert row.count() == 1
+    row.locator("button", has_text="Show").click()
+    assert settled(page) == value  # of the new process, to every digit shown
+    with page.expect_download() as waiting:
+        row.locator("a", has_text="Case").click()
+    assert Path(waiting.value.path()).stat().st_size > 200
+    record = json.loads(
+        (served.scenarios.folder / "script-high-script" / "scenario.json").read_text()
+    )
+    assert record["name"] == "<script>High</script>"
+    row.locator("button", has_text="Forget").click()
+    row.wait_for(state="detached")
+    home(page)
+
+
+def test_the_policy_is_trained_again_where_it_was_moved_to(page):
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("PageUp")
+    settled(page)
+    page.click("#train")
+    page.locator("#trained", has_text="more steps the value is").wait_for()
+    home(page)
+
+
+def test_two_pages_move_apart(page, served, browser):
+    other = browser.new_page()
+    other.goto(served.address)
+    other.locator("#deltas").wait_for(timeout=PATIENCE)
+    before = other.inner_text("#figure")
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("PageUp")
+    assert settled(page) != before
+    assert other.inner_text("#figure") == before
+    other.close()
+    home(page)
+
+
+@pytest.mark.parametrize("width", [1440, 1024, 390])
+def test_nothing_is_cut_at_any_width(page, width):
+    page.set_viewport_size({"width": width, "height": 900})
+    page.evaluate(
+        "() => document.querySelectorAll('details').forEach((each) => (each.open = true))"
+    )
+    time.sleep(0.3)
+    assert page.evaluate("() => document.documentElement.scrollWidth") <= width
+    wide = page.evaluate(
+        """() => [...document.querySelectorAll("main *")].filter((each) => {
+        const box = each.getBoundingClientRect();
+        return box.width && box.right > innerWidth + 1 && !each.closest(".scroll");
+        }).map((each) => each.outerHTML.slice(0, 80))"""
+    )
+    assert wide == []
