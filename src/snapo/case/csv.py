@@ -1,8 +1,8 @@
 """CSV files and arrays beside a case, read so that every mistake has a line and a remedy.
 
-A CSV is UTF-8 (with or without a byte-order mark), separated by commas, with a header row that
-names the columns in any order; blank lines, lines that start with `#`, and further columns are
-passed over. Numbers have a decimal point; days are YYYY-MM-DD and months YYYY-MM.
+A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
+order; blank lines, lines that start with `#`, and further columns are passed over. Commas separate,
+numbers have a decimal point, days are YYYY-MM-DD and months YYYY-MM; see `dialect` for others.
 """
 
 import csv
@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .dialect import Dialect, Doubt, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .table import LARGEST, TOO_LARGE, Section, not_utf8
 
@@ -38,11 +39,12 @@ class Mention:
 
 @dataclass(frozen=True)
 class Row:
-    """One line of a CSV: its file, its line number from 1, and its cells by column."""
+    """One line of a CSV: its file, its line number from 1, its cells by column, and its dialect."""
 
     file: str
     line: int
     cells: dict[str, str]
+    dialect: Dialect = Dialect()
 
     def error(self, column: str, allowed: str) -> CaseError:
         """A mistake in one cell of this line."""
@@ -64,17 +66,19 @@ class Row:
 
     def day(self, column: str) -> datetime.date:
         """A day that exists, YYYY-MM-DD."""
-        text = self.cells[column]
         try:
+            text = self.dialect.day(self.cells[column])
             if DAY.fullmatch(text):
                 return datetime.date.fromisoformat(text)
+        except Doubt as doubt:
+            raise self.error(column, str(doubt)) from None
         except ValueError:
             raise self.error(column, "there is no such day in the calendar") from None
         raise self.error(column, "a date is written YYYY-MM-DD")
 
     def month(self, column: str) -> tuple[int, int]:
         """A month, YYYY-MM, as (year, month)."""
-        match = MONTH.fullmatch(self.cells[column])
+        match = MONTH.fullmatch(self.dialect.month(self.cells[column]))
         if not match:
             raise self.error(column, "a month is written YYYY-MM")
         if not 1 <= int(match[2]) <= 12 or match[1] == "0000":
@@ -124,12 +128,11 @@ def read_rows(
     """
     path = beside(mention, (".csv",))
     name = mention.name
-    records = _records(name, _text(path, name))
-    header = next(records, None)
-    if header is None:
+    found, written = _read(mention, _text(path, name))
+    if not found:
         what = f"the file is empty; its first line is {','.join(columns)}"
         raise CaseError(name, "", None, what)
-    line, cells = header
+    (line, cells), *records = found
     names = _header(name, line, cells, columns)
     known = names if optional is None else (*columns, *optional)
     for column in names:
@@ -142,7 +145,8 @@ def read_rows(
             got = Unquoted(f"{len(cells)} cells")
             what = f"the header has {len(names)} columns ({','.join(names)}); decimals have a point"
             raise CaseError(name, f"line {line}", got, what)
-        rows.append(Row(name, line, dict(zip(names, cells, strict=True))))
+        numbers = map(written.number, cells)
+        rows.append(Row(name, line, dict(zip(names, numbers, strict=True)), written))
     if not rows:
         raise CaseError(name, "", None, "there are no rows below the header")
     return rows
@@ -161,9 +165,26 @@ def _text(path: Path, name: str) -> str:
     return text
 
 
-def _records(name: str, text: str) -> Iterator[tuple[int, list[str]]]:
+def _read(mention: Mention, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
+    """Line numbers and cells, header first, and the dialect, of which the case gets a note."""
+    lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
+    header = next(lines, "")
+    found = list(_records(mention.name, text, separator(header)))
+    try:
+        written = dialect(header, (cells for _, cells in found[1:]))
+    except Doubt as doubt:
+        line, cells = next(each for each in found[1:] if doubt.cell in each[1])
+        names = [*found[0][1], *cells]  # a line may have too many cells
+        where = f"line {line}, column {names[cells.index(doubt.cell)]}"
+        raise CaseError(mention.name, where, doubt.cell, str(doubt)) from None
+    if written.words():
+        mention.section.notes.append(f"{mention.name} was read with {written.words()}.")
+    return found, written
+
+
+def _records(name: str, text: str, separated_by: str) -> Iterator[tuple[int, list[str]]]:
     """Line number and cells of each line that is neither blank nor a comment."""
-    reader = csv.reader(text.splitlines(), strict=True)
+    reader = csv.reader(text.splitlines(), strict=True, delimiter=separated_by)
     try:
         for cells in reader:
             cells = [cell.strip() for cell in cells]
@@ -181,8 +202,6 @@ def _header(name: str, line: int, cells: list[str], columns: Sequence[str]) -> l
             continue
         got = Unquoted(f"the header {','.join(cells)!r}")
         what = f"column {column} is missing; the header is {wanted}"
-        if ";" in "".join(cells) or "\t" in "".join(cells):
-            what += ", separated by commas"
         raise CaseError(name, f"line {line}", got, what)
     for column in names:
         if column and names.count(column) > 1:

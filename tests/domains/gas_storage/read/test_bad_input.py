@@ -203,7 +203,8 @@ MISTAKES = {
     "no TOML": ("case.toml", "[market]", "[market", ["case.toml, line 17", "TOML", "[market"]),
     "missing column": ("curve.csv", "date,price", "date,prize", ["curve.csv, line 1", "price"]),
     "semicolons": (
-        "curve.csv", None, "date;price\n2021-04;16,61\n", ["curve.csv, line 1", "commas"]
+        "curve.csv", None, "date;price\n2021-04;16,61\n2021-05;16.61\n",
+        ["curve.csv, line 2, column price", "a decimal comma and 16.61 a point"],
     ),
     "Latin-1": (
         "curve.csv", None, "date,price\n2021-04,16 £\n".encode("latin-1"),

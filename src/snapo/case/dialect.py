@@ -1,0 +1,124 @@
+"""How a CSV was written: by which separator, with which decimal mark, and days in which order.
+
+Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Each is read
+where the file leaves no doubt, and the case gets a note of it; where one file could mean two things
+it is refused. `1.234` beside `1,5` is a thousand and more; `1,234` alone could be either.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+SEPARATORS = {",": "commas", ";": "semicolons", "\t": "tabs"}
+COMMA = re.compile(r"[+-]?(\d+|\d{1,3}(\.\d{3})+)?,\d+([eE][+-]?\d+)?", re.ASCII)
+POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?", re.ASCII)
+THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,]\d{3})+", re.ASCII)
+DAY = re.compile(r"(\d{1,2})([./])(\d{1,2})\2(\d{4})", re.ASCII)
+MONTH = re.compile(r"(\d{1,2})/(\d{4})", re.ASCII)  # 04.2021 is a number as well
+MIDNIGHT = re.compile(r"(\d{4}-\d{2}-\d{2})[T ]00:00(:00(\.0+)?)?", re.ASCII)
+
+Order = Literal["day", "month"]
+
+
+class Doubt(ValueError):
+    """A file that could mean two things: the cell, and the remedy."""
+
+    def __init__(self, cell: str, remedy: str):
+        super().__init__(remedy)
+        self.cell = cell
+
+
+@dataclass(frozen=True)
+class Dialect:
+    """`separator`; `comma`: whether that is the decimal mark; `first`: of 01/02/2024, if known."""
+
+    separator: str = ","
+    comma: bool = False
+    first: Order | None = None
+
+    def number(self, cell: str) -> str:
+        """A cell's text with a decimal point, where it is a number with a decimal comma."""
+        if not self.comma:
+            return cell
+        if COMMA.fullmatch(cell) or THOUSANDS.fullmatch(cell):
+            return cell.replace(".", "").replace(",", ".")
+        return cell
+
+    def day(self, cell: str) -> str:
+        """The day as YYYY-MM-DD, where it is written another way; else the cell itself.
+
+        **Raises:** `Doubt` for 01/02/2024 in a file that does not tell day from month.
+        """
+        if match := MIDNIGHT.fullmatch(cell):
+            return match[1]
+        if not (match := DAY.fullmatch(cell)):
+            return cell
+        one, mark, two, year = match.groups()
+        first = "day" if mark == "." else self.first
+        if first is None:
+            raise Doubt(cell, "day and month cannot be told apart; a date is written YYYY-MM-DD")
+        day, month = (one, two) if first == "day" else (two, one)
+        return f"{year}-{int(month):02}-{int(day):02}"
+
+    def month(self, cell: str) -> str:
+        """The month as YYYY-MM, where it is written another way; else the cell itself."""
+        match = MONTH.fullmatch(cell)
+        return f"{match[2]}-{int(match[1]):02}" if match else cell
+
+    def words(self) -> str:
+        """What differs from commas and decimal points, for a note; "" for nothing."""
+        found = []
+        if self.separator != ",":
+            found.append(f"{SEPARATORS[self.separator]} between the columns")
+        if self.comma:
+            found.append("commas as decimal marks")
+        if self.first is not None:
+            found.append("days before months" if self.first == "day" else "months before days")
+        return ", ".join(found)
+
+
+def separator(header: str) -> str:
+    """The separator of a header row: the one that stands there most often, else the comma."""
+    bare = re.sub(r'"[^"]*"', "", header)
+    return max(SEPARATORS, key=lambda each: bare.count(each))
+
+
+def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
+    """The dialect of a file, from its header row and all cells below it.
+
+    **Raises:** `Doubt` where the cells contradict each other, or could mean two things.
+    """
+    mark, cells = separator(header), {cell for row in rows for cell in row}
+    comma = mark != "," and _decimal_comma(cells)
+    return Dialect(mark, comma, _first(cells))
+
+
+def _decimal_comma(cells: set[str]) -> bool:
+    """Whether numbers have a decimal comma; they are all of one kind, or refused."""
+    doubtful = sorted(cell for cell in cells if THOUSANDS.fullmatch(cell))
+    commas = sorted(c for c in cells if COMMA.fullmatch(c) and c not in doubtful)
+    points = sorted(c for c in cells if POINT.fullmatch(c) and c not in doubtful)
+    if commas and points:
+        what = f"this number has a decimal comma and {points[0]} a point; write all alike"
+        raise Doubt(commas[0], what)
+    if doubtful and not commas and not points:
+        raise Doubt(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")
+    return bool(commas)
+
+
+def _first(cells: set[str]) -> Order | None:
+    """What comes first in days with slashes: told by any number above twelve."""
+    found: dict[Order, str] = {}
+    for cell in sorted(cells):
+        match = DAY.fullmatch(cell)
+        if not match or match[2] != "/":
+            continue
+        if int(match[1]) > 12:
+            found["day"] = cell
+        if int(match[3]) > 12:
+            found["month"] = cell
+    if len(found) == 2:
+        what = f"here the month comes first, and in {found['day']} the day; write YYYY-MM-DD"
+        raise Doubt(found["month"], what)
+    return next(iter(found), None)
