@@ -5,6 +5,8 @@ import sys
 from collections.abc import Sequence
 from pathlib import Path
 
+from snapo import __version__
+
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 CASE = "a TOML file, or a folder with case.toml"
@@ -28,6 +30,7 @@ def _parser() -> argparse.ArgumentParser:
         "value with the sensitivity to every input.",
         epilog="start with: snapo new gas-storage mystore && snapo solve mystore",
     )
+    parser.add_argument("--version", action="version", version=f"snapo {__version__}")
     commands = parser.add_subparsers(dest="command", required=True, metavar="COMMAND")
     for add in (
         _add_new,
