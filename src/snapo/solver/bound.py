@@ -25,6 +25,7 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64
+from .show import html
 from .statistics import mean
 
 Penalty = Literal["none", "value", "trained"]
@@ -100,12 +101,24 @@ class Bound:
             found[name] = getattr(self, name)._asdict()
         return found
 
+    def _repr_html_(self) -> str:
+        """The same in a notebook."""
+        rows = [
+            (name, f"{each.value:,.7g}", f"± {each.standard_error:,.3g}", f"{each.low:,.7g}",
+             f"{each.high:,.7g}")
+            for name, each in self._named().items()
+        ]  # fmt: skip
+        below = html.paragraph(f"{self.paths} paths; penalty: {self.words}")
+        return html.table(("", "value", "", "95 % from", "to"), rows) + below
+
+    def _named(self) -> dict[str, Between]:
+        return {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}
+
     def __str__(self) -> str:
-        names = {"lower (policy)": self.lower, "upper (bound)": self.upper, "gap": self.gap}
         lines = [
             f"{name:<16}{each.value:>16,.7g} ± {each.standard_error:<10.3g}"
             f"95 %: {each.low:,.7g} to {each.high:,.7g}"
-            for name, each in names.items()
+            for name, each in self._named().items()
         ]
         return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])
 

@@ -27,6 +27,7 @@ from snapo.problem.smooth import Exact
 from .adjoint import float64
 from .by_block.passes import Way
 from .judge import Verdict
+from .show import html
 from .statistics import Estimate
 
 
@@ -99,9 +100,8 @@ class Sensitivities(NamedTuple):
 
         "drift" is the column `moved`: by how much `held` changed in the second half of training.
         """
-        head = ("input", "label", "held", "", "smooth", "", "drift", "unit", "believed")
-        lines = [head, *(line for name in self.inputs for line in self._lines(name))]
-        widths = [max(len(line[i]) for line in lines) for i in range(len(head))]
+        lines = [HEAD, *(line for name in self.inputs for line in self._lines(name))]
+        widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
         return "\n".join(
             "  ".join(
                 cell.ljust(width) if i in LEFT else cell.rjust(width)
@@ -109,6 +109,10 @@ class Sensitivities(NamedTuple):
             ).rstrip()
             for line in lines
         )
+
+    def _repr_html_(self) -> str:
+        """The same table in a notebook."""
+        return html.table(HEAD, (line for name in self.inputs for line in self._lines(name)), LEFT)
 
     def _lines(self, name: str) -> list[tuple[str, ...]]:
         """One input as lines of cells."""
@@ -127,6 +131,7 @@ class Sensitivities(NamedTuple):
         return lines
 
 
+HEAD = ("input", "label", "held", "", "smooth", "", "drift", "unit", "believed")
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 7, 8)  # columns of words
 

@@ -15,6 +15,8 @@ from . import checkpoint
 from .files import write_csv, write_text
 from .judge import COLUMNS, Verdict
 from .sensitivity import Row, Sensitivities
+from .show import html
+from .show.figures import Figures
 from .statistics import Estimate
 from .train import Record
 
@@ -65,6 +67,17 @@ class Solution:
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
         return "\n".join([*self.lines(), *table])
+
+    def _repr_html_(self) -> str:
+        """The same in a notebook."""
+        found = self.sensitivities
+        text = "".join(map(html.paragraph, self.lines()))
+        return text if found is None else text + found._repr_html_()
+
+    @property
+    def plot(self) -> Figures:
+        """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`."""
+        return Figures(self)
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""

@@ -12,11 +12,11 @@ import jax
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from tests.domains.gas_storage.storage_cases import setup
+from tests.domains.gas_storage.storage_cases import read, setup
 
 from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
-from snapo.domains.gas_storage.setup import case_of
+from snapo.domains.gas_storage.setup import bare_problem, case_of, fitted_value, make_setup
 from snapo.problem.scenarios import Pseudo, Sobol, Sources
 from snapo.problem.smooth import Exact
 from snapo.solver.evaluate import path_totals
@@ -135,6 +135,17 @@ def monthly(made, solution) -> np.ndarray:
     return np.bincount(np.array(months) - months[0], found)
 
 
+def monthly_errors(made, solution) -> np.ndarray:
+    """Standard errors of the months' deltas, from independent blocks of paths."""
+    months = [day.year * 12 + day.month for day in case_of(made).days]
+    found = solution.sensitivities.held["forward_curve"]
+    rows = [
+        np.eye(len(found.value))[: len(months)][np.array(months) == m].sum(0)
+        for m in sorted(set(months))
+    ]
+    return np.array([found.along(row)[1] for row in rows])
+
+
 @pytest.mark.prove
 def test_flagship_quickly():
     """A fifth of the training: the value is close already, the deltas are on their way."""
@@ -151,24 +162,40 @@ def test_flagship_quickly():
     assert_allclose(explained, np.mean(cash + costs), rtol=1e-9)
 
 
+# Central differences of the value by the month's price, the guide fitted again on both sides, on
+# 786,432 common paths (standard errors 3.5): the published deltas are exact to about 1 % only.
+FINER = {"2021-06": -490.9, "2021-11": 1811.2, "2021-12": 535.4}
+
+
 @pytest.mark.study
-@pytest.mark.parametrize(("steps", "paths", "within"), [(None, None, 0.10), (2400, 1024, 0.05)])
-def test_flagship_in_full(steps, paths, within):
-    """Five fixed seeds: the median must hold, the worst is printed."""
-    options = {} if steps is None else {"steps": steps, "paths": paths}
-    values, errors, deltas, seconds = [], [], [], []
+def test_flagship_as_it_is_delivered():
+    """Default settings, five seeds: value within .05 %, deltas within 1.5 % of the largest.
+
+    Both are read with their own errors, three of the value and two of a delta and its reference.
+    """
+    case = read("G1")
+    fitted = fitted_value(bare_problem(case))
+    expected = np.array(MONTHS, float)
+    rough = 0.01 * np.abs(expected)  # of the published deltas
+    for month, delta in FINER.items():
+        place = int(month[5:]) - 4
+        expected[place], rough[place] = delta, 3.5
     for seed in range(5):
-        made, solution = solved("G1", seed=seed, evaluate=65536, **options)
+        made = make_setup(read("G1", training={"seed": seed}), "native", fitted)
+        solution = solve(
+            made.problem,
+            policy=made.policy,
+            training=made.training,
+            evaluation=replace(made.evaluation, paths=65536, sensitivity_paths=65536),
+            engine=made.engines,
+        )
+        found, errors = monthly(made, solution), monthly_errors(made, solution)
+        off = np.abs(found - expected)
+        print(f"seed {seed}: {solution.value:.0f} ± {solution.standard_error:.0f}", off.round())
         not_above(solution, 78_380)
-        values.append(solution.value)
-        errors.append(solution.standard_error / solution.value)
-        deltas.append(np.abs(monthly(made, solution) - MONTHS).max() / max(MONTHS))
-        seconds.append(solution.seconds["train"])
-    print(f"values {np.round(values)}, worst {min(values):.0f}")
-    print(f"deltas {np.round(deltas, 3)}, worst {max(deltas):.1%}; seconds {np.round(seconds)}")
-    assert np.median(values) >= 78_370 * 0.995
-    assert max(errors) <= 1e-3
-    assert np.median(deltas) <= within
+        room = 3 * solution.standard_error + 10
+        assert solution.value >= 78_370 * 0.9995 - room
+        assert (off <= 0.015 * max(MONTHS) + 2 * np.hypot(errors, rough)).all()
 
 
 @pytest.mark.prove

@@ -18,9 +18,9 @@ CAVEAT = (
     "optimal value where decisions are optimal, see the whole state and cause no jump. Smooth: "
     "through the policy's reaction in the smooth simulator. Tried: the change of the exact value, "
     "policy reacting, when all numbers of the input are moved by a hundredth on the same paths, "
-    "scaled to the move of the row; more and less apart where they differ. Believed: the first of "
-    "the two that agrees with it, at a kink with anything between more and less, but for three "
-    "standard errors; not known where neither does. "
+    "scaled to the move of the row; more and less apart where they differ. Believed: the held one, "
+    "unless the move makes the smooth one far likelier; not known where neither lies within three "
+    "standard errors of it, at a kink of anything between more and less. "
     "Drift: by how much the held one changed in the second half of training."
 )
 
