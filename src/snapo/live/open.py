@@ -26,12 +26,13 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         what = "this run has no trained policy: solve its case again, or go on with --resume"
         raise CaseError(str(run), "", None, what)
     about = record.get("about", {})
+    step = about.get("step")
     keys = ("value", "standard_error", "status", "bound", "paths")
     return {
         "title": about.get("title", run.name),
         "kind": record["kind"],
         "days": about.get("days"),
-        "step": about.get("step", "step"),
+        "step": step if isinstance(step, str) else "step",
         "folder": str(run),
         "result": {key: result.get(key) for key in keys},
     }
