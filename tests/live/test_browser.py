@@ -228,7 +228,9 @@ def test_two_pages_move_apart(page, served, browser):
 @pytest.mark.parametrize("width", [1440, 1024, 390])
 def test_nothing_is_cut_at_any_width(page, width):
     page.set_viewport_size({"width": width, "height": 900})
-    page.evaluate("() => document.querySelectorAll('details').forEach((each) => (each.open = true))")
+    page.evaluate(
+        "() => document.querySelectorAll('details').forEach((each) => (each.open = true))"
+    )
     time.sleep(0.3)
     assert page.evaluate("() => document.documentElement.scrollWidth") <= width
     wide = page.evaluate(

@@ -4,6 +4,7 @@ import asyncio
 import sys
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -80,4 +81,5 @@ def open_page(
         finally:
             await server.close()
 
-    asyncio.run(serve())
+    with suppress(KeyboardInterrupt):  # which is how it ends
+        asyncio.run(serve())
