@@ -12,6 +12,8 @@ from snapo.lanes.machine.threads import cores
 from snapo.problem import inputs as inputs_
 from snapo.problem.simulator import Simulator
 
+MOST_THREADS = 8  # each needs the memory of one transpose
+
 
 def pull_back(
     simulator: Simulator, inputs: PyTree, schedules: list[PyTree]
@@ -31,7 +33,7 @@ def pull_back(
     # calls take. The first compiles; the others share the processors.
     moved = [one(each) for each in schedules[:1]]
     if len(schedules) > 1:
-        with ThreadPoolExecutor(cores()) as threads:
+        with ThreadPoolExecutor(min(MOST_THREADS, cores())) as threads:
             moved += threads.map(one, schedules[1:])
     names = [entry.name for entry in inputs_.named(inputs)]
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
