@@ -56,7 +56,7 @@ def test_no_name_leads_out_of_the_folder(kept, tmp_path, name):
 @pytest.mark.parametrize("found", ["..", "../run", "", "/etc", "A B", "none", "a/../a"])
 def test_an_id_that_is_none_is_refused(kept, found):
     kept.keep("a", {}, {})
-    for ask in (kept.place, kept.forget, kept.zipped):
+    for ask in (kept.place, kept.forget, kept.zipped, kept.one):
         with pytest.raises(Refused):
             ask(found)
 
@@ -84,3 +84,13 @@ def test_there_is_an_end_to_them(kept, monkeypatch):
     with pytest.raises(Refused, match="forget one"):
         kept.keep("c", {}, {})
     assert MOST == 200 and slug("Ä ö--ß x") == "a-o-x"
+
+
+def test_a_scenario_alone_holds_every_number(kept):
+    rows = [{"label": "2021-05", "value": 7.0, "standard_error": 0.5}]
+    deltas = [{"input": "curve", "effect": 3.0, "standard_error": 0.2, "rows": rows}]
+    found = kept.keep("a", {"curve": [1.0, 2.5]}, {"value": VALUE, "deltas": deltas})
+    table = list(csv.reader(io.StringIO(kept.one(found))))
+    assert table[1] == ["value", "", "", "12.5", "0.5"]
+    assert ["moved", "curve", "2", "2.5", ""] in table
+    assert table[-1] == ["delta", "curve", "2021-05", "7.0", "0.5"]

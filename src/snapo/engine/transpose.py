@@ -1,13 +1,18 @@
 """From derivatives at the schedule back to the inputs: the end of every adjoint's road."""
 
+from concurrent.futures import ThreadPoolExecutor
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.lanes.machine.threads import cores
 from snapo.problem import inputs as inputs_
 from snapo.problem.simulator import Simulator
+
+MOST_THREADS = 8  # each needs the memory of one transpose
 
 
 def pull_back(
@@ -17,13 +22,19 @@ def pull_back(
 
     The transpose of `prepare`.
     """
-    given, moved = inputs_.values(inputs), []
-    with jax.enable_x64(True):
-        # One after another: all at once is compiled anew for every number of them, in far more
-        # time than the calls take.
-        for each in schedules:
-            cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), each)
-            moved.append(jax.tree.map(np.asarray, _pull_back(simulator, inputs, given, cotangent)))
+    given = inputs_.values(inputs)
+
+    def one(schedule: PyTree) -> PyTree:
+        with jax.enable_x64(True):  # the switch is each thread's own
+            cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
+            return jax.tree.map(np.asarray, _pull_back(simulator, inputs, given, cotangent))
+
+    # One by one: all at once is compiled anew for every number of them, in far more time than the
+    # calls take. The first compiles; the others share the processors.
+    moved = [one(each) for each in schedules[:1]]
+    if len(schedules) > 1:
+        with ThreadPoolExecutor(min(MOST_THREADS, cores())) as threads:
+            moved += threads.map(one, schedules[1:])
     names = [entry.name for entry in inputs_.named(inputs)]
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
 

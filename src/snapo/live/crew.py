@@ -74,6 +74,7 @@ class Crew:
         self.process = await asyncio.create_subprocess_exec(
             *self.command,
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LONGEST_LINE,
+            start_new_session=True,  # Ctrl-C is for the server, which ends this one
         )  # fmt: skip
         assert self.process.stdout is not None
         async for line in self.process.stdout:

@@ -4,6 +4,7 @@ import asyncio
 import sys
 import webbrowser
 from collections.abc import Callable
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,13 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         what = "this run has no trained policy: solve its case again, or go on with --resume"
         raise CaseError(str(run), "", None, what)
     about = record.get("about", {})
+    step = about.get("step")
     keys = ("value", "standard_error", "status", "bound", "paths")
     return {
         "title": about.get("title", run.name),
         "kind": record["kind"],
         "days": about.get("days"),
-        "step": about.get("step", "step"),
+        "step": step if isinstance(step, str) else "step",
         "folder": str(run),
         "result": {key: result.get(key) for key in keys},
     }
@@ -79,4 +81,5 @@ def open_page(
         finally:
             await server.close()
 
-    asyncio.run(serve())
+    with suppress(KeyboardInterrupt):  # which is how it ends
+        asyncio.run(serve())

@@ -81,6 +81,13 @@ class Scenarios:
                     packed.write(each, f"{found}/{each.name}")
         return out.getvalue()
 
+    def one(self, found: str) -> str:
+        """A scenario as CSV: value, moved inputs and derivatives, a number in each row."""
+        record = _read(self.place(found) / FILE)
+        if record is None:
+            raise Refused("this scenario cannot be read")
+        return _csv(_numbers(record))
+
     def table(self) -> str:
         """All scenarios side by side as CSV: values, changes, and what was moved."""
         return _csv(_compared(self.all()))
@@ -100,6 +107,20 @@ def _read(file: Path) -> dict[str, Any] | None:
         return None
     good = isinstance(record, dict) and record.get("id") == file.parent.name
     return record if good and isinstance(record.get("values"), dict) else None
+
+
+def _numbers(record: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    yield ("what", "input", "label", "number", "standard_error")
+    found = record.get("value") or {}
+    yield ("value", "", "", found.get("value"), found.get("standard_error"))
+    yield ("change", "", "", found.get("change"), found.get("change_error"))
+    for name, numbers in record["values"].items():
+        for i, number in enumerate(numbers):
+            yield ("moved", name, str(i + 1), number, None)
+    for each in record.get("deltas") or []:
+        yield ("move", each["input"], "", each["effect"], each["standard_error"])
+        for row in each["rows"]:
+            yield ("delta", each["input"], row["label"], row["value"], row["standard_error"])
 
 
 def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:

@@ -51,6 +51,7 @@ class Server:
         app.router.add_get("/{token}/socket", self.socket)
         app.router.add_get("/{token}/scenarios.csv", self.table)
         app.router.add_get("/{token}/scenario/{id}.zip", self.case)
+        app.router.add_get("/{token}/scenario/{id}.csv", self.scenario)
         app.router.add_get("/{token}/{name:[a-z]+[.](?:css|js|svg)}", self.file)
         self._runner = web.AppRunner(app, access_log=None)
         await self._runner.setup()
@@ -84,6 +85,14 @@ class Server:
         except Refused as error:
             raise web.HTTPNotFound(text=str(error)) from None
         return _download(body, "application/zip", f"{found}.zip")
+
+    async def scenario(self, request: web.Request) -> web.Response:
+        found = request.match_info["id"]
+        try:
+            body = self.scenarios.one(found).encode()
+        except Refused as error:
+            raise web.HTTPNotFound(text=str(error)) from None
+        return _download(body, "text/csv", f"{found}.csv")
 
     # Pages.
 

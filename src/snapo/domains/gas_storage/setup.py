@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.engine import Engines, choose
+from snapo.engine import Choice, Engines, choose
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -42,7 +42,9 @@ def bare_problem(case: StorageCase) -> Problem:
     return Problem(simulator, storage_inputs(case), make_objective(case.objective, OUTPUT))
 
 
-def make_setup(case: StorageCase, engine: str = "auto", fitted: FittedValue | None = None) -> Setup:
+def make_setup(
+    case: StorageCase, engine: Choice = "auto", fitted: FittedValue | None = None
+) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
     training = Training(**case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
@@ -58,11 +60,13 @@ def make_setup(case: StorageCase, engine: str = "auto", fitted: FittedValue | No
 
 
 def moved_setup(setup: Setup, case: StorageCase) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone; nothing is compiled.
+    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
 
-    The same numbers as those of `make_setup(case)`.
+    Nothing is compiled where the price process is the same program.
     """
     simulator = simulator_of(setup.problem)
+    if not simulator.process.same_program(case.model):
+        return make_setup(case, setup.engines, fitted_value(bare_problem(case)))
     scales = {"price_scale": mean_price(case), "rate_scale": largest_rate(case)}
     scales = {name: np.asarray(scale) for name, scale in scales.items()}
     bare = replace(simulator, guide=None, hedge=None, **scales)

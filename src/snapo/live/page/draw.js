@@ -116,7 +116,8 @@ export function tornado(width, rows) {
   const room = Math.floor(names / 6.1);
   rows.forEach((row, i) => {
     const y = i * line + 4, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
-    const name = row.name.length > room ? row.name.slice(0, room - 1) + "…" : row.name;
+    const fits = [row.name, row.short].find((each) => each.length <= room);
+    const name = fits ?? row.short.slice(0, room - 1) + "…";
     const text = node("text", { x: 0, y: y + 12 }, name);
     text.append(node("title", {}, row.name));
     svg.append(text);

@@ -251,7 +251,7 @@ function deltas(found) {
   at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), shown(row.value), shown(row.standard_error, 3), shown(base[i].value)].map((text) => element("td", {}, text)))));
   const effects = found.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
-  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, effect: each.effect, shown: signed(each.effect, 4) }))));
+  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, shown: signed(each.effect, 4) }))));
 }
 
 const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${unit(input)}`.trim());

@@ -10,6 +10,10 @@ function format(options) {
 
 // A number with a sensible number of digits; a dash where there is none.
 export function shown(x, digits = 5) {
+  return written(x, digits).replace("-", "−");
+}
+
+function written(x, digits) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "–";
   if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
   if (x !== 0 && Math.abs(x) < 1e-6) return x.toExponential(2);
@@ -17,7 +21,7 @@ export function shown(x, digits = 5) {
 }
 
 export function signed(x, digits = 5) {
-  return x > 0 ? `+${shown(x, digits)}` : shown(x, digits).replace("-", "−");
+  return x > 0 ? `+${shown(x, digits)}` : shown(x, digits);
 }
 
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");

@@ -1,7 +1,7 @@
 """The common part of all Gaussian factor prices; each kind says which parameters it has."""
 
 import abc
-from typing import NamedTuple
+from typing import NamedTuple, Self
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -36,6 +36,9 @@ class FactorPrices(FactorPrice, PriceProcess):
     @abc.abstractmethod
     def fast_factor(self) -> int:
         """The index of the factor that reverts fastest, among those that move prices."""
+
+    def same_program(self, other: Self) -> bool:
+        return self.fast_factor == other.fast_factor
 
     @property
     def times(self) -> tuple[float, ...]:

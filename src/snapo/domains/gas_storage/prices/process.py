@@ -102,6 +102,10 @@ class PriceProcess(Process):
     def read(cls, section: Section, table: Any, delivery: Delivery) -> Self:
         """The process from its table in the case file."""
 
+    def same_program(self, other: Self) -> bool:
+        """Whether another process of this kind, with other numbers, is the same compiled code."""
+        return True
+
     @abc.abstractmethod
     def state_at(self, constants, now, spot: Float[Array, ""]):
         """The state in which the spot has this price: the fast factor moved, the others at rest."""

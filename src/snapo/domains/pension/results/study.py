@@ -77,6 +77,8 @@ def about(case: PensionCase) -> dict[str, Any]:
         "kinds": {each.kind: each.words for each in case.assets.classes},
         "held": list(case.held),
         "assets": float(case.assets.amount.used()),
+        "units": {"funding": "assets over liability"}
+        | dict.fromkeys(("contribution", "benefit", "expenses", "cost"), case.currency),
     }
 
 

@@ -1,0 +1,27 @@
+"""Which numbers of a store can be moved without compiling anew."""
+
+from tests.domains.gas_storage.storage_cases import read
+
+
+def two_factors(first: float, second: float):
+    """A store with two price factors of these mean reversions."""
+    factors = [
+        {"mean_reversion": first, "volatility": 0.6},
+        {"mean_reversion": second, "volatility": 0.3},
+    ]
+    model = {"kind": "multi-factor", "mean_reversion": None, "volatility": None}
+    correlation = [[1.0, 0.3], [0.3, 1.0]]
+    return read("quick", model=model | {"factors": factors, "correlation": correlation}).model
+
+
+def test_the_same_program_as_long_as_the_same_factor_is_the_fast_one():
+    model = two_factors(12.0, 3.0)
+    assert model.same_program(two_factors(10.0, 4.0))
+    assert not model.same_program(two_factors(2.0, 3.0))
+
+
+def test_the_scales_of_the_features_are_those_of_the_moved_case():
+    from snapo.domains.gas_storage.contract.simulator import StorageSimulator, largest_rate
+
+    simulator = StorageSimulator(read("quick", contract={"max_withdrawal": 12.0}))
+    assert simulator.rate_scale == largest_rate(simulator.case) == 12.0
