@@ -127,9 +127,18 @@ class Solution:
 
         `like` is a policy of the same shape; without one the solution comes without its policy.
 
-        **Raises:** `CheckpointError` where a file is missing, damaged or of another shape.
+        **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
+        policy: of another shape, with another activation, with another set of actions.
         """
         folder = Path(folder)
+        try:
+            return cls._read(folder, like)
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            what = f"{folder / SOLUTION}: this is another kind of file ({error})."
+            raise checkpoint.CheckpointError(what) from None
+
+    @classmethod
+    def _read(cls, folder: Path, like: Policy | None) -> "Solution":
         arrays, header = checkpoint.load_named(folder / SOLUTION)
         policies: dict[str, Any] = {"policy": None, "halfway": None}
         if like is not None:

@@ -34,7 +34,7 @@ def _parsed(text: str) -> tuple[str, Any]:
         raise CaseError(OPTION, "", text, what)
     try:
         found = tomllib.loads(f"value = {written}")
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         found = {}
     if list(found) != ["value"]:
         what = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
