@@ -21,6 +21,8 @@ from .error import CaseError, nearest
 
 LARGEST = 1e36  # a number of a case, in size: training computes in single precision
 LONGEST = 2_000  # characters of a text in a table
+DEEPEST = 20  # levels of tables and lists
+TOO_DEEP = "the tables of this file are nested too deeply; no case needs more than a few levels"
 TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
@@ -69,12 +71,23 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
     if not text.strip():
         raise CaseError(str(file), "", None, "the file is empty; `snapo new` writes a case")
     try:
-        return file, tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _not_toml(file, text, str(error)) from None
     except RecursionError:
-        what = "the tables of this file are nested too deeply; no case needs more than a few levels"
-        raise CaseError(str(file), "", None, what) from None
+        raise CaseError(str(file), "", None, TOO_DEEP) from None
+    if is_deep(data):
+        raise CaseError(str(file), "", None, TOO_DEEP)
+    return file, data
+
+
+def is_deep(data: Any) -> bool:
+    """Whether tables and lists are nested in more levels than any case needs."""
+    level = [data]
+    for _ in range(DEEPEST):
+        inner = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [x for each in inner for x in each if isinstance(x, dict | list)]
+    return bool(level)
 
 
 def _not_toml(file: Path, text: str, message: str) -> CaseError:

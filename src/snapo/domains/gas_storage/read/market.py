@@ -51,7 +51,7 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
     """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
     rows = read_rows(Mention(section, "forward_curve", name), ("date", "price"))
     by_day, by_month = quotes(rows)
-    both = sorted(day for day in by_day if (day.year, day.month) in by_month)
+    both = [day for day in days if day in by_day and (day.year, day.month) in by_month]
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
