@@ -36,6 +36,7 @@ class Solution:
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
     - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
       infinity, "not finite" where it is no number.
+    - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -61,6 +62,7 @@ class Solution:
     notes: tuple[str, ...] = ()
     halfway: Policy | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -91,6 +93,7 @@ class Solution:
             "seconds": dict(self.seconds),
             "engine": self.engine,
             "paths": dict(self.paths),
+            "roles": dict(self.roles),
             "seed": self.seed,
             "status": self.status,
         }
@@ -164,7 +167,7 @@ class Solution:
 PLAIN = (
     "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm",
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
-    "status", "control", "versions",
+    "status", "control", "versions", "roles",
 )  # fmt: skip
 KINDS = ("held", "smooth")
 
