@@ -1,6 +1,6 @@
 """The folder of a run: what decides its numbers, its parts, and files written whole or not at all.
 
-run.json            layout, kind, everything that decides the numbers, the state of every part with the
+run.json            layout, kind, everything that decides the numbers, the state of every part, with
                     checksums of its files and of result.json; and its own
 result.json         the headline: value, standard error, references, seconds, status
 case/               a copy of the case
