@@ -141,6 +141,8 @@ def _values(field) -> Iterator[tuple[str, Any]]:
     if str not in known or number or Literal in known or "name of a CSV" in words:
         yield "text", TEXT
         yield "no text", ""
+    if str in known and not number:
+        yield "a size", "long " * 200_000
     if number:
         yield "not a number", math.nan
         yield "infinite", -math.inf

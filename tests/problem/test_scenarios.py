@@ -8,7 +8,7 @@ from scipy import special, stats
 
 from snapo.problem.actions import Box
 from snapo.problem.noise import normal, threefry
-from snapo.problem.scenarios import Pseudo, Sobol, Supplied, bridge
+from snapo.problem.scenarios import Pseudo, Sobol, Sources, Supplied, bridge
 from snapo.problem.simulator import Schedule, Simulator
 
 
@@ -206,3 +206,17 @@ def test_an_odd_number_of_antithetic_paths_is_completed():
     with pytest.raises(ValueError, match="65 antithetic paths; they come in pairs"):
         source.blocks(65)
     assert sorted(np.concatenate(source.blocks(66))) == list(range(66))
+
+
+def test_every_role_says_which_paths_it_has():
+    supplied = Supplied(np.zeros((3, 1_000, 1)))
+    roles = Sources.of(supplied).roles(64, 4_096, 65_536, 16_384)
+    assert roles == {
+        "training": "64 drawn from the supplied paths 1 to 600; other ones at every step",
+        "validation": "200 of the supplied paths 601 to 800; the same at every validation",
+        "evaluation": "200 of the supplied paths 801 to 1,000; used for nothing before",
+        "sensitivities": "200 of the evaluation's",
+    }
+    roles = Sources.of(Sobol(1)).roles(65, 128, 256, 128)
+    assert roles["training"].startswith("66 pseudo-random paths, in pairs of opposite signs; other")
+    assert roles["evaluation"] == "256 Sobol points in 32 scrambles; used for nothing before"

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.problem.actions import Box
-from snapo.problem.policy import MLP
+from snapo.problem.policy import MLP, Constant, Residual
 from snapo.solver import checkpoint
 from snapo.solver.train import Progress, Record, Training, begin
 
@@ -92,3 +92,18 @@ def test_another_kind_of_file(file, progress, tmp_path):
     np.savez(file, leaf_0=np.zeros(3))
     with pytest.raises(checkpoint.CheckpointError, match="cannot be read"):
         checkpoint.load(file, progress)
+
+
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [
+        (MLP(Box(2), 3, key=jax.random.key(0), hidden=(4,), activation=jax.nn.tanh), "tanh"),
+        (MLP(Box(2, high=5.0), 3, key=jax.random.key(0), hidden=(4,)), "action.high is inf"),
+        (Residual(Constant([0.0, 0.0]), Box(2), 3, key=jax.random.key(0), hidden=(4,)), "Residual"),
+    ],
+)
+def test_a_policy_of_the_same_shape_that_is_another_one(file, progress, other, named):
+    """Another activation, other actions: the same numbers would be another rule."""
+    with pytest.raises(checkpoint.CheckpointError, match="holds a") as refused:
+        checkpoint.load(file, begin(other, Training(steps=3)))
+    assert named in str(refused.value) or "another shape" in str(refused.value)

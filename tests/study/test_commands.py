@@ -147,8 +147,40 @@ def test_compare_says_what_differs(fake, case, tmp_path, capsys):
     found = answer(capsys)
     assert (found["values"], found["difference"], found["paired"]) == ([7, 9], 2, False)
     record = Path(second) / "run.json"
-    record.write_text(record.read_text().replace('"fake"', '"other"', 1))
+    found = json.loads(record.read_text())
+    record.write_text(
+        json.dumps({key: found[key] for key in found if key != "checksum"} | {"kind": "other"})
+    )
     assert main(["compare", first, second]) == 2
     assert (
         'is a run of kind "fake"; only runs of one kind can be compared' in capsys.readouterr().err
     )
+
+
+@pytest.mark.parametrize("depth", [30, 300, 900, 5_000])
+@pytest.mark.parametrize(("left", "right"), [("x = " + "[", "]"), ("{a = ", "}"), ("a.", "")])
+def test_a_case_that_is_nested_too_deeply(fake, case, left, right, depth, capsys):
+    """Lists, tables and dotted keys, in the file and in `--set`."""
+    opening = left.removeprefix("x = ") * depth + ("b" if left == "a." else "")
+    value = "x = " * (left != "a.") + opening + right * depth + " = 1" * (left == "a.")
+    if left == "{a = ":
+        value = f"x = {opening}1{right * depth}"
+    for commands_of in (["check", str(case)], ["check", str(case), "--set", "numbers=[2]"]):
+        (case / "case.toml").write_text(f'kind = "fake"\n{value}\n')
+        assert main(commands_of) == 2
+        assert "nested too deeply" in capsys.readouterr().err
+    (case / "case.toml").write_text('kind = "fake"\n')
+    assert main(["check", str(case), "--set", value.replace(" = ", "=", 1)]) == 2
+    assert len(capsys.readouterr().err) < 400 + len(value)
+
+
+def test_links_in_a_circle(fake, case, tmp_path, capsys):
+    one, other = tmp_path / "one", tmp_path / "other"
+    one.symlink_to(other)
+    other.symlink_to(one)
+    asked = [["check", str(one)], ["report", str(one)], ["compare", str(one), str(case)]]
+    asked += [["solve", str(case), "--out", str(each)] for each in (one, one / "run")]
+    for command in asked:
+        assert main(command) == 2, command
+        message = capsys.readouterr().err.replace("note: a remark\n", "")
+        assert str(one) in message and len(message.splitlines()) == 1

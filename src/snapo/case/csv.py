@@ -230,15 +230,20 @@ def read_array(mention: Mention, columns: int, meaning: str) -> np.ndarray:
 
 def _npy(mention: Mention, path: Path) -> np.ndarray:
     try:
-        return np.load(path, allow_pickle=False)
-    except (ValueError, EOFError, OSError) as error:
-        what = f"this is not a .npy file of plain numbers ({error})"
+        with path.open("rb") as stream:
+            return np.lib.format.read_array(stream, allow_pickle=False)
+    except Exception as error:  # a damaged header can be a size, a type or a syntax as well
+        what = f"this is not a .npy file of plain numbers ({_first_line(error)})"
         raise CaseError(mention.name, "", None, what) from None
+
+
+def _first_line(error: Exception) -> str:
+    text = str(error).strip()
+    return text.splitlines()[0] if text else type(error).__name__
 
 
 def _parquet(mention: Mention, path: Path) -> np.ndarray:
     try:
-        import pyarrow
         import pyarrow.parquet as parquet
     except ImportError:
         raise mention.error(
@@ -247,6 +252,6 @@ def _parquet(mention: Mention, path: Path) -> np.ndarray:
     try:
         table = parquet.read_table(path)
         return np.column_stack([column.to_numpy() for column in table.columns])
-    except (pyarrow.ArrowException, ValueError, OSError) as error:
-        what = f"this Parquet file is unreadable: {error}"
+    except Exception as error:  # of Arrow, or of columns that are no numbers
+        what = f"this is not a Parquet file of plain numbers ({_first_line(error)})"
         raise CaseError(mention.name, "", None, what) from None

@@ -39,7 +39,8 @@ def show(value: Any) -> str:
     if isinstance(value, Real) and not isinstance(value, Integral):
         return f"{value:.10g}"
     if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {show(each)}" for key, each in value.items()) + " }"
+        inner = ", ".join(f"{key} = {show(each)}" for key, each in value.items())
+        value = Unquoted("{ " + inner + " }")
     if isinstance(value, list | tuple):
         value = Unquoted("[" + ", ".join(map(show, value)) + "]")
     text = value if isinstance(value, Unquoted) else repr(value)

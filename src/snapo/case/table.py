@@ -20,6 +20,9 @@ from pydantic import Field
 from .error import CaseError, nearest
 
 LARGEST = 1e36  # a number of a case, in size: training computes in single precision
+LONGEST = 2_000  # characters of a text in a table
+DEEPEST = 20  # levels of tables and lists
+TOO_DEEP = "the tables of this file are nested too deeply; no case needs more than a few levels"
 TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 
@@ -44,6 +47,8 @@ class Table(pydantic.BaseModel):
     )
 
 
+Title = Annotated[str, Field(max_length=200)]
+TITLE = "a text of at most 200 characters in quotation marks"
 Count = Annotated[int, Field(ge=1)]
 Positive = Annotated[float, Field(gt=0)]
 
@@ -66,12 +71,23 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
     if not text.strip():
         raise CaseError(str(file), "", None, "the file is empty; `snapo new` writes a case")
     try:
-        return file, tomllib.loads(text)
+        data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise _not_toml(file, text, str(error)) from None
     except RecursionError:
-        what = "the tables of this file are nested too deeply; no case needs more than a few levels"
-        raise CaseError(str(file), "", None, what) from None
+        raise CaseError(str(file), "", None, TOO_DEEP) from None
+    if is_deep(data):
+        raise CaseError(str(file), "", None, TOO_DEEP)
+    return file, data
+
+
+def is_deep(data: Any) -> bool:
+    """Whether tables and lists are nested in more levels than any case needs."""
+    level = [data]
+    for _ in range(DEEPEST):
+        inner = (each.values() if isinstance(each, dict) else each for each in level)
+        level = [x for each in inner for x in each if isinstance(x, dict | list)]
+    return bool(level)
 
 
 def _not_toml(file: Path, text: str, message: str) -> CaseError:
@@ -113,21 +129,24 @@ def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
 
 
 def _check_sizes(table: Table, file: str, name: str) -> None:
-    """Numbers that could only overflow are a mistake in every key."""
+    """Numbers that could only overflow, and texts that nobody reads, are a mistake in every key."""
     for key in table.model_fields_set:
-        for number in _numbers(getattr(table, key)):
-            if abs(number) > LARGEST:
-                where = f"{name}.{key}" if name else key
-                what = f"allowed is {type(table).model_fields[key].description}; {TOO_LARGE}"
-                raise CaseError(file, where, float(number), what)
+        where = f"{name}.{key}" if name else key
+        what = f"allowed is {type(table).model_fields[key].description}"
+        for each in _plain(getattr(table, key)):
+            if isinstance(each, str) and len(each) > LONGEST:
+                what += f"; no text of a case has more than {LONGEST:,} characters"
+                raise CaseError(file, where, each, what)
+            if isinstance(each, int | float) and abs(each) > LARGEST:
+                raise CaseError(file, where, float(each), f"{what}; {TOO_LARGE}")
 
 
-def _numbers(value: Any) -> Iterator[int | float]:
-    """The numbers in a value, or in its lists."""
+def _plain(value: Any) -> Iterator[Any]:
+    """A value, or all those in its lists."""
     if isinstance(value, list):
         for each in value:
-            yield from _numbers(each)
-    elif isinstance(value, int | float):
+            yield from _plain(each)
+    else:
         yield value
 
 

@@ -40,6 +40,14 @@ class Scenarios(abc.ABC):
         """How many paths there are when so many are wanted."""
         return wanted
 
+    def words(self, paths: int) -> str:
+        """Which paths they are, when so many are wanted: "512 pseudo-random paths"."""
+        return f"{self.available(paths):,} paths of {type(self).__name__}"
+
+    def batch_words(self, paths: int) -> str:
+        """The same for one training step."""
+        return self.words(paths)
+
     @abc.abstractmethod
     def groups(self, paths: np.ndarray) -> np.ndarray:
         """The smallest independent unit that each path belongs to (a pair, a scramble, itself)."""
@@ -67,6 +75,10 @@ class Pseudo(Scenarios):
     def available(self, wanted: int) -> int:
         """As many as are wanted; of an odd number the last pair is completed."""
         return wanted + wanted % 2 if self.antithetic else wanted
+
+    def words(self, paths: int) -> str:
+        pairs = ", in pairs of opposite signs" if self.antithetic else ""
+        return f"{self.available(paths):,} pseudo-random paths{pairs}"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Counter:
         uses = STEP_STREAM, INITIAL_STREAM
@@ -99,6 +111,9 @@ class Sobol(Scenarios):
 
     seed: int = 0
     scrambles: int = BLOCKS
+
+    def words(self, paths: int) -> str:
+        return f"{paths:,} Sobol points in {self.scrambles} scrambles"
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
         horizon, size = simulator.horizon, simulator.noise_size
@@ -145,11 +160,22 @@ class Supplied(Scenarios):
     - `step_noise`: [T, paths, K]; `initial_noise`: [paths, K0], or None. The paths are taken to be
       independent.
     - `seed`: of the choice of paths at every training step.
+    - `first`: the number of the first path here among those that were supplied.
     """
 
     step_noise: np.ndarray
     initial_noise: np.ndarray | None = None
     seed: int = 0
+    first: int = 0
+
+    def words(self, paths: int) -> str:
+        return f"{self.available(paths):,} of {self._where()}"
+
+    def batch_words(self, paths: int) -> str:
+        return f"{paths:,} drawn from {self._where()}"
+
+    def _where(self) -> str:
+        return f"the supplied paths {self.first + 1:,} to {self.first + self.size:,}"
 
     @property
     def size(self) -> int:
@@ -166,7 +192,8 @@ class Supplied(Scenarios):
     def part(self, first: int, last: int) -> "Supplied":
         """The paths from number `first` to `last`, which is not included, as scenarios."""
         initial = None if self.initial_noise is None else self.initial_noise[first:last]
-        return replace(self, step_noise=self.step_noise[:, first:last], initial_noise=initial)
+        noise = self.step_noise[:, first:last]
+        return replace(self, step_noise=noise, initial_noise=initial, first=self.first + first)
 
     def draws(self, paths: np.ndarray, simulator: Simulator) -> Stored:
         steps, available, size = self.step_noise.shape
@@ -223,6 +250,17 @@ class Sources:
         fresh = (Pseudo(seed, stream=stream(use)) for use in (TRAIN, VALIDATE, EVALUATE))
         training, validation, evaluation = fresh
         return cls(training, validation, given or evaluation)
+
+    def roles(
+        self, training: int, validation: int, evaluation: int, sensitivities: int
+    ) -> dict[str, str]:
+        """{role: which paths it has} for these numbers of paths, in words."""
+        return {
+            "training": f"{self.training.batch_words(training)}; other ones at every step",
+            "validation": f"{self.validation.words(validation)}; the same at every validation",
+            "evaluation": f"{self.evaluation.words(evaluation)}; used for nothing before",
+            "sensitivities": f"{self.evaluation.available(sensitivities):,} of the evaluation's",
+        }
 
     @classmethod
     def divided(cls, supplied: Supplied) -> "Sources":

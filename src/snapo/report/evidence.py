@@ -166,7 +166,10 @@ def made_with(run: Folder) -> Table | Missing:
     paths = run.get("paths") or run.result.get("paths") or {}
     seed = run.get("seed", run.result.get("seed"))
     rows = [("Engine", f"{name}: {reason}" if reason else name)] if name else []
-    rows += [(f"Paths to {key}", number(each, 0)) for key, each in paths.items()]
+    roles = run.get("solution.roles", {})
+    rows += [(f"Paths of the {role}", words) for role, words in roles.items()]
+    if not roles:
+        rows += [(f"Paths to {key}", number(each, 0)) for key, each in paths.items()]
     rows += [] if seed is None else [("Seed", str(seed))]
     versions = [f"{key} {each}" for key, each in run.get("versions", {}).items()]
     rows += [("Versions", ", ".join(versions))] if versions else []

@@ -9,7 +9,9 @@ from typing import Any
 import numpy as np
 
 from .quantity import array, finite, money, plus_minus
+from .whole import changed_files
 
+RESULT = "result.json"
 SENSITIVITIES = (
     "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved", "believed",
 )  # fmt: skip
@@ -61,10 +63,22 @@ class Folder:
     def read(cls, folder: Path):
         """Reads the run in `folder`; a file that is not there counts as empty."""
         record = _object(folder / "run.json")
-        details = dict(record.get("about", {}))
+        details, parts = dict(record.get("about", {})), dict(record.get("parts", {}))
+        spoilt = _spoilt(folder, record)
+        for name, files in spoilt.items():
+            if name in parts:
+                note = (
+                    f"{files[0]} was changed or damaged since it was written; solve with --resume"
+                )
+                parts[name] = {**parts[name], "state": "failed", "note": note}
+        bad = {file for files in spoilt.values() for file in files}
         for file in sorted(folder.glob("parts/*.json")):
-            details |= _object(file)
-        lines = _columns(folder / "sensitivities.csv")
+            details |= {} if f"parts/{file.name}" in bad else _object(file)
+
+        def columns(name: str) -> dict[str, list[str]]:
+            return {} if name in bad else _columns(folder / name)
+
+        lines = columns("sensitivities.csv")
         blank = [""] * len(lines.get("input", []))
         rows = zip(*(lines.get(name, blank) for name in SENSITIVITIES), strict=True)
         sensitivities = tuple(
@@ -73,12 +87,12 @@ class Folder:
             if (slope := _number(held)) is not None
         )
         return cls(
-            _object(folder / "result.json"),
+            {} if RESULT in bad else _object(folder / RESULT),
             details,
-            record.get("parts", {}),
+            parts,
             sensitivities,
-            _columns(folder / "profile.csv"),
-            _columns(folder / "history.csv"),
+            columns("profile.csv"),
+            columns("history.csv"),
         )
 
     def get(self, path: str, default: Any = None) -> Any:
@@ -119,18 +133,32 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
     return default if table is None else table
 
 
+def _spoilt(folder: Path, record: dict[str, Any]) -> dict[str, list[str]]:
+    """{part: its files that are not what it wrote}; result.json under its own name."""
+    states = {name: state.get("files") for name, state in record.get("parts", {}).items()}
+    if "result" in record:
+        states[RESULT] = {RESULT: record["result"]}
+    found = {name: changed_files(folder, files) for name, files in states.items()}
+    return {name: files for name, files in found.items() if files}
+
+
 def _object(file: Path) -> dict[str, Any]:
-    if not file.exists():
+    """The object in a JSON file; an empty one where it is not there, or damaged."""
+    try:
+        found = json.loads(file.read_text(encoding="utf-8"))
+    except (OSError, ValueError, RecursionError):
         return {}
-    found = json.loads(file.read_text(encoding="utf-8"))
     return found if isinstance(found, dict) else {}
 
 
 def _columns(file: Path) -> dict[str, list[str]]:
     if not file.exists():
         return {}
-    with file.open(encoding="utf-8", newline="") as stream:
-        rows = [row for row in csv.reader(stream) if row]
+    try:
+        with file.open(encoding="utf-8", newline="") as stream:
+            rows = [row for row in csv.reader(stream) if row]
+    except (OSError, ValueError, csv.Error):
+        return {}
     # The last line of a run that was killed may be cut short; it is left out.
     whole = [row for row in rows[1:] if len(row) == len(rows[0])]
     return {name: [row[i] for row in whole] for i, name in enumerate(rows[0])} if rows else {}

@@ -13,8 +13,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.problem.describe import described, difference
+
 from .train import Progress, Record
 
+POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")
 
 
@@ -22,25 +25,28 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
-def save(progress: Progress, file: Path) -> None:
-    """Writes the whole state of training."""
+def save(progress: Progress, file: Path, mark: str = "") -> None:
+    """Writes the whole state of training; `mark` is that of the run that it belongs to."""
     state = {
         "step": progress.step,
         "best_value": progress.best_value,
         "stale": progress.stale,
         "status": progress.status,
         "history": [list(record) for record in progress.history],
+        "mark": mark,
     }
     save_arrays(file, {name: getattr(progress, name) for name in _TREES}, state)
 
 
-def load(file: Path, like: Progress) -> Progress:
+def load(file: Path, like: Progress, mark: str = "") -> Progress:
     """The state of training in `file`, for a policy and an optimiser shaped as in `like`.
 
-    **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy.
+    **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy or run.
     """
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
     try:
+        if mark and state["mark"] != mark:
+            raise CheckpointError(f"{file}: this file belongs to another run.")
         plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
         history = tuple(Record(*record) for record in state["history"])
     except (KeyError, TypeError, AttributeError):
@@ -51,14 +57,22 @@ def load(file: Path, like: Progress) -> Progress:
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:
     """All array leaves of a tree with a JSON header, through a temporary file beside the target."""
     leaves = jax.tree.leaves(eqx.filter(tree, eqx.is_array))
-    _save(file, {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}, header)
+    arrays = {f"leaf_{i}": np.asarray(leaf) for i, leaf in enumerate(leaves)}
+    _save(file, arrays, {"header": header, "described": described(_policies(tree))})
 
 
 def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
-    """The tree again, shaped like `like`, and the header. Nothing is unpickled."""
+    """The tree again, shaped like `like`, and the header. Nothing is unpickled.
+
+    **Raises:** `CheckpointError` where the file is damaged, or holds policies that differ from
+    those of `like` in shape, activation or any other setting.
+    """
     moving, fixed = eqx.partition(like, eqx.is_array)
     leaves, structure = jax.tree.flatten(moving)
-    stored, header = _load(file)
+    stored, both = _load(file)
+    header, words = _two(file, both, "header", "described")
+    if words and (other := difference(words, described(_policies(like)))):
+        raise CheckpointError(f"{file}: this file holds another policy: {other}.")
     found = list(stored.values())
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in found]
     if shapes[0] != shapes[1]:
@@ -80,12 +94,22 @@ def save_named(file: Path, arrays: Mapping[tuple[str, ...], Any], header: Mappin
 
 def load_named(file: Path) -> tuple[dict[tuple[str, ...], np.ndarray], dict[str, Any]]:
     """The inverse of `save_named`."""
-    stored, header = _load(file)
-    try:
-        names, header = header["names"], header["header"]
-    except (KeyError, TypeError):
-        raise CheckpointError(f"{file}: this is another kind of file.") from None
+    stored, both = _load(file)
+    names, header = _two(file, both, "names", "header")
     return {tuple(name): array for name, array in zip(names, stored.values())}, header
+
+
+def _policies(tree: PyTree) -> PyTree:
+    """A tree without the optimiser, whose settings are those of the training."""
+    return {k: v for k, v in tree.items() if k in POLICIES} if isinstance(tree, dict) else tree
+
+
+def _two(file: Path, both: Any, *keys: str) -> list[Any]:
+    """Two entries of what was stored beside the arrays."""
+    try:
+        return [both[key] for key in keys]
+    except (KeyError, TypeError, IndexError):
+        raise CheckpointError(f"{file}: this is another kind of file.") from None
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:

@@ -38,6 +38,7 @@ class Solution:
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
     - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
       infinity, "not finite" where it is no number.
+    - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -63,6 +64,7 @@ class Solution:
     notes: tuple[str, ...] = ()
     halfway: Policy | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
+    roles: Mapping[str, str] = field(default_factory=dict)
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -104,6 +106,7 @@ class Solution:
             "seconds": dict(self.seconds),
             "engine": self.engine,
             "paths": dict(self.paths),
+            "roles": dict(self.roles),
             "seed": self.seed,
             "status": self.status,
         }
@@ -140,9 +143,18 @@ class Solution:
 
         `like` is a policy of the same shape; without one the solution comes without its policy.
 
-        **Raises:** `CheckpointError` where a file is missing, damaged or of another shape.
+        **Raises:** `CheckpointError` where a file is missing or damaged, or holds another
+        policy: of another shape, with another activation, with another set of actions.
         """
         folder = Path(folder)
+        try:
+            return cls._read(folder, like)
+        except (KeyError, TypeError, AttributeError, IndexError) as error:
+            what = f"{folder / SOLUTION}: this is another kind of file ({error})."
+            raise checkpoint.CheckpointError(what) from None
+
+    @classmethod
+    def _read(cls, folder: Path, like: Policy | None) -> "Solution":
         arrays, header = checkpoint.load_named(folder / SOLUTION)
         policies: dict[str, Any] = {"policy": None, "halfway": None}
         if like is not None:
@@ -168,7 +180,7 @@ class Solution:
 PLAIN = (
     "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm",
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
-    "status", "control", "versions",
+    "status", "control", "versions", "roles",
 )  # fmt: skip
 KINDS = ("held", "smooth")
 

@@ -162,6 +162,12 @@ def measure(
         "sensitivities": table,
         "totals": exact,
         "paths": {"train": training.paths, "evaluate": source.available(evaluation.paths)},
+        "roles": problem.sources.roles(
+            training.paths,
+            training.validation_paths,
+            evaluation.paths,
+            min(evaluation.sensitivity_paths, evaluation.paths),
+        ),
         "dropped": dropped,
         "notes": _notes(value, dropped, ruined(objective, exact)),
         "status": _status(value.value, progress.status),

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Mapping
 from typing import Any
 
 from snapo.case.error import CaseError, Unquoted, nearest
+from snapo.case.table import DEEPEST, TOO_DEEP, is_deep
 
 OPTION = "--set"
 
@@ -34,8 +35,10 @@ def _parsed(text: str) -> tuple[str, Any]:
         raise CaseError(OPTION, "", text, what)
     try:
         found = tomllib.loads(f"value = {written}")
-    except tomllib.TOMLDecodeError:
+    except (tomllib.TOMLDecodeError, RecursionError):
         found = {}
+    if path.count(".") >= DEEPEST or is_deep(found):
+        raise CaseError(OPTION, "", path, TOO_DEEP)
     if list(found) != ["value"]:
         what = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
         if written and not set(written) & set("\"'\n[]{}"):

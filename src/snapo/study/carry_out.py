@@ -7,8 +7,10 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.report.whole import changed_files, checksum, stamps, written_since
 from snapo.solver.bound import Penalty
 from snapo.solver.files import write_text
+from snapo.solver.solution import POLICY, SOLUTION
 
 from . import run_folder
 from .domain import GOOD, Domain
@@ -17,6 +19,7 @@ from .report import write_report
 from .study import Part, Study, StudyRun, Tell
 from .training import TRAINING
 
+NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
 OFTEN = 20.0  # a report is written again when the work since took this many times its own time
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
@@ -37,7 +40,7 @@ def carry_out(
     are reported, and the interrupt goes on to the caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
-    run = StudyRun(study, out, tell, resume)
+    run = StudyRun(study, out, tell, resume, mark=run_folder.mark(record["decides"]))
     record["about"] = run_folder.plain_json(study.about)
     run.found |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
@@ -65,10 +68,12 @@ def certify(
     if record["parts"].get(TRAINING.name, {}).get("state") != DONE:
         what = "this run has no trained policy: solve its case again, or go on with --resume"
         raise CaseError(str(out), "", None, what)
-    run = StudyRun(study, out, tell, True)
+    run_folder.check_whole(out, record, (POLICY, SOLUTION))
+    run = StudyRun(study, out, tell, True, mark=run_folder.mark(record["decides"]))
     run.found |= record["about"]
     for part in study.parts:
-        if part.name != BOUND.name:
+        state = record["parts"].get(part.name, {})
+        if part.name != BOUND.name and not changed_files(out, state.get("files")):
             run.found |= run_folder.read_part(out, part) or {}
     record["parts"].pop(BOUND.name, None)
     _do(BOUND._replace(work=lambda run: bounded(run, paths, penalty)), run, record)
@@ -79,10 +84,13 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
     """One part: read from its file when it was done before, else worked out and kept."""
     states = record["parts"]
     if states.get(part.name, {}).get("state") == DONE:
-        tables = run_folder.read_part(run.folder, part)
+        changed = changed_files(run.folder, states[part.name].get("files"))
+        tables = None if changed else run_folder.read_part(run.folder, part)
         if tables is not None:
             run.found |= tables
             return
+        what = changed[0] if changed else f"parts/{part.file}"
+        run.tell(f"{part.name} is done again: {what} was changed or damaged since it was written")
     lacking = [name for name in part.needs if states.get(name, {}).get("state") != DONE]
     if lacking:
         note = f"it needs {', '.join(lacking)}"
@@ -91,11 +99,16 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
     run.tell(part.name)
     started = time.perf_counter()
     state: dict[str, Any] = {"state": DONE, "note": ""}
+    before = stamps(run.folder)
     try:
         tables = part.work(run)
         if twice := set(tables) & set(run.found):
             raise ValueError(f"another part gives {sorted(twice)} already")
         run.found |= run_folder.write_part(run.folder, part, tables)
+        state["files"] = written_since(run.folder, before, NOT_OF_A_PART)
+        for other in states.values():  # a file is that of the part that wrote it last
+            for name in state["files"]:
+                other.get("files", {}).pop(name, None)
     except CaseError:
         raise
     except Exception as error:
@@ -138,15 +151,13 @@ class _Writer:
     def write(self) -> dict[str, Any]:
         """Result and report of the run so far."""
         started, run = time.perf_counter(), self.run
-        _keep(run, outcome(run, self.record))
+        _keep(run, self.record)
         _guarded(run, lambda: write_report(self.domain, run.folder))
         self.last = time.perf_counter()
         self.took = self.last - started
         # The time of writing belongs to the total, and is known only now.
         _spend(self.record, "report", self.took)
-        result = outcome(run, self.record)
-        _keep(run, result)
-        _guarded(run, lambda: run_folder.save(run.folder, self.record))
+        result = _keep(run, self.record)
         if run.troubles:
             result["status"] = "not written"
         return result
@@ -158,9 +169,14 @@ def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
     beside[name] = beside.get(name, 0.0) + seconds
 
 
-def _keep(run: StudyRun, result: Mapping[str, Any]) -> None:
+def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
+    """Writes the result, and before it the record with the result's checksum."""
+    result = outcome(run, record)
     text = json.dumps(run_folder.plain_json(result), indent=1)
+    record["result"] = checksum(text.encode())
+    _guarded(run, lambda: run_folder.save(run.folder, record))
     _guarded(run, lambda: write_text(run.folder / run_folder.RESULT, text))
+    return result
 
 
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:

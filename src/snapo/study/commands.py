@@ -136,7 +136,12 @@ def solve(
     loaded = load(asked)
     _remarks(loaded, tell)
     out = out or loaded.file.parent / "run"
-    if out.resolve() == loaded.file.parent.resolve():
+    try:
+        same = out.resolve() == loaded.file.parent.resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        what = "this cannot be the name of a folder: its links go in a circle"
+        raise CaseError(str(out), "", None, what) from None
+    if same:
         what = "this is the folder of the case; a run has a folder of its own"
         raise CaseError("--out", "", Unquoted(str(out)), what)
     run_folder.check_writable(out)

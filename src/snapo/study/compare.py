@@ -8,8 +8,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.report.whole import changed_files
 from snapo.solver import checkpoint, statistics
-from snapo.solver.solution import Solution
+from snapo.solver.solution import SOLUTION, Solution
 from snapo.solver.statistics import Estimate
 
 from . import run_folder
@@ -113,6 +114,13 @@ def compare(first: Path, second: Path) -> Comparison:
     if kinds[0] != kinds[1]:
         what = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
         raise CaseError(str(second), "kind", kinds[1], what)
+    for run, record in zip((first, second), records, strict=True):
+        run_folder.check_whole(run, record, (GROUPS, SOLUTION))
+        if changed_files(run, {run_folder.RESULT: record["result"]} if "result" in record else {}):
+            what = (
+                "this file was changed or damaged since it was written: solve with --resume again"
+            )
+            raise CaseError(str(run / run_folder.RESULT), "", None, what)
     results = [_result(run) for run in (first, second)]
     values, errors = ([result.get(key) for result in results] for key in ("value", STANDARD_ERROR))
     groups, why = _groups(first, second)

@@ -1,6 +1,7 @@
 """The folder of a run: what decides its numbers, its parts, and files written whole or not at all.
 
-run.json            layout, kind, everything that decides the numbers, the state of every part
+run.json            layout, kind, everything that decides the numbers, the state of every part, with
+                    checksums of its files and of result.json; and its own
 result.json         the headline: value, standard error, references, seconds, status
 case/               a copy of the case
 parts/NAME.json     the tables of one part
@@ -21,6 +22,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.report.whole import changed_files, checksum, is_sealed, sealed
 from snapo.solver.files import write_text
 from snapo.solver.solution import HISTORY, POLICY, SENSITIVITIES, SOLUTION
 from snapo.solver.versions import versions
@@ -126,7 +128,7 @@ def _written(out: Path) -> list[Path]:
 
 def save(out: Path, record: Mapping[str, Any]) -> None:
     """Writes run.json."""
-    write_text(out / RUN, json.dumps(record, indent=1))
+    write_text(out / RUN, sealed(record))
 
 
 def read(out: Path) -> dict[str, Any]:
@@ -138,15 +140,51 @@ def read(out: Path) -> dict[str, Any]:
     try:
         record = json.loads(file.read_text(encoding="utf-8"))
         layout = int(record["layout"])
+        if layout == LAYOUT:
+            _check_record(record)
     except FileNotFoundError:
         raise _no_run(out) from None
-    except (OSError, ValueError, KeyError, TypeError) as error:
+    except (OSError, ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         what = f"this file cannot be read ({error}); solve the case again"
         raise CaseError(str(file), "", None, what) from None
     if layout != LAYOUT:
         what = f"allowed is {LAYOUT}; another version of snapo wrote this run: solve the case again"
         raise CaseError(str(file), "layout", layout, what)
     return record
+
+
+def _check_record(record: Mapping[str, Any]) -> None:
+    """**Raises:** `ValueError` where a record of this layout lacks something, or was changed."""
+    states = record["parts"]
+    plain = (record["kind"], str), (record["decides"], dict), (record.get("about", {}), dict)
+    if not all(isinstance(each, kind) for each, kind in (*plain, (states, dict))):
+        raise ValueError("its tables are of other kinds")
+    for state in states.values():
+        if not isinstance(state["state"], str) or not isinstance(state["note"], str):
+            raise ValueError("the state of a part is no text")
+        float(state["seconds"])
+    if not is_sealed(record):
+        raise ValueError("it was changed or damaged")
+
+
+def mark(decides: Mapping[str, Any]) -> str:
+    """A text that is the same for runs with the same numbers: their checkpoints go together."""
+    return checksum(json.dumps(decides, sort_keys=True).encode())
+
+
+def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) -> None:
+    """**Raises:** `CaseError` where one of these files of the run is not what was written."""
+    files = {name: each for state in record["parts"].values() for name, each in files_of(state)}
+    wanted = {name: files[name] for name in names if name in files}
+    for name in changed_files(out, wanted):
+        what = "this file was changed or damaged since it was written: solve with --resume again"
+        raise CaseError(str(out / name), "", None, what)
+
+
+def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
+    """(name, checksum) of the files of a part."""
+    files = state.get("files", {})
+    return list(files.items()) if isinstance(files, dict) else []
 
 
 def _no_run(out: Path) -> CaseError:
@@ -210,7 +248,7 @@ def read_table(file: Path) -> dict[str, Any] | None:
     """The object in a JSON file; None where it is not there or damaged."""
     try:
         found = json.loads(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+    except (OSError, ValueError, RecursionError):
         return None
     return found if isinstance(found, dict) else None
 

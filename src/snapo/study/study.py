@@ -109,6 +109,7 @@ class StudyRun:
     - `tell`: takes one line of progress.
     - `found`: the tables of all finished parts by key, as they come back from JSON.
     - `troubles`: what could not be written.
+    - `mark`: of all that decides its numbers; a checkpoint with another mark is not its own.
     """
 
     study: Study
@@ -118,6 +119,7 @@ class StudyRun:
     found: dict[str, Any] = field(default_factory=dict)
     troubles: list[str] = field(default_factory=list)
     trained: Solution | None = None
+    mark: str = ""
 
     def get(self, path: str, default: Any = None) -> Any:
         """The entry "today.spot" of the tables, or `default` where it is missing or null."""

@@ -89,18 +89,18 @@ def _state(run: StudyRun, problem: Problem, policy: Policy, training: Training) 
         raise CaseError("case.toml", "training.window", training.window, what) from None
     if not (run.resume and file.exists()):
         return fresh
-    state = load_checkpoint(file, fresh)
+    state = load_checkpoint(file, fresh, run.mark)
     run.tell(f"resuming after step {state.step}")
     return state
 
 
-def load_checkpoint(file: Path, fresh: Progress) -> Progress:
+def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
     """The state of training in `file`, shaped like `fresh`.
 
-    **Raises:** `CaseError` where it is damaged or of another policy.
+    **Raises:** `CaseError` where it is damaged, of another policy, or of a run with another `mark`.
     """
     try:
-        return checkpoint.load(file, fresh)
+        return checkpoint.load(file, fresh, mark)
     except checkpoint.CheckpointError as error:
         what = str(error).removeprefix(f"{file}: ").rstrip(".")
         what = f"{what}; solve without --resume, or remove this file"
@@ -116,7 +116,7 @@ def _keep(run: StudyRun, state: Progress, training: Training) -> None:
             f"best {last.best:>14,.7g}, {last.seconds:6.1f} s"
         )
     try:
-        checkpoint.save(state, run.folder / CHECKPOINT)
+        checkpoint.save(state, run.folder / CHECKPOINT, run.mark)
         write_csv(run.folder / HISTORY, Record._fields, state.history)
     except OSError as error:
         run.troubles.append(f"{error.filename or run.folder}: {error.strerror}")

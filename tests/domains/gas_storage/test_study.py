@@ -20,7 +20,7 @@ from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.results import values
 from snapo.solver import checkpoint, train
-from snapo.study import commands
+from snapo.study import commands, run_folder
 from snapo.study.carry_out import carry_out
 from snapo.study.domain import Options
 from snapo.study.run_folder import decisive
@@ -189,7 +189,7 @@ def test_a_run_that_nothing_bounds_says_why(whole, folder, tmp_path):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     record = json.loads((out / "run.json").read_text())
     record["decides"]["case"]["objective"] = {"kind": "cvar", "level": 0.9}
-    (out / "run.json").write_text(json.dumps(record))
+    run_folder.save(out, record)
     with pytest.raises(CaseError, match=r'only a mean is bounded from above, .* "cvar"'):
         commands.certify(out, lambda text: None)
     with pytest.raises(CaseError, match="not the folder of a run"):
@@ -244,7 +244,7 @@ def test_a_part_that_fails_loses_no_other(folder, whole, tmp_path, monkeypatch):
     out = Path(shutil.copytree(whole[1], tmp_path / "run"))
     record = json.loads((out / "run.json").read_text())
     del record["parts"]["value ladder"]
-    (out / "run.json").write_text(json.dumps(record))
+    run_folder.save(out, record)
 
     def broken(*given):
         raise ZeroDivisionError("nothing to divide by")

@@ -4,7 +4,7 @@ from typing import Annotated, Any
 
 from pydantic import Field
 
-from snapo.case.table import Positive, Table
+from snapo.case.table import TITLE, Positive, Table, Title
 
 Numbers = float | list[float] | list[list[float]]
 
@@ -13,7 +13,7 @@ class OwnTable(Table):
     """The whole file; the tables in it are read by their own records."""
 
     kind: str
-    title: str = Field("", description="text")
+    title: Title = Field("", description=TITLE)
     step: str = Field("step", description='the word for one step of the simulator, like "week"')
     objective: dict[str, Any] = Field({}, description="a table, [objective]")
     inputs: dict[str, Any] = Field({}, description="a table, [inputs]")

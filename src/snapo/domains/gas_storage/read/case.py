@@ -1,5 +1,6 @@
 """Reads a gas-storage case: a TOML file and the CSVs beside it become a `StorageCase`."""
 
+import dataclasses
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from ..prices.registry import check_curve, read_prices
 from .contract import decision_days, pays_by_price, read_contract
 from .limits import read_limits
 from .market import read_market
-from .plausible import check_plausible
+from .plausible import check_plausible, free_money
 from .tables import ContractTable, MarketTable, StorageTable
 
 
@@ -70,7 +71,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     check_plausible(case)
     if not expired:
         check_feasible(case)
-    return case
+    return dataclasses.replace(case, notes=(*case.notes, *free_money(case)))
 
 
 def _parse_both(top: StorageTable, file: str) -> tuple[ContractTable, MarketTable]:

@@ -5,6 +5,7 @@ import datetime
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -78,11 +79,30 @@ def read_outages(
     """[T] shares of the injection and the withdrawal rates that outages leave; the least counts."""
     factors = np.ones((2, len(days)))
     day_numbers = ordinals(days)
-    for first, last, *left in _outages(section, table.outages):
+    outages = _outages(section, table.outages)
+    _note_outages(section, table, outages)
+    for first, last, *left in outages:
         during = (day_numbers >= first.toordinal()) & (day_numbers <= last.toordinal())
         for factor, share in zip(factors, left, strict=True):
             factor[during] = np.minimum(factor[during], share)
     return factors[0], factors[1]
+
+
+def _note_outages(section: Section, table: ContractTable, outages: "list[Outage]") -> None:
+    """Remarks on outages that change nothing, and on days that have several."""
+    for first, last, *_ in outages:
+        if last < table.start or first >= table.end:
+            section.notes.append(
+                f"The outage {first} to {last} lies outside of the contract, {table.start} to "
+                f"{table.end}, and changes nothing."
+            )
+    rising = sorted(outages)
+    for before, after in pairwise(rising):
+        if after[0] <= before[1]:
+            section.notes.append(
+                f"The outages {before[0]} to {before[1]} and {after[0]} to {after[1]} overlap; on "
+                "each day the smaller factor counts."
+            )
 
 
 Outage = tuple[datetime.date, datetime.date, float, float]

@@ -51,6 +51,12 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
     """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
     rows = read_rows(Mention(section, "forward_curve", name), ("date", "price"))
     by_day, by_month = quotes(rows)
+    both = [day for day in days if day in by_day and (day.year, day.month) in by_month]
+    if both:
+        more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
+        section.notes.append(
+            f"In {name} {both[0]}{more} a quote of the day and one of the month: the day's counts."
+        )
     prices = []
     for day in days:
         price = by_day.get(day, by_month.get((day.year, day.month)))

@@ -1,5 +1,7 @@
 """Numbers outside of any market: refused, as a value made of them would be garbage."""
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from snapo.case.error import CaseError
@@ -34,3 +36,24 @@ def check_plausible(case: StorageCase) -> None:
             label = f" {given.names()[first]}" if values.size > 1 else ""
             what = f"no market has this; allowed is {words}"
             raise CaseError(str(case.file), f"{key}{label}", float(values[first]), what)
+
+
+def free_money(case: StorageCase) -> Iterator[str]:
+    """Remarks where the contract pays for moving gas, whatever the price: often a wrong sign."""
+    contract = case.contract
+    inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
+    if not len(case.days):
+        return
+    price = case.market.forward_curve.used()[: len(case.days)]
+    paid = price * (1 + contract.injection_fuel.used()) + inward < 0
+    if np.any(paid & (price > 0)):
+        t = int(np.argmax(paid & (price > 0)))
+        yield (
+            f"On {case.days[t]} an injection is paid: injection_cost is {inward[t]:g}, and gas "
+            f"costs {price[t]:g}. Is the sign of the cost right?"
+        )
+    elif (least := float(np.min(inward) + np.min(outward))) < 0:
+        yield (
+            "Injecting gas and withdrawing it again pays by itself: the least injection_cost and "
+            f"withdrawal_cost sum to {least:g}. Is the sign of the costs right?"
+        )

@@ -13,6 +13,8 @@ from snapo.case.table import Section
 
 from .tables import AfterDays, MonthsAfter, OnDate, Settlement
 
+LATE = 731  # days after which a payment deserves a remark
+
 
 def payment_days(
     section: Section,
@@ -43,6 +45,13 @@ def payment_days(
     early = [day for day, when in zip(days, paid, strict=True) if when < day]
     if early:
         section.notes.append(f"By {section.name}.{key} the flow of {early[0]} is paid before it.")
+    late = [(day, when) for day, when in zip(days, paid, strict=True) if (when - day).days > LATE]
+    if late:
+        day, when = late[0]
+        section.notes.append(
+            f"By {section.name}.{key} the flow of {day} is paid on {when}, "
+            f"{(when - day).days / 365:.3g} years later."
+        )
     return ordinals(paid) - valuation.toordinal()
 
 

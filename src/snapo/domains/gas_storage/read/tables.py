@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import TITLE, Table, Title
 
 
 def _plain_day(value: Any) -> Any:
@@ -127,7 +127,7 @@ class StorageTable(Table):
     """The whole file."""
 
     kind: Literal["gas-storage"] = Field(description='"gas-storage"')
-    title: str = Field("Gas storage", description="a text in quotation marks")
+    title: Title = Field("Gas storage", description=TITLE)
     contract: dict = Field(description="the table [contract]")
     market: dict = Field(description="the table [market]")
     model: dict = Field(description="the table [model]")

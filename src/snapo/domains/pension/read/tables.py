@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import TITLE, Table, Title
 
 
 def _plain_day(value: Any) -> Any:
@@ -186,7 +186,7 @@ class PensionTable(Table):
     """The whole file."""
 
     kind: Literal["pension"] = Field(description='"pension"')
-    title: str = Field("Pension fund", description="a text in quotation marks")
+    title: Title = Field("Pension fund", description=TITLE)
     fund: dict = Field(description="the table [fund]")
     curve: dict = Field(description="the table [curve]")
     rates: dict | None = Field(None, description="the table [rates]")

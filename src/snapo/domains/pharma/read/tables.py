@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
-from snapo.case.table import Table
+from snapo.case.table import TITLE, Table, Title
 
 from .fields import Text, quantity, word
 
@@ -220,7 +220,7 @@ class PharmaTable(Table):
     """The whole file."""
 
     kind: Literal["pharma"] = word("pharma")
-    title: str = Field("Pharmaceutical process", description="a text in quotation marks")
+    title: Title = Field("Pharmaceutical process", description=TITLE)
     purpose: str = Field("", description="a sentence on the purpose of the model")
     assumptions: list[str] = Field([], description="sentences for the report")
     held: list[Text] = Field([], description="numbers of the case that get no sensitivity")
