@@ -14,6 +14,7 @@ from snapo.problem.simulator import Simulator, probe
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
+from ..flowsheet.stiffness import with_stiff_steps
 from .policy import Feedback
 from .stages import Stage, decided, staged
 
@@ -39,6 +40,7 @@ def closed_loop(case: PharmaCase, inputs: dict[str, Any] | None = None, seed: in
     """The simulator, a policy to train and the fixed recipe as a policy, at `inputs`."""
     if case.control is None:
         raise ValueError("closed_loop: the case has no [control].")
+    case = with_stiff_steps(case)
     stages = _stages(case)
     moves = [_move(a, b) for a, b in pairwise(stages)]
     simulator = Chain(stages, moves) if moves else stages[0]

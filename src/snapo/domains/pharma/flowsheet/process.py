@@ -186,8 +186,16 @@ class Process:
         with ThreadPoolExecutor(os.cpu_count()) as threads:
             parts += threads.map(run, range(chunk, len(draws), chunk))
         values, jacobian = (np.concatenate(each) for each in zip(*parts))
+        if self.case.numerics.held:
+            self._on_own_steps(key, draws, nominal, values, jacobian)
         ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
         return Batch(values, jacobian if sensitivities else None, np.asarray(ok))
+
+    def _on_own_steps(self, key: _Key, draws, nominal, values, jacobian) -> None:
+        """Does batches again, one by one, for which the steps of stiff units were refused."""
+        one = self.compiled(("alone", *key), lambda: self._one(*key, along=False))
+        for i in np.flatnonzero(~np.isfinite(values).all(1)):
+            values[i], jacobian[i] = one(draws[i], nominal)
 
     def _native(self, key: _Key) -> Callable:
         """Many batches by the native engine, or by its substitute."""
@@ -200,16 +208,18 @@ class Process:
     def _xla(self, key: _Key) -> Callable:
         return self.compiled(("batch", *key), lambda: jax.vmap(self._one(*key), in_axes=(0, None)))
 
-    def _one(self, entries: tuple[Entry, ...], by: tuple[Entry, ...]) -> Callable:
+    def _one(
+        self, entries: tuple[Entry, ...], by: tuple[Entry, ...], along: bool = True
+    ) -> Callable:
         """One batch's attributes and their derivatives; plain JAX."""
 
         def one(draw, inputs):
             drawn = self.shifted(draw, entries, inputs)
             if not by:
-                return self.attributes(drawn, along=True), jnp.zeros((len(self.names), 0))
+                return self.attributes(drawn, along=along), jnp.zeros((len(self.names), 0))
 
             def moved(numbers):
-                found = self.attributes(self.shifted(numbers, by, drawn), along=True)
+                found = self.attributes(self.shifted(numbers, by, drawn), along=along)
                 return found, found
 
             numbers = jnp.stack([drawn[name][position] for name, position in by])

@@ -16,9 +16,11 @@ from .mesh import Mesh, edges_of, make_mesh
 from .numerics import Numerics
 from .profile import values_at
 from .runge_kutta import last_state, runge_kutta
-from .stiff import FLOOR, course, limit_of, stepped, steps_of
+from .step_choice import own_steps
+from .stiff import FLOOR, Stepped, Steps, course, limit_of, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
+OWN, MORE = 2, 100  # tries for a stiff run's own steps: twice the nominal ones, and so many more
 COARSE = 0.05  # defect of an explicit step, over its state's largest, that cannot be believed
 
 
@@ -55,22 +57,38 @@ def integrate(
     controls = jnp.stack([mesh.point_values(*each) for each in problem.controls], -1)
     slope = jax.vmap(problem.rate)(states, problem.drive(*controls.T))
     time = problem.duration * mesh.times()
-    if numerics.method == "mesh":
+    if numerics.method == "mesh" and problem.stiff:
         share = jnp.minimum(share, _believed(problem, mesh, states))
     return Solved(final, ends, problem.duration * share, Track(time, states, slope, controls))
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
-    """On the held steps of a stiff unit."""
-    steps = steps_of(problem, held)
-    found = stepped(problem, steps, limit_of(numerics.stiff_tolerance), record)
+    """On the held steps of a stiff unit. Where they are refused, on steps of the run's own, which
+    many batches side by side do not have."""
+    nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
     ends = [value[-1] for _, value in problem.controls]
-    reached, track = problem.duration * found.share, None
-    if found.states is not None:
+    most = len(nominal.end) if numerics.along else OWN * len(nominal.end) + MORE
+
+    def on(steps: Steps) -> tuple[Stepped, Track | None]:
+        found = stepped(problem, steps, limit, record)
+        if found.states is None:
+            return found, None
         times, controls = course(problem, steps)
         slope = jax.vmap(problem.rate)(found.states, problem.drive(*controls.T))
         track = Track(problem.duration * times, found.states, slope, controls)
-    return Solved(found.final, ends, reached, track, found.error)
+        filled = most + 1 - len(times)  # with the end, again and again
+        return found._replace(states=None), jax.tree.map(
+            lambda each: jnp.concatenate([each, jnp.repeat(each[-1:], filled, 0)]), track
+        )
+
+    found, track = on(nominal)
+    if not numerics.along:
+        found, track = jax.lax.cond(
+            found.share < 1.0,
+            lambda: on(own_steps(problem, numerics.stiff_tolerance, most)),
+            lambda: (found._replace(states=None), track),
+        )
+    return Solved(found.final, ends, problem.duration * found.share, track, found.error)
 
 
 def ended(problem: Dynamics, final: Float[Array, " m"]) -> Solved:

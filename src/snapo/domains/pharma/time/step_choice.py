@@ -10,7 +10,7 @@ from jaxtyping import Array, Float
 from .dynamics import Dynamics
 from .mesh import edges_of
 from .rosenbrock import ORDER, rosenbrock
-from .stiff import pushed, size_of_error
+from .stiff import Steps, pushed, size_of_error
 
 SAFETY, LEAST, MOST = 0.9, 0.1, 5.0  # of the step that the error estimate asks for
 FIRST = 1e-6  # share of the duration that is tried first
@@ -62,6 +62,23 @@ def choose(problem: Dynamics, tolerance: float, most: int) -> Chosen:
     now = (zero, zero + FIRST, problem.start, none, none, jnp.ones(most + 1), zero)
     *_, count, _, end, fastest = jax.lax.while_loop(more, attempt, now)
     return Chosen(end, count, fastest)
+
+
+def own_steps(problem: Dynamics, tolerance: float, most: int) -> Steps:
+    """`most` steps for the problem at hand, in a trace; those that are not needed have no length.
+    Where they do not reach the end, one does that its error estimate refuses. No derivatives."""
+
+    def ends(start, duration):
+        return choose(problem._replace(start=start, duration=duration), tolerance, most - 1).end
+
+    # The numbers that rate and drive close over become arguments, so that theirs can be stopped.
+    converted, held = jax.closure_convert(ends, problem.start, problem.duration)
+    given = jax.lax.stop_gradient((problem.start, problem.duration, *held))
+    end = jax.lax.stop_gradient(converted(*given))
+    start = jnp.append(0.0, end[:-1])
+    edges = edges_of(tuple(profile for profile, _ in problem.controls))
+    number = jnp.searchsorted(jnp.asarray(edges), start, side="right") - 1
+    return Steps(start, end, jnp.clip(number, 0, len(edges) - 2))
 
 
 def times_of(chosen: Chosen) -> Float[np.ndarray, " n+1"]:

@@ -26,9 +26,9 @@ class Steps(NamedTuple):
     """`start` and `end` of n steps, shares of the duration; `number`: of the piece between nodes
     of the profiles in which each lies."""
 
-    start: Float[np.ndarray, " n"]
-    end: Float[np.ndarray, " n"]
-    number: Int[np.ndarray, " n"]
+    start: Float[np.ndarray | Array, " n"]
+    end: Float[np.ndarray | Array, " n"]
+    number: Int[np.ndarray | Array, " n"]
 
 
 def steps_of(problem: Dynamics, times: Float[np.ndarray, " n+1"]) -> Steps:
@@ -92,10 +92,7 @@ def stepped(problem: Dynamics, steps: Steps, limit: float, record: bool) -> Step
 def course(problem: Dynamics, steps: Steps) -> tuple[Array, Array]:
     """Shares of the duration [n + 1] and the controls [n + 1, C] there, at a jump the earlier."""
     pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
-    times = np.append(steps.start, steps.end[-1])
-    number = np.append(steps.number[:1], steps.number)
-    found = [
-        values_in(*each, pieces.of(each[0])[number], jnp.asarray(times))
-        for each in problem.controls
-    ]
-    return jnp.asarray(times), jnp.stack(found, -1)
+    times = jnp.append(jnp.asarray(steps.start), jnp.asarray(steps.end)[-1])
+    number = jnp.append(jnp.asarray(steps.number)[:1], jnp.asarray(steps.number))
+    found = [values_in(*each, pieces.of(each[0])[number], times) for each in problem.controls]
+    return times, jnp.stack(found, -1)
