@@ -85,6 +85,10 @@ MISTAKES = {
         "case.toml", 'kind = "crra"   ', 'kind = "cvar"   ',
         ["objective.level", '"cvar"'],
     ),
+    "window that ends before its objective": (
+        "case.toml", "steps = 300\n", "steps = 300\nwindow = 12\n",
+        ["training.window", "12", "funding_ratio is known at the horizon only"],
+    ),
     "unknown input held": ("case.toml", '"asset_cost"', '"asset_csot"', ["held", "asset_cost"]),
     "both members and cash flows": (
         "case.toml", 'file = "cohorts.csv"', 'file = "cohorts.csv"\ncash_flows = "x.csv"',

@@ -15,9 +15,9 @@ from .run import PensionRun, points, share
 
 CAPTION = (
     "Every point is the best policy for its mixture of both aims on the validation paths, of all"
-    " that were trained on the way up and down, and measured on the same fresh paths; bars are one standard error. Up and left is better. CVaR:"
-    " mean of min(F − 1, 0) over the worst paths at the horizon. Efficient: no other point asks for"
-    " less and leaves less of a shortfall."
+    " that were trained on the way up and down, and measured on the same fresh paths; bars are one"
+    " standard error. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
+    " the horizon. Efficient: no other point asks for less and leaves less of a shortfall."
 )
 
 
