@@ -20,6 +20,7 @@ from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
+from .progress import say
 from .stream import Stream
 
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
@@ -176,7 +177,9 @@ class Process:
             parts = [run(0)]
         # One chunk keeps one core busy: the others run beside it, now that it is compiled.
         with ThreadPoolExecutor(os.cpu_count()) as threads:
-            parts += threads.map(run, range(chunk, len(draws), chunk))
+            for part in threads.map(run, range(chunk, len(draws), chunk)):
+                parts.append(part)
+                say(f"{min(chunk * len(parts), len(draws)):,} of {len(draws):,} batches")
         values, jacobian = (np.concatenate(each) for each in zip(*parts))
         ok = np.isfinite(values).all(1) & np.isfinite(jacobian).all((1, 2))
         return Batch(values, jacobian if sensitivities else None, np.asarray(ok))

@@ -198,6 +198,7 @@ def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
         "violation": conditions.violation,
         "tolerance": TOLERANCE,
         "converged": recipe.converged,
+        "message": recipe.message,
         "iterations": recipe.iterations,
         "evaluations": recipe.evaluations,
         "ends": list(found.ends),

@@ -46,7 +46,7 @@ def status(run: Tables) -> str:
     if run.get("estimation") and not run.get("estimation.converged"):
         return f"the fit did not converge: {run.get('estimation.message')}"
     if run.get("optimise") and not run.get("optimise.converged"):
-        return "the best recipe did not converge"
+        return f"the best recipe did not converge: {run.get('optimise.message')}"
     failed = [name for name, good in checks(run) if not good]
     if failed:
         return f"a check fails: {', '.join(failed)}"

@@ -79,12 +79,25 @@ def _ranking(run: Run) -> Table | Missing:
         (
             each["parameter"],
             each["attribute"] or "–",
-            "attribute beyond its limit" if each["outside"] else percent(each["share"], 1),
+            _used(each),
+            percent(each["variance"], 0),
         )
         for each in ranks
     ]
-    head = [("Parameter", ""), ("Most critical for", ""), ("Share of the room used", "")]
-    return Table(head, rows, "Criticality: the largest share of any limit's room", 2)
+    names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance")
+    caption = (
+        "Criticality: the largest share of any limit's room that half the normal range uses; room "
+        "is the distance to the limit less two standard deviations of the batches. Last, how much "
+        "of that attribute's variance the parameter causes"
+    )
+    return Table([(name, "") for name in names], rows, caption, 2)
+
+
+def _used(rank: dict) -> str:
+    """The share of the room, or why it has no meaning."""
+    if rank["outside"]:
+        return "attribute beyond its limit"
+    return "variation alone takes the room" if rank["spent"] else percent(rank["share"], 1)
 
 
 def _tornados(run: Run, scaled: np.ndarray) -> Chart:
