@@ -182,6 +182,7 @@ class OpenLoop:
         found = [
             Part(MESH, self.mesh, (SOUND,)),
             of("capability", "capability", lambda p: quality.capability_rows(p, seed + 1)),
+            of("criticality", "criticality", lambda p: quality.criticality_rows(p, seed + 3)),
             Part("spread", self.spread, (MATRIX,)),
         ]
         if case.optimise is not None:

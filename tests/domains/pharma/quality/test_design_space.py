@@ -7,7 +7,14 @@ from tests.domains.pharma.pharma_cases import Polynomial, template
 
 from snapo.domains.pharma.derivatives import sensitivities
 from snapo.domains.pharma.derivatives.jacobian import Matrix
-from snapo.domains.pharma.quality import capability, design_space, draws, interval, ranges
+from snapo.domains.pharma.quality import (
+    capability,
+    criticality,
+    design_space,
+    draws,
+    interval,
+    ranges,
+)
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),
@@ -135,6 +142,22 @@ def test_uncertain_kinetics_are_apart_from_batches_that_differ():
     same = capability.capability(Polynomial(between, [100, 5], slope), 2000, SEED)
     assert same.cpk_batches[0] == pytest.approx(3 / (3 * both), rel=0.25)
     assert np.isnan(same.cpk_low[0])
+
+
+def test_criticality_is_half_the_change_over_the_room():
+    """first = 100 + 2 x + x^2 / 2, x = T2 - 295 K: of a room of 3, T2 over 294 to 296 K uses 2/3 of it."""
+    case = template(attributes=attributes(low=97), parameters=PARAMETERS, pairs=None,
+                    uncertainty=None, design_space=None)  # fmt: skip
+    bent = Polynomial(case, [100, 5], {T2: np.array([2, 0.0]), T_F: np.array([-1, 0.0])},
+                      {T2: np.array([0.5, 0.0])})  # fmt: skip
+    found = criticality.criticality(bent, SEED, 4000)
+    assert found.change[0] == pytest.approx([2, -1])
+    assert found.share[0] == pytest.approx([2 / 3, 1 / 3])
+    # (f(x + 1) - f(x - 1)) / 2 = 2 + x about a point x that is off by 0.3 K.
+    wide = 1.645 * SPREAD
+    assert [found.low[0, 0], found.high[0, 0]] == pytest.approx([2 - wide, 2 + wide], abs=0.03)
+    assert found.share_low[0, 0] == pytest.approx((2 - wide) / 3, abs=0.01)
+    assert (found.share[1] == 0).all()
 
 
 def test_a_set_point_that_fails_has_no_range(linear):

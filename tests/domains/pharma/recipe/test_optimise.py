@@ -12,7 +12,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER
 from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import read_case, resolve
-from snapo.domains.pharma.recipe.optimise import optimise
+from snapo.domains.pharma.recipe.optimise import optimise, varies
 from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
 from snapo.domains.pharma.recipe.watch import Limits
 
@@ -129,6 +129,16 @@ def test_a_reserve_stays_within_the_limit():
     _, duration = (found := optimise(Process(case))).recipe.x
     product = found.recipe.value * duration / 3600
     assert product == pytest.approx(0.11 + case.attributes[0].margin, rel=1e-9)
+
+
+@pytest.mark.prove
+def test_deviations_of_the_batches_stay_within_the_limit():
+    case = reactor(deviations=2.0)
+    process = Process(case)
+    found = optimise(process)
+    sigma = varies(process)
+    product = found.recipe.value * found.recipe.x[1] / 3600
+    assert sigma[0] > 1e-4 and product == pytest.approx(0.11 + 2 * sigma[0], rel=1e-9)
 
 
 @pytest.mark.parametrize(

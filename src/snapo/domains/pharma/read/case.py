@@ -30,8 +30,8 @@ from .tables import NumericsTable, PharmaTable, ReportTable
 PARTS = (
     "one batch", "integration", "balances", "convergence", "certificate", "sensitivity matrix",
     "all sensitivities", "attribution", "profile sensitivities", "second derivatives",
-    "mesh of statistics", "capability", "spread", "best recipe", "design space", "proven ranges",
-    "estimation", "best fixed recipe", "training", "closed loop",
+    "mesh of statistics", "capability", "criticality", "spread", "best recipe", "design space",
+    "proven ranges", "estimation", "best fixed recipe", "training", "closed loop",
 )  # fmt: skip
 TRAINING = {
     "steps": 150, "paths": 256, "learning_rate": 0.02, "warmup": 10, "temperature_start": 1.0,

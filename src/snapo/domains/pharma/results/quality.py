@@ -11,6 +11,7 @@ from ..flowsheet.process import Process
 from ..given import every_given
 from ..quality import design_space, estimation, ranges
 from ..quality.capability import capability
+from ..quality.criticality import DRAWS, criticality
 from ..read.entries import Numbers
 from ..recipe import optimise
 
@@ -21,6 +22,11 @@ def capability_rows(process: Process, seed: int) -> dict[str, Any]:
     """Spread, Cpk and shares out of specification, over fresh batches."""
     count = min(process.case.evaluation.paths, BATCHES)
     return capability(process, count, seed)._asdict()
+
+
+def criticality_rows(process: Process, seed: int) -> dict[str, Any]:
+    """Which parameter moves which attribute, by how much of its room, with intervals."""
+    return criticality(process, seed)._asdict() | {"draws": DRAWS}
 
 
 def spread_rows(case: PharmaCase, matrix: dict[str, Any]) -> dict[str, Any]:

@@ -41,6 +41,8 @@ def _goal(found: dict[str, Any]) -> str:
     kept = "all limits of the nominal model are kept"
     if found["reserve"]:
         kept += f", with {number(found['reserve'])} margins to spare"
+    if found["deviations"]:
+        kept += f", and {number(found['deviations'])} standard deviations of the batches to spare"
     word = "Largest" if found["sense"] == "maximise" else "Smallest"
     return f"{word} {goal} such that {kept}."
 
