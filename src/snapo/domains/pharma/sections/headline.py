@@ -47,7 +47,12 @@ def _marks(run: Run) -> list[Mark]:
     if failed:
         words = f"{len(failed)} of {len(found)} numerical checks fail: {', '.join(failed)}"
         return [Mark(False, words), *_quality(run)]
-    marks = [Mark(True, f"all {len(found)} numerical checks hold")] if found else []
+    words = (
+        "the numerical check holds"
+        if len(found) == 1
+        else f"all {len(found)} numerical checks hold"
+    )
+    marks = [Mark(True, words)] if found else []
     return [*marks, *_quality(run)]
 
 

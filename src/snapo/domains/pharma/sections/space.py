@@ -50,10 +50,10 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
         "interval, within the dotted line of the map."
     )
     for level in found["levels"]:
-        if level > float(np.max(found["low"])):
+        if found["samples"] < draws_for(level):
             text += (
-                f" The contour of {level:g} is not sure anywhere: {number(draws_for(level), 0)} "
-                "draws at a point, all of them good, would be needed."
+                f" So many draws cannot make a contour of {level:g} sure anywhere: it takes "
+                f"{number(draws_for(level), 0)} at a point, all of them good."
             )
     if found.get("box") is None:
         return Text(text + " No box around the set point keeps the required probability.")
