@@ -131,10 +131,13 @@ GOOD = {
     [
         ({"run": {"status": "reactor: did not converge at 3 s"}}, "reactor: did not converge at 3 s"),
         ({"run": {"status": "ok", "attributes": {"a": None}}}, "a is not a number"),
-        ({"balances": [{"quantity": "A", "relative": 1e-3}]}, "a check fails: balances"),
-        ({"balances": [{"quantity": "A", "relative": None}]}, "a check fails: balances"),
-        ({"convergence": {"passed": False}}, "a check fails: convergence in time"),
-        ({"certificate": [{"passed": False}]}, "a check fails: adjoint against differences"),
+        ({"balances": [{"unit": "dryer", "quantity": "A", "relative": 1e-3}]}, "a check fails: balances (dryer, A)"),
+        ({"balances": [{"quantity": "A", "relative": None}]}, "a check fails: balances (A)"),
+        ({"convergence": {"passed": False, "rows": [
+            {"attribute": "a", "parameter": "value", "halving_gap": 1e-9, "adaptive_gap": 1e-9},
+            {"attribute": "b", "parameter": "T", "halving_gap": 1e-9, "adaptive_gap": 1e-2}]}},
+         "a check fails: convergence in time (b, T)"),
+        ({"certificate": [{"passed": False, "attribute": "a", "parameter": "T"}]}, "a check fails: adjoint against differences (a, T)"),
         ({"attribution": {"closure": None}}, "a check fails: paths add up"),
         ({"estimation": {"converged": False, "message": "cap"}}, "the fit did not converge: cap"),
         ({"optimise": {"converged": False, "message": "cap"}}, "the best recipe did not converge: cap"),
