@@ -9,6 +9,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet import progress
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.results.quality import space_rows
+from snapo.domains.pharma.sections.headline import _marks
 from snapo.domains.pharma.sections.run import Run
 from snapo.domains.pharma.sections.space import design_space
 from snapo.domains.pharma.study import study
@@ -88,3 +89,33 @@ def test_a_whole_number_of_samples_is_asked_for_with_both_ends(tmp_path):
 def test_the_template_reads_with_its_parts():
     read = tomllib.loads(TEMPLATE.read_text("utf-8")) | {"report": {"parts": ["one batch"]}}
     assert resolve(TEMPLATE, read).parts == ("one batch",)
+
+
+@pytest.mark.parametrize(
+    ("details", "status", "marks"),
+    [
+        ({}, "ok", ["✓ all 2 numerical checks hold"]),
+        ({"balances": [{"quantity": "A", "relative": 1.0}]}, "a check fails: balances (A)",
+         ["✗ 1 of 2 numerical checks fail: balances"]),
+        ({}, "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
+        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": False}}]}, "ok",
+         ["✓ all 2 numerical checks hold", "✗ normal ranges not inside the proven ones: T"]),
+        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": True}}]}, "ok",
+         ["✓ all 2 numerical checks hold",
+          "✗ normal ranges inside the proven ones, but not surely at 95 %: T"]),
+        ({"run": {"holds": [False]}}, "ok",
+         ["✓ all 2 numerical checks hold", "✗ at the set point a limit is broken: size"]),
+        ({"optimise": {"chance": [{"probability": 0.85, "error": 0.01},
+                                  {"probability": 0.09, "error": 0.01}]}}, "ok",
+         ["✓ all 2 numerical checks hold",
+          "✗ the optimised recipe keeps all limits less often, 9.0 % for 85.0 %: keep a reserve"]),
+    ],
+)  # fmt: skip
+def test_nothing_good_stands_alone_above_what_fails(details, status, marks):
+    known = {
+        "balances": [{"quantity": "A", "relative": 0.0}], "convergence": {"passed": True},
+        "attributes": [{"name": "size"}],
+    }  # fmt: skip
+    run = Run({"status": status}, known | details, {}, (), {}, {})
+    found = [f"{'✓' if each.good else '✗'} {each.text}" for each in _marks(run)]
+    assert [each.replace("\N{NO-BREAK SPACE}", " ") for each in found] == marks

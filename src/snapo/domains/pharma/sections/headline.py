@@ -2,6 +2,7 @@
 
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity
+from snapo.study.domain import GOOD
 
 from ..results.checks import checks
 from .run import Run, limits
@@ -42,17 +43,18 @@ def _note(run: Run) -> str:
 
 
 def _marks(run: Run) -> list[Mark]:
-    found = checks(run)
+    """Verdicts on the numbers, then on the process; nothing good stands above a bad status."""
+    found, state = checks(run), str(run.result.get("status") or "ok")
     failed = [name for name, good in found if not good]
+    marks = []
     if failed:
         words = f"{len(failed)} of {len(found)} numerical checks fail: {', '.join(failed)}"
-        return [Mark(False, words), *_quality(run)]
-    words = (
-        "the numerical check holds"
-        if len(found) == 1
-        else f"all {len(found)} numerical checks hold"
-    )
-    marks = [Mark(True, words)] if found else []
+        marks = [Mark(False, words)]
+    elif state not in GOOD:
+        marks = [Mark(False, state)]
+    elif found:
+        all_of_them = f"all {len(found)} numerical checks hold"
+        marks = [Mark(True, all_of_them if len(found) > 1 else "the numerical check holds")]
     return [*marks, *_quality(run)]
 
 
@@ -66,7 +68,10 @@ def _quality(run: Run) -> list[Mark]:
     for words, names in (
         ("at the set point a limit is broken", broken),
         ("normal ranges not inside the proven ones", outside),
-        ("inside, but not surely at 95 %", [name for name in unsure if name not in outside]),
+        (
+            "normal ranges inside the proven ones, but not surely at 95 %",
+            [name for name in unsure if name not in outside],
+        ),
     ):
         if names:
             found.append(Mark(False, f"{words}: {', '.join(names)}"))
