@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import signal
 import subprocess
 import sys
 import time
@@ -12,6 +13,7 @@ import numpy as np
 import pytest
 from tests.miniatures import MINIATURES
 
+from snapo.cli import commands as printed
 from snapo.cli.main import main
 from snapo.study import commands
 
@@ -260,3 +262,19 @@ def test_bad_input_is_found_before_jax_starts(case):
     done = run_python("-c", STARTED.format(["solve", str(case)]))
     assert done.stdout.splitlines()[-1] == "2 False"
     assert "curve.csv: the file is empty" in done.stderr
+
+
+def test_a_polite_kill_is_an_interrupt():
+    """The parts that are done are then reported, as on Ctrl-C."""
+    before = signal.getsignal(signal.SIGTERM)
+    with pytest.raises(KeyboardInterrupt), printed.stoppable():
+        os.kill(os.getpid(), signal.SIGTERM)
+        time.sleep(1)
+    assert signal.getsignal(signal.SIGTERM) is before
+
+
+def test_the_terminal_says_the_meaning_of_the_value():
+    result = {"kind": "pharma", "status": "ok", "value": 0.925537, "meaning": "of all limits"}
+    lines = printed.summary(result | {"verdict": "The recipe does better."}).splitlines()
+    assert lines[1].split(maxsplit=2) == ["value", "0.925537", "of all limits"]
+    assert "The recipe does better." in lines

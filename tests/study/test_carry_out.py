@@ -3,6 +3,7 @@
 import json
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -105,6 +106,36 @@ def test_an_interrupt_reports_the_parts_that_are_done(fake, tmp_path):
     found = json.loads((tmp_path / "result.json").read_text())
     assert (found["status"], found["value"]) == ("stopped before slow", 7)
     assert "total 7" in whole(tmp_path)
+
+
+def test_the_report_of_what_is_done_is_there_while_the_rest_runs(fake, tmp_path, monkeypatch):
+    """After parts that took seconds, not only at the end."""
+    clock, seen = [0.0], []
+    monkeypatch.setattr(time, "perf_counter", lambda: clock[0])
+
+    def later(run):
+        clock[0] += 5.0
+        seen.append(
+            "total 7" in whole(run.folder) if (run.folder / "report.html").exists() else None
+        )
+        return {}
+
+    first = parts([1, 2, 4])[0]
+    carried(tmp_path, [first, Part("long", later), Part("longer", later)])
+    assert seen == [None, True]
+
+
+def test_the_status_names_what_failed_and_what_the_study_knows(fake, tmp_path):
+    """Not the parts that were skipped for it; the study's own words, where they are not good ones."""
+    first, doubled, _ = parts([1, 2, 4], "first sum")
+    found, _ = carried(tmp_path, [first, doubled])
+    assert found["status"] == "first sum failed" and set(found["failures"]) == {
+        "first sum",
+        "doubled",
+    }
+    whole = Study("fake", {}, [first], lambda run: {"status": "reactor: did not converge at 3 s"})
+    told = carry_out(DOMAIN, whole, tmp_path / "other", DECIDES, False, lambda text: None)
+    assert told["status"] == "first sum failed: reactor: did not converge at 3 s"
 
 
 KILLED = """

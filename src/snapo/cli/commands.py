@@ -3,9 +3,11 @@
 import argparse
 import json
 import math
+import signal
 import sys
-from collections.abc import Mapping
-from contextlib import redirect_stdout
+import threading
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager, redirect_stdout
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,8 @@ def run(options: argparse.Namespace) -> int:
         "bench": _bench,
     }
     try:
-        with redirect_stdout(sys.stderr):  # stdout is for the answer alone
+        # stdout is for the answer alone
+        with redirect_stdout(sys.stderr), stoppable():
             answer, text, code = known[options.command](options)
     except CaseError as error:
         say(f"snapo: {error}")
@@ -43,6 +46,23 @@ def run(options: argparse.Namespace) -> int:
     elif text:
         print(text)
     return code
+
+
+@contextmanager
+def stoppable() -> Iterator[None]:
+    """A polite kill (SIGTERM) is an interrupt too: what is done is reported first."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+
+    def stop(*_):
+        raise KeyboardInterrupt
+
+    before = signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
 
 
 def say(text: str) -> None:
@@ -146,7 +166,8 @@ def summary(result: Mapping[str, Any]) -> str:
     lines = [f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
         if result.get(key) is not None:
-            lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}")
+            meaning = f"   {result['meaning']}" if key == "value" and result.get("meaning") else ""
+            lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}{meaning}")
     for name, value in (result.get("references") or {}).items():
         if value is not None:
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}")
@@ -154,6 +175,8 @@ def summary(result: Mapping[str, Any]) -> str:
     if seconds is not None:
         lines.append(f"{'seconds':<24}{seconds:>16,.1f}")
     lines += [f"{part}: {note}" for part, note in (result.get("failures") or {}).items()]
+    if result.get("verdict"):
+        lines.append(result["verdict"])
     if result.get("run"):
         lines.append(f"report: {Path(result['run']) / 'report.html'}")
     return "\n".join(lines)

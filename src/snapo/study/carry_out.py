@@ -20,7 +20,8 @@ from .study import Part, Study, StudyRun, Tell
 from .training import TRAINING
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
-OFTEN = 20.0  # a report is written again when the work since took this many times its own time
+# A report is written again when the work since took so many times its own time, or that of any.
+OFTEN, SHORT = 10.0, 0.3
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 
@@ -145,7 +146,7 @@ class _Writer:
 
     def part_done(self) -> None:
         """Writes where the last time is long enough ago."""
-        if time.perf_counter() - self.last > OFTEN * max(self.took, 1.0):
+        if time.perf_counter() - self.last > OFTEN * max(self.took, SHORT):
             self.write()
 
     def write(self) -> dict[str, Any]:

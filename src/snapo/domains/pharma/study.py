@@ -1,7 +1,7 @@
 """A run of a pharma case: one part for every table that its report shows."""
 
 import hashlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -15,12 +15,14 @@ from snapo.study.study import Part, Study, StudyRun
 from .control.parts import ClosedLoop
 from .flowsheet.case import PharmaCase
 from .flowsheet.process import Process
+from .flowsheet.progress import told
 from .quality.sampling import on_steps, sampler
+from .read.fitted import COLUMNS as FITTED_COLUMNS
 from .results import batch, derivatives, quality
 from .results.headline import result
 from .results.statement import statement
 
-PROFILE, SPACE = "profile.csv", "design_space.csv"
+PROFILE, SPACE, FITTED = "profile.csv", "design_space.csv", "fitted.csv"
 SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
 
 BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "mesh of statistics"
@@ -31,12 +33,41 @@ def study(case: PharmaCase, options: Options) -> Study:
     if options.reference:
         what = "a process has no exact reference to compute; its certificate is part of every run"
         raise CaseError("--reference", "", None, what)
-    open_loop = OpenLoop(case)
-    if case.control is None:
-        return Study(case.kind, about(case), open_loop.parts(), partial(result, case))
-    loop = ClosedLoop(case, options.engine)
-    parts = [*open_loop.parts(), *loop.parts()]
-    return Study(case.kind, about(case), parts, partial(result, case), loop.setup)
+    parts, setup = list(OpenLoop(case).parts()), None
+    if case.control is not None:
+        loop = ClosedLoop(case, options.engine)
+        parts, setup = [*parts, *loop.parts()], loop.setup
+    kept = chosen(parts, case.parts)
+    known = about(case) | {
+        "planned": [part.name for part in kept],
+        "left_out": [part.name for part in parts if part not in kept],
+    }
+    return Study(case.kind, known, [_told(part) for part in kept], partial(result, case), setup)
+
+
+def chosen(parts: Sequence[Part], wanted: Sequence[str]) -> list[Part]:
+    """The parts with these names, and all that they need; all where none is named."""
+    if not wanted:
+        return list(parts)
+    by_name = {part.name: part for part in parts}
+    kept: set[str] = set()
+    left = [name for name in wanted if name in by_name]
+    while left:
+        name = left.pop()
+        if name not in kept:
+            kept.add(name)
+            left += by_name[name].needs
+    return [part for part in parts if part.name in kept]
+
+
+def _told(part: Part) -> Part:
+    """The part, with lines of progress while it lasts."""
+
+    def work(run: StudyRun) -> Mapping[str, Any]:
+        with told(run.tell):
+            return part.work(run)
+
+    return part._replace(work=work)
 
 
 def about(case: PharmaCase) -> dict[str, Any]:
@@ -151,6 +182,7 @@ class OpenLoop:
         found = [
             Part(MESH, self.mesh, (SOUND,)),
             of("capability", "capability", lambda p: quality.capability_rows(p, seed + 1)),
+            of("criticality", "criticality", lambda p: quality.criticality_rows(p, seed + 3)),
             Part("spread", self.spread, (MATRIX,)),
         ]
         if case.optimise is not None:
@@ -159,9 +191,15 @@ class OpenLoop:
             found.append(Part("design space", self.design_space, (MESH,)))
             found.append(of("proven ranges", "ranges", lambda p: quality.range_rows(p, seed)))
         if case.estimation is not None:
-            fit = self.of("estimation", "estimation", lambda p: quality.estimation_rows(p))
-            found.append(fit)
+            found.append(Part("estimation", self.fit, (SOUND,)))
         return found
+
+    def fit(self, run: StudyRun) -> dict[str, Any]:
+        found = quality.estimation_rows(self.process)
+        rows = quality.fitted_rows(self.case, found)
+        if rows:
+            run.write_csv(FITTED, FITTED_COLUMNS, rows)
+        return {"estimation": found}
 
     def mesh(self, run: StudyRun) -> dict[str, Any]:
         self._sampled, found = sampler(self.process)
@@ -176,5 +214,6 @@ class OpenLoop:
 
     def design_space(self, run: StudyRun) -> dict[str, Any]:
         found = quality.map_tables(self.sampled(run), self.seed)
-        run.write_csv(SPACE, *quality.space_rows(found))
+        names = [each.name for each in self.case.attributes]
+        run.write_csv(SPACE, *quality.space_rows(found, names))
         return {"design_space": found}

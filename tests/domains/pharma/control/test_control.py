@@ -4,7 +4,9 @@ import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.control.parts import better
 from snapo.domains.pharma.control.stages import decided, staged
+from snapo.domains.pharma.results.headline import verdict
 
 
 def control(held=(), **changes):
@@ -54,6 +56,25 @@ def test_what_is_held_cannot_be_decided():
         control(held=["filter.area"], manipulated=[wash])
 
 
+@pytest.mark.parametrize(
+    ("gain", "error", "which", "words"),
+    [
+        (
+            -0.016,
+            0.002,
+            "recipe",
+            "The best fixed recipe does better than the policy: 95.9 % under",
+        ),
+        (0.016, 0.002, "policy", "The policy does better than the best fixed recipe"),
+        (0.003, 0.002, "", "The policy is not told from the best fixed recipe"),
+    ],
+)
+def test_the_headline_says_which_rival_is_better(gain, error, which, words):
+    assert better(gain, error) == which
+    said = verdict({"better": which, "value": 0.959, "baseline": 0.959 - gain})
+    assert said.startswith(words)
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("control")
@@ -74,8 +95,22 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     row = loop["recipe"][0]
     assert row["input"] == "reactor.temperature" and len(row["values"]) == 3
     assert all(303.15 <= each <= 323.15 for each in row["values"])
+    # The policy's course and both recipes over time, and the rivals in the headline.
+    for name in ("policy", "policy_low", "policy_high", "given"):
+        assert len(row[name]) == 3 and all(303.1 <= each <= 323.2 for each in row[name])
+    assert row["given"] == pytest.approx([313.15] * 3) and row["time"][-1] == 3600
+    assert result["references"]["recipe_as_given"] == loop["given"]
+    assert (
+        "optimised_recipe" in result["references"] and "the best fixed recipe" in result["verdict"]
+    )
     page = (out / "report.html").read_text(encoding="utf-8")
-    assert "Best fixed recipe" in page
+    head = page.partition("Quality attributes of one batch")[0]
+    assert "Best fixed recipe" in page and result["verdict"] in head
+    assert "All limits, best fixed recipe" in head
+    assert "Out of specification, recipe as given" in head
+    assert "reactor.temperature, K" in page and "Policy, median" in page
+    reason = found["engine"]["reason"]
+    assert "asked for" not in reason and "more than the native engine takes" in reason
     assert loop["goal"].startswith("mean of product") and loop["goal"] in page
     assert result["references"]["goal"] == loop["objective"]
     for name in ("policy.npz", "history.csv", "sensitivities.csv"):

@@ -7,7 +7,14 @@ from tests.domains.pharma.pharma_cases import Polynomial, template
 
 from snapo.domains.pharma.derivatives import sensitivities
 from snapo.domains.pharma.derivatives.jacobian import Matrix
-from snapo.domains.pharma.quality import capability, design_space, draws, ranges
+from snapo.domains.pharma.quality import (
+    capability,
+    criticality,
+    design_space,
+    draws,
+    interval,
+    ranges,
+)
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),
@@ -87,6 +94,72 @@ def test_the_edge_lies_where_the_closed_form_has_it(linear):
     assert found.unit == "K"
 
 
+def test_edges_and_contours_have_intervals(linear):
+    """The edge lies between the end of what is sure and the end of what is possible, and both
+    close in on it with more draws; a share of one is not sure to be one."""
+    truth = 295 + (97 - 100 + 1.2816 * SPREAD * np.sqrt(5)) / 2
+    widths = []
+    for samples in (128, 2048):
+        found = ranges.proven_ranges(linear, 0.9, samples, SEED)[0].probable
+        assert found.sure is not None and found.possible is not None
+        assert found.possible[0] <= truth <= found.sure[0]
+        assert found.sure[0] >= found.low >= found.possible[0]
+        widths.append(found.sure[0] - found.possible[0])
+    assert widths[1] <= widths[0]
+    at = design_space.at_points(linear, [{}], 128, SEED)
+    assert at.probability[0] == 1 and at.high[0] == 1
+    assert at.low[0] == pytest.approx(1 / (1 + 1.959964**2 / 128))
+    assert interval.draws_for(0.99) == 381
+
+
+def test_intervals_of_shares_cover():
+    """Wilson's interval holds the probability in 95 % of the samples, give or take 3 errors."""
+    rng = np.random.default_rng(0)
+    for truth in (0.5, 0.9, 0.97):
+        low, high = interval.interval(rng.binomial(400, truth, 4000) / 400, 400)
+        held = ((low <= truth) & (truth <= high)).mean()
+        assert abs(held - 0.95) < 0.02
+
+
+def test_uncertain_kinetics_are_apart_from_batches_that_differ():
+    """first = 100 + 2 (T2 - 295) + 1e6 growth: only T2 differs between batches."""
+    uncertain = [{"of": "crystalliser.kinetics.growth",
+                  "distribution": {"kind": "normal", "spread": "1 um/s"}}]  # fmt: skip
+    case = template(attributes=attributes(low=97), parameters=PARAMETERS, uncertainty=uncertain,
+                    pairs=None, design_space=None)  # fmt: skip
+    slope = {T2: np.array([2, 0.0]), GROWTH: np.array([1e6, 0.0])}
+    process = Polynomial(case, [100, 5], slope)
+    found = capability.capability(process, 20000, SEED)
+    batches, both = 2 * SPREAD, np.hypot(2 * SPREAD, 1)
+    assert found.cpk[0] == pytest.approx(3 / (3 * both), rel=0.03)
+    assert found.cpk_batches[0] == pytest.approx(3 / (3 * batches), rel=0.25)
+    # 90 % of the worlds have a mean within 1.645 of the nominal.
+    assert found.cpk_low[0] == pytest.approx((3 - 1.645) / (3 * batches), rel=0.4)
+    assert found.cpk_high[0] == pytest.approx((3 + 1.645) / (3 * batches), rel=0.4)
+    between = template(attributes=attributes(low=97), parameters=PARAMETERS, pairs=None,
+                       uncertainty=[uncertain[0] | {"between_batches": True}],
+                       design_space=None)  # fmt: skip
+    same = capability.capability(Polynomial(between, [100, 5], slope), 2000, SEED)
+    assert same.cpk_batches[0] == pytest.approx(3 / (3 * both), rel=0.25)
+    assert np.isnan(same.cpk_low[0])
+
+
+def test_criticality_is_half_the_change_over_the_room():
+    """first = 100 + 2 x + x^2 / 2, x = T2 - 295 K: of a room of 3, T2 over 294 to 296 K uses 2/3 of it."""
+    case = template(attributes=attributes(low=97), parameters=PARAMETERS, pairs=None,
+                    uncertainty=None, design_space=None)  # fmt: skip
+    bent = Polynomial(case, [100, 5], {T2: np.array([2, 0.0]), T_F: np.array([-1, 0.0])},
+                      {T2: np.array([0.5, 0.0])})  # fmt: skip
+    found = criticality.criticality(bent, SEED, 4000)
+    assert found.change[0] == pytest.approx([2, -1])
+    assert found.share[0] == pytest.approx([2 / 3, 1 / 3])
+    # (f(x + 1) - f(x - 1)) / 2 = 2 + x about a point x that is off by 0.3 K.
+    wide = 1.645 * SPREAD
+    assert [found.low[0, 0], found.high[0, 0]] == pytest.approx([2 - wide, 2 + wide], abs=0.03)
+    assert found.share_low[0, 0] == pytest.approx((2 - wide) / 3, abs=0.01)
+    assert (found.share[1] == 0).all()
+
+
 def test_a_set_point_that_fails_has_no_range(linear):
     spoilt = Polynomial(linear.case, [90, 5], linear.slope)
     found = ranges.proven_ranges(spoilt, 0.9, 64, SEED)[0].nominal
@@ -115,7 +188,7 @@ def test_the_largest_box_is_the_best_of_all():
     probability = rng.choice([0.5, 1.0], (7, 6), p=[0.2, 0.8])
     probability[2:4, 2:4] = 1
     nothing = np.zeros((7, 6))
-    at = design_space.Point(probability, nothing, nothing, nothing, nothing, nothing)
+    at = design_space.Point(probability, *[nothing] * 7)
     found = design_space.largest_box(design_space.Map(("a", "b"), grid, at, 1), (0.4, 0.9), 0.9)
     best = 0.0
     for i in range(3):
@@ -179,12 +252,18 @@ def test_the_three_forms_of_a_matrix(linear):
     assert forms.scaled == pytest.approx(found.jacobian)  # half the normal range is 1 K
     assert forms.share[0] == pytest.approx([2 / 3, -1 / 3])
     assert (forms.zero == [[False, False], [True, True]]).all()
-    ranks = sensitivities.ranking(linear.case, forms)
-    assert [rank.parameter for rank in ranks] == ["T2", "T_f"]
-    assert ranks[0].share == pytest.approx(2 / 3) and ranks[0].attribute == "first"
     part = sensitivities.spread(linear.case, np.array([[2.0, -1], [0, 0]]))
+    ranks = sensitivities.ranking(linear.case, forms, found, part)
+    assert [rank.parameter for rank in ranks] == ["T2", "T_f"]
+    left = 3 - 2 * SPREAD * np.sqrt(5)  # of a room of 3, less two standard deviations
+    assert ranks[0].share == pytest.approx(2 / left) and ranks[0].attribute == "first"
+    assert [rank.variance for rank in ranks] == pytest.approx([0.8, 0.2])
+    wide = part._replace(total=np.array([1.6, 0.0]))
+    spent = sensitivities.ranking(linear.case, forms, found, wide)
+    assert spent[0].spent and not spent[0].outside and spent[0].parameter == "T2"
     assert part.total == pytest.approx([SPREAD * np.sqrt(5), 0])
     assert part.sources == ("T2", "T_f")
-    beyond = sensitivities.table(linear.case, found._replace(values=np.array([90.0, 5])))
+    out = found._replace(values=np.array([90.0, 5]))
+    beyond = sensitivities.table(linear.case, out)
     assert np.isinf(beyond.share[0]).all()
-    assert sensitivities.ranking(linear.case, beyond)[0].outside
+    assert sensitivities.ranking(linear.case, beyond, out, part)[0].outside

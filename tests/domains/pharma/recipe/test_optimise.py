@@ -12,8 +12,9 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER
 from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import read_case, resolve
-from snapo.domains.pharma.recipe.optimise import optimise
+from snapo.domains.pharma.recipe.optimise import optimise, varies
 from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
+from snapo.domains.pharma.recipe.watch import Limits
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "plug_flow"
 
@@ -56,6 +57,48 @@ def test_what_is_no_optimum_does_not_count_as_one(monkeypatch):
     assert not edge.converged and edge.conditions.low == pytest.approx([0.0])
 
 
+def rosenbrock(x):
+    """Least, 0, at (1, 1)."""
+    return (1 - x[0]) ** 2 + 100 * (x[1] - x[0] ** 2) ** 2
+
+
+@pytest.mark.parametrize(
+    ("limits", "words"),
+    [
+        ({"evaluations": 5}, "it stopped after 5 evaluations short of the tolerance 1e-06"),
+        ({"seconds": 0.0}, "it stopped after 0 s short of the tolerance 1e-06: stationarity"),
+    ],
+)
+def test_an_optimisation_stops_at_its_limit_and_says_so(limits, words):
+    lines = []
+    told = Limits(tell=lines.append, **limits)
+    start, ends = np.array([-1.2, 1.0]), (np.full(2, -2.0), np.full(2, 2.0))
+    found = best(rosenbrock, start, *ends, sense=-1, limits=told)
+    assert not found.converged and words in found.message and found.evaluations <= 6
+    assert found.value <= rosenbrock(start)  # the best point seen
+    assert lines[0].startswith("evaluation 1: goal 24.2, largest violation 0")
+    whole = best(rosenbrock, start, *ends, sense=-1)
+    assert whole.converged and whole.message == "converged"
+    assert whole.x == pytest.approx([1, 1], abs=1e-5)
+
+
+def test_a_function_that_is_not_a_number_somewhere_leaves_the_best_point():
+    """sqrt(x - 0.5) has no value below 0.5, where its minimum would be."""
+    found = best(
+        lambda x: jnp.sqrt(x[0] - 0.5) + x[0] ** 2, np.array([0.9]), np.zeros(1), np.ones(1),
+        sense=-1,
+    )  # fmt: skip
+    assert not found.converged and np.isfinite(found.value) and found.x[0] <= 0.9
+    assert "the function is not a number after" in found.message
+
+
+def test_a_tolerance_is_the_callers():
+    start, ends = np.array([-1.2, 1.0]), (np.full(2, -2.0), np.full(2, 2.0))
+    limits = Limits(evaluations=12)
+    loose = best(rosenbrock, start, *ends, sense=-1, tolerance=1e3, limits=limits)
+    assert loose.converged and loose.evaluations <= 12
+
+
 def reactor(**changes):
     """The small case: product per hour, its temperature and duration chosen."""
     data = tomllib.loads(CASE) | tomllib.loads(LOOP.replace('"15 min"', '"5 min"'))
@@ -86,6 +129,16 @@ def test_a_reserve_stays_within_the_limit():
     _, duration = (found := optimise(Process(case))).recipe.x
     product = found.recipe.value * duration / 3600
     assert product == pytest.approx(0.11 + case.attributes[0].margin, rel=1e-9)
+
+
+@pytest.mark.prove
+def test_deviations_of_the_batches_stay_within_the_limit():
+    case = reactor(deviations=0.3)
+    process = Process(case)
+    found = optimise(process)
+    sigma = varies(process)
+    product = found.recipe.value * found.recipe.x[1] / 3600
+    assert sigma[0] > 1e-4 and product == pytest.approx(0.11 + 0.3 * sigma[0], rel=1e-9)
 
 
 @pytest.mark.parametrize(

@@ -9,6 +9,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.engine import Engines, choose
 from snapo.problem.problem import Problem
+from snapo.problem.smooth import Exact
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.solver.solve import Evaluation
@@ -18,10 +19,14 @@ from snapo.study.training import train
 
 from ..flowsheet.case import PharmaCase
 from .closed_loop import best_recipe, in_words, objective
+from .course import courses, side_by_side
 from .loop import Loop, closed_loop
 from .policy import Feedback
 
 RECIPE, TRAINED = "best fixed recipe", "training"
+TOO_LONG = "a step of a process is more than the native engine takes"
+SHOWN = 256  # batches from which the policy's course over time is drawn
+SURE = 2.0  # standard errors from which one rival counts as better
 
 
 class ClosedLoop:
@@ -47,7 +52,10 @@ class ClosedLoop:
         # A step of a process is far more than the native engine takes, and asking it costs a trace.
         name = "xla" if self.engine == "auto" else self.engine
         try:
-            return choose(name, self.problem, self.loop.policy)
+            found = choose(name, self.problem, self.loop.policy)
+            if self.engine != "auto":
+                return found
+            return found._replace(reason=found.reason.replace("it was asked for", TOO_LONG))
         except ValueError as error:
             raise CaseError("--engine", "", name, str(error).removeprefix("engine: ")) from None
 
@@ -93,11 +101,15 @@ class ClosedLoop:
         best, goal, solution = self.recipe(run, "best"), self.problem.objective, run.solution
         evaluate, paths = self.engines.evaluate, self.evaluation.paths
         fixed = path_totals(self.problem, best, paths, engine=evaluate)
-        ours, theirs = np.asarray(solution.totals["success"]), np.asarray(fixed["success"])
+        first = path_totals(self.problem, self.loop.baseline, paths, engine=evaluate)
+        ours, theirs, given = (
+            np.asarray(each["success"]) for each in (solution.totals, fixed, first)
+        )
         with jax.enable_x64(True):
             baseline_goal = float(goal.value(fixed))
         groups = self.problem.sources.evaluation.groups(np.arange(ours.size))
-        means = [statistics.mean(each, groups) for each in (ours, theirs, ours - theirs)]
+        wanted = (ours, theirs, ours - theirs, given)
+        means = [statistics.mean(each, groups) for each in wanted]
         table = {
             "value": means[0].value,
             "standard_error": means[0].standard_error,
@@ -105,26 +117,35 @@ class ClosedLoop:
             "baseline_error": means[1].standard_error,
             "gain": means[2].value,
             "gain_error": means[2].standard_error,
+            "given": means[3].value,
+            "given_error": means[3].standard_error,
+            "better": better(means[2].value, means[2].standard_error),
             "goal": in_words(self.case.goal),
             "objective": solution.value,
             "objective_error": solution.standard_error,
             "baseline_objective": baseline_goal,
-            "recipe": self.decided(best),
+            "recipe": self.decided(best, run),
             "engine": solution.engine,
             "paths": dict(solution.paths),
             "status": solution.status,
         }
         return {"closed_loop": table}
 
-    def decided(self, best: Feedback) -> list[dict[str, Any]]:
-        """The numbers that a recipe decides, in the domain's units: one row each."""
-        assert self.case.control is not None
-        actions, rows = best.actions(), []
-        for stage in self.loop.stages:
-            for place, i in enumerate(stage.decided):
-                item = self.case.control.manipulated[i]
-                part = actions[stage.before : stage.before + stage.horizon, place]
-                values = item.low + part * (item.high - item.low)
-                unit = self.loop.inputs[item.input].unit
-                rows.append({"input": item.input, "unit": unit, "values": values.astype(float)})
-        return rows
+    def decided(self, best: Feedback, run: StudyRun) -> list[dict[str, Any]]:
+        """Every control over time, of the policy and of both recipes, in the domain's units."""
+        source = self.problem.sources.evaluation
+        block = next(iter(source.blocks(source.available(SHOWN), 1)))
+        draws = source.draws(block, self.problem.simulator)
+        bound = self.engines.evaluate.bind(self.problem)
+        rolled = bound.values(run.solution.policy, draws, Exact(), record=("action",))
+        actions = [np.asarray(rolled.record["action"], float)]
+        actions += [each.actions()[:, None] for each in (best, self.loop.baseline)]
+        inputs, stages = self.loop.inputs, self.loop.stages
+        return side_by_side(*(courses(self.case, stages, inputs, each) for each in actions))
+
+
+def better(gain: float, error: float) -> str:
+    """Which of both keeps all limits more often on the same batches: "policy", "recipe", ""."""
+    if abs(gain) <= SURE * error:
+        return ""
+    return "policy" if gain > 0 else "recipe"

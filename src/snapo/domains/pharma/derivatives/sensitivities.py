@@ -12,6 +12,9 @@ from ..quality.draws import all_entries, deviation, nominal
 from ..quality.limits import Limits
 from .jacobian import Matrix
 
+VARIATION = 2.0  # standard deviations of the batches that are not there to be used
+BEYOND = 1e6  # above any share of a room
+
 
 class Table(NamedTuple):
     """Q attributes by P parameters.
@@ -43,34 +46,58 @@ def table(case: PharmaCase, found: Matrix) -> Table:
 
 
 class Rank(NamedTuple):
-    """How critical a parameter is: the largest share of a limit's room that it uses, and where."""
+    """How critical a parameter is: the largest share that it uses of the room which the variation
+    of batches leaves, and where. `variance`: its share of that attribute's variance."""
 
     parameter: str
     share: float
     attribute: str
     outside: bool
+    spent: bool
+    variance: float
 
 
-def ranking(case: PharmaCase, forms: Table) -> list[Rank]:
-    """Parameters by criticality, the most critical first; the nominal point decides.
+def ranking(case: PharmaCase, forms: Table, found: Matrix, varied: "Spread") -> list[Rank]:
+    """Parameters by criticality, the most critical first.
 
-    `outside`: the attribute stands beyond its limit already, so that a share has no meaning.
+    Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
+    about the set point. `outside`: the attribute stands beyond its limit already, `spent`: its
+    variation alone takes the room; a share has then no meaning.
     """
-    ranks = []
+    room = Limits.of(case).distance(found.values)
+    left = (room - VARIATION * varied.total)[:, None]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(left > 0, np.abs(forms.scaled) / left, np.inf)
+        variances = np.nan_to_num(varied.part**2 / (varied.part**2).sum(1, keepdims=True))
+    shares = np.where(forms.zero, 0.0, shares)
+    shares = np.where(Limits.of(case).any()[:, None], shares, np.nan)
+    # Where no room is left, the room without variation decides which parameter comes first.
+    plain = np.minimum(np.nan_to_num(np.abs(forms.share), posinf=BEYOND), BEYOND)
+    ranks: list[Rank] = []
+    order: list[float] = []
     for p, parameter in enumerate(case.parameters):
-        size = np.abs(forms.share[:, p])
+        size = shares[:, p]
         size = np.where(np.isnan(size), -1.0, size)
+        size = np.where(np.isinf(size), BEYOND * (1 + plain[:, p]), size)
         worst = int(np.argmax(size))
         known = size[worst] >= 0
         ranks.append(
             Rank(
                 parameter.name,
-                float(size[worst]) if known else float("nan"),
+                float(shares[worst, p]) if known else float("nan"),
                 case.attributes[worst].name if known and size[worst] > 0 else "",
-                bool(np.isinf(size[worst])),
+                bool(np.isinf(shares[worst, p]) and room[worst] <= 0),
+                bool(np.isinf(shares[worst, p]) and room[worst] > 0),
+                _of_variance(varied, variances[worst], parameter.name),
             )
         )
-    return sorted(ranks, key=lambda rank: -np.nan_to_num(rank.share, nan=-1.0, posinf=np.inf))
+        order.append(-float(size[worst]))
+    return [ranks[i] for i in np.argsort(order, kind="stable")]
+
+
+def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
+    """The share of an attribute's variance that one source causes, 0 where it does not vary."""
+    return float(shares[varied.sources.index(name)]) if name in varied.sources else 0.0
 
 
 class Spread(NamedTuple):

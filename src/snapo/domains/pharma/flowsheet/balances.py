@@ -80,8 +80,8 @@ def _balance(unit: str, quantity: str, inflow, outflow, accumulation, made=0.0) 
     gap = inflow + made - outflow - accumulation
     size = max(map(abs, (inflow, made, outflow, accumulation)))
     relative = float(gap / size) if size != 0 else 0.0
-    fed, reacted, left, kept = (float(each) for each in (inflow, made, outflow, accumulation))
-    return Balance(unit, quantity, fed, reacted, left, kept, relative)
+    stays = float(accumulation)
+    return Balance(unit, quantity, float(inflow), float(made), float(outflow), stays, relative)
 
 
 def _species(streams: Iterable[Stream]) -> np.ndarray:

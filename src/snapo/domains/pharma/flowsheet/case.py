@@ -39,6 +39,7 @@ class PharmaCase:
     - `purpose`: a sentence for the report. `assumptions`: the owner's, beside those of the units.
     - `pairs`: pairs of parameter names for second derivatives of every attribute.
     - `held`: names of `Given`s that are no inputs.
+    - `parts`: names of those parts of a run that are wanted, () for all.
     - `control`, `design_space`, `estimation`, `optimise`: None where it does not ask for them.
     """
 
@@ -64,5 +65,6 @@ class PharmaCase:
     assumptions: tuple[str, ...]
     notes: tuple[str, ...]
     optimise: Optimise | None = None
+    parts: tuple[str, ...] = ()
 
     kind = "pharma"

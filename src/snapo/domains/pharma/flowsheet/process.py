@@ -20,6 +20,7 @@ from .flow import Flow, flow
 from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
+from .progress import say
 from .stiffness import with_stiff_steps
 from .stream import Stream
 
@@ -184,7 +185,9 @@ class Process:
             parts = [run(0)]
         # One chunk keeps one core busy: the others run beside it, now that it is compiled.
         with ThreadPoolExecutor(os.cpu_count()) as threads:
-            parts += threads.map(run, range(chunk, len(draws), chunk))
+            for part in threads.map(run, range(chunk, len(draws), chunk)):
+                parts.append(part)
+                say(f"{min(chunk * len(parts), len(draws)):,} of {len(draws):,} batches")
         values, jacobian = (np.concatenate(each) for each in zip(*parts))
         if self.case.numerics.held:
             self._on_own_steps(key, draws, nominal, values, jacobian)

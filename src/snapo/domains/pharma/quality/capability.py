@@ -7,11 +7,16 @@ import numpy as np
 from snapo.solver.statistics import proportion
 
 from ..flowsheet.case import PharmaCase
-from . import batches
+from . import batches, draws
 from .limits import Limits
 
 if TYPE_CHECKING:
     from ..flowsheet.process import Process
+
+
+WORLDS, INNER = 64, 32  # draws of what is not known, and batches in each
+NOMINAL = 512  # batches with the nominal numbers
+ROUND_OFF = 1e-12  # of the mean: a deviation that is nothing
 
 
 class Capability(NamedTuple):
@@ -22,6 +27,12 @@ class Capability(NamedTuple):
     - `outside`: share of batches beyond the limits, with its standard error `error`.
     - `quantiles`: [Q, 3] 1 %, 50 %, 99 %.
     - `joint`: share of batches beyond any limit, and `joint_error`.
+
+    All of these vary what is not known together with what differs between batches. Apart:
+
+    - `cpk_batches`: Cpk of what differs between batches alone, the model's numbers at their nominal
+      values; NaN where nothing differs. `cpk_low`, `cpk_high`: 5 % and 95 % of it over the model's
+      uncertain numbers; NaN where all are known.
     """
 
     mean: np.ndarray
@@ -35,12 +46,16 @@ class Capability(NamedTuple):
     joint_error: float
     batches: int
     failed: int
+    cpk_batches: np.ndarray
+    cpk_low: np.ndarray
+    cpk_high: np.ndarray
 
 
 def capability(process: "Process", count: int, seed: int) -> Capability:
     """Draws of everything uncertain and of parameters that vary, at the set point."""
     rows = batches.drawn(process, {}, count, seed)
-    return from_values(process.case, batches.attributes(process, rows))
+    found = from_values(process.case, batches.attributes(process, rows))
+    return found._replace(**_apart(process, seed))
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
@@ -50,9 +65,7 @@ def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
     good = np.isfinite(values).all(-1)
     finite = values[good]
     mean, deviation = finite.mean(0), finite.std(0, ddof=1)
-    room = limits.distance(mean)
-    with np.errstate(divide="ignore", invalid="ignore"):
-        sigmas = np.where(limits.any(), room / deviation, np.nan)
+    sigmas, unknown = 3 * _cpk(limits, finite), np.full(len(mean), np.nan)
     outside, joint = 1 - kept.mean(0), float(1 - kept.all(-1).mean())
     return Capability(
         mean=mean,
@@ -66,4 +79,35 @@ def from_values(case: PharmaCase, values: np.ndarray) -> Capability:
         joint_error=float(proportion(count * joint, count)[1]),
         batches=count,
         failed=int(count - good.sum()),
+        cpk_batches=unknown,
+        cpk_low=unknown,
+        cpk_high=unknown,
     )
+
+
+def _cpk(limits: Limits, values: np.ndarray) -> np.ndarray:
+    """[..., Q] Cpk of attributes [..., n, Q]; NaN without a limit and without spread."""
+    mean, deviation = values.mean(-2), values.std(-2, ddof=1)
+    varies = limits.any() & (deviation > ROUND_OFF * np.abs(mean))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(varies, limits.distance(mean) / (3 * deviation), np.nan)
+
+
+def _apart(process: "Process", seed: int) -> dict[str, np.ndarray]:
+    """Cpk between batches, and its interval over what is not known: `WORLDS` draws of that, and the
+    same `INNER` batches in each."""
+    limits, uncertain = Limits.of(process.case), draws.unknown(process.case)
+
+    def in_worlds(worlds: np.ndarray, inner: np.ndarray) -> np.ndarray:
+        rows = np.tile(inner, (len(worlds), 1, 1))
+        rows[..., uncertain] = worlds[:, None, uncertain]
+        values = batches.attributes(process, rows.reshape(-1, rows.shape[-1]))
+        return _cpk(limits, values.reshape(*rows.shape[:2], -1))
+
+    inner = batches.drawn(process, {}, NOMINAL, seed + 1)
+    nominal = in_worlds(batches.nominally(process, {}), inner)[0]
+    ends = np.full((2, len(nominal)), np.nan)
+    if uncertain.any():
+        worlds = batches.drawn(process, {}, WORLDS, seed + 2)
+        ends = np.quantile(in_worlds(worlds, inner[:INNER]), [0.05, 0.95], axis=0)
+    return {"cpk_batches": nominal, "cpk_low": ends[0], "cpk_high": ends[1]}

@@ -10,6 +10,7 @@ from snapo.solver.statistics import proportion
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from . import batches
+from .interval import interval
 from .limits import Limits
 from .records import Parameter
 
@@ -24,6 +25,7 @@ class Point(NamedTuple):
     - `each`: […, Q] that each attribute's limits hold; `mean`: […, Q] of each attribute.
     - `binding`: the attribute that most often breaks its limits, -1 where none does.
     - `failed`: the share of runs without a finite result; they break every limit.
+    - `low`, `high`: 95 % interval of the probability.
     """
 
     probability: np.ndarray
@@ -32,6 +34,8 @@ class Point(NamedTuple):
     mean: np.ndarray
     binding: np.ndarray
     failed: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
 
 
 class Map(NamedTuple):
@@ -80,6 +84,7 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
     total = np.where(finite[..., None], values, 0.0).sum(1)
     with np.errstate(invalid="ignore"):
         mean = total / finite.sum(1)[:, None]
+    low, high = interval(all_kept, samples)
     return Point(
         probability=all_kept,
         error=proportion(samples * all_kept, samples)[1],
@@ -87,6 +92,8 @@ def judge(case: PharmaCase, values: np.ndarray) -> Point:
         mean=mean,
         binding=np.where(broken.max(-1) > 0, broken.argmax(-1), -1),
         failed=1 - finite.mean(1),
+        low=low,
+        high=high,
     )
 
 

@@ -30,6 +30,14 @@ def all_entries(case: PharmaCase) -> tuple[Entry, ...]:
     return entries(case) + process_entries(case)
 
 
+def unknown(case: PharmaCase) -> np.ndarray:
+    """[E] of `batches.varied`: whether an entry is one number that is not known, the same in every
+    batch."""
+    between = case.uncertainty.between or tuple(w == "step" for w in case.uncertainty.when)
+    rest = {(each.input, each.entry) for each in case.parameters} - set(entries(case))
+    return np.array([not each for each in between] + [False] * len(rest), bool)
+
+
 def draw(
     case: PharmaCase, n: int, seed: int, about: Mapping[str, np.ndarray] | None = None
 ) -> np.ndarray:

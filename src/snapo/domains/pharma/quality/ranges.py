@@ -25,7 +25,10 @@ class Range(NamedTuple):
     """A range in the owner's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
-    the studied range ends before any limit. `holds_normal`: whether the normal range lies inside.
+    the studied range ends before any limit. `sure`: ends between which every point looked at does
+    even at the lower end of its 95 % interval; `possible`: up to the first point that does not even
+    at the upper; None where the set point is no such point. `holds_normal`, `sure_normal`: whether
+    the normal range lies inside, and inside what is sure.
     """
 
     low: float | None
@@ -33,6 +36,9 @@ class Range(NamedTuple):
     low_edge: str
     high_edge: str
     holds_normal: bool
+    sure: tuple[float, float] | None = None
+    possible: tuple[float, float] | None = None
+    sure_normal: bool = False
 
 
 class Proven(NamedTuple):
@@ -44,9 +50,18 @@ class Proven(NamedTuple):
     probable: Range
 
 
-# [n] (parameter, value in the domain's unit) -> [n] whether they do, [n] the attribute that fails.
-Points = list[tuple[Parameter, float]]
-Good = Callable[[Points], tuple[np.ndarray, np.ndarray]]
+class Found(NamedTuple):
+    """[n] whether points do; the number of the attribute that fails; whether they do even at the
+    lower, and even at the upper end of their interval."""
+
+    fine: np.ndarray
+    fails: np.ndarray
+    sure: np.ndarray
+    possible: np.ndarray
+
+
+Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
+Good = Callable[[Points], Found]
 
 
 def proven_ranges(process: "Process", required: float, samples: int, seed: int) -> list[Proven]:
@@ -63,11 +78,14 @@ def proven_ranges(process: "Process", required: float, samples: int, seed: int) 
         values = batches.attributes(process, np.concatenate(rows))
         room = np.where(limits.any(), limits.distance(values), np.inf) / margins
         worst = np.argmin(np.nan_to_num(room, nan=-np.inf, posinf=np.inf), -1)
-        return np.asarray(limits.hold(values).all(-1)), worst
+        fine = np.asarray(limits.hold(values).all(-1))
+        return Found(fine, worst, fine, fine)
 
     def probably(points: Points):
         found = at_points(process, [{(p.input, p.entry): x} for p, x in points], samples, seed)
-        return found.probability >= required, found.binding
+        grades = (each >= required for each in (found.probability, found.low, found.high))
+        fine, sure, possible = grades
+        return Found(fine, found.binding, sure, possible)
 
     found = [
         _ranges(process, good, search)
@@ -96,7 +114,10 @@ def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> lis
     for chosen in case.parameters:
         grid = np.linspace(chosen.low, chosen.high, search[0])
         scans.append(np.unique(np.append(grid, set_point(process, chosen))))
-    fine, fails = good([(p, x) for p, scan in zip(case.parameters, scans) for x in scan])
+    first = [(p, x) for p, scan in zip(case.parameters, scans) for x in scan]
+    found = good(first)
+    fine, fails, seen = found.fine, found.fails, _Seen()
+    seen.add(first, found)
     edges: list[_Edge] = []
     start = 0
     for chosen, scan in zip(case.parameters, scans):
@@ -106,12 +127,49 @@ def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> lis
         for step in (-1, +1):
             edges.append(_bracket(chosen, scan, fine[part], fails[part], here, step))
     for _ in range(search[2]):
-        edges = _zoom(edges, good, search[1])
+        edges = _zoom(edges, good, search[1], seen)
     names = [each.name for each in case.attributes]
     return [
-        _range(chosen, low, high, names)
+        _range(chosen, low, high, names, _reach(seen.of(chosen.name), set_point(process, chosen)))
         for chosen, low, high in zip(case.parameters, edges[::2], edges[1::2])
     ]
+
+
+class _Seen:
+    """Every point that was looked at: {parameter: [(value, sure, possible)]}."""
+
+    def __init__(self):
+        self.points: dict[str, list[tuple[float, bool, bool]]] = {}
+
+    def add(self, points: Points, found: Found) -> None:
+        for (chosen, x), sure, possible in zip(points, found.sure, found.possible):
+            self.points.setdefault(chosen.name, []).append((float(x), bool(sure), bool(possible)))
+
+    def of(self, name: str) -> list[tuple[float, bool, bool]]:
+        return sorted(self.points[name])
+
+
+Ends = tuple[float, float] | None
+
+
+def _reach(points: list[tuple[float, bool, bool]], here: float) -> tuple[Ends, Ends]:
+    """What is sure about the set point `here`, to the last point that is; and what is possible, to
+    the first that is not."""
+    values = [x for x, *_ in points]
+    at = values.index(here)
+
+    def ends(grade: int, beyond: int) -> Ends:
+        good = [point[grade] for point in points]
+        if not good[at]:
+            return None
+        low, high = at, at
+        while low > 0 and good[low - 1]:
+            low -= 1
+        while high < len(good) - 1 and good[high + 1]:
+            high += 1
+        return values[max(0, low - beyond)], values[min(len(values) - 1, high + beyond)]
+
+    return ends(1, 0), ends(2, 1)
 
 
 def _bracket(chosen, scan, fine, fails, here: int, step: int) -> _Edge:
@@ -126,13 +184,16 @@ def _bracket(chosen, scan, fine, fails, here: int, step: int) -> _Edge:
     return _Edge(chosen, float(scan[end]), float(scan[end + step]), int(fails[end + step]))
 
 
-def _zoom(edges: list[_Edge], good: Good, count: int) -> list[_Edge]:
+def _zoom(edges: list[_Edge], good: Good, count: int, seen: _Seen) -> list[_Edge]:
     """Every bracket made smaller by `count` points within it."""
     open_ones = [i for i, edge in enumerate(edges) if edge.fails >= 0 and edge.inner == edge.inner]
     if not open_ones:
         return edges
     inside = [np.linspace(edges[i].inner, edges[i].outer, count + 2)[1:-1] for i in open_ones]
-    fine, fails = good([(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs])
+    wanted = [(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs]
+    looked = good(wanted)
+    fine, fails = looked.fine, looked.fails
+    seen.add(wanted, looked)
     found = list(edges)
     for k, (i, points) in enumerate(zip(open_ones, inside)):
         part = slice(k * count, (k + 1) * count)
@@ -144,10 +205,20 @@ def _zoom(edges: list[_Edge], good: Good, count: int) -> list[_Edge]:
     return found
 
 
-def _range(chosen: Parameter, low: _Edge, high: _Edge, names: list[str]) -> Range:
+def _range(
+    chosen: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
+) -> Range:
     below, above = ("" if edge.fails < 0 else names[edge.fails] for edge in (low, high))
     if low.inner != low.inner:
         return Range(None, None, below, above, False)
     inside = low.inner <= chosen.normal_low and high.inner >= chosen.normal_high
     start, end = (float(owners(chosen, edge.inner)) for edge in (low, high))
-    return Range(start, end, below, above, inside)
+    sure, possible = (
+        None if ends is None else (float(owners(chosen, ends[0])), float(owners(chosen, ends[1])))
+        for ends in reach
+    )
+    first = reach[0]
+    firmly = first is not None and (
+        first[0] <= chosen.normal_low and first[1] >= chosen.normal_high
+    )
+    return Range(start, end, below, above, inside, sure, possible, firmly)

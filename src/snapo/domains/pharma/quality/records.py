@@ -76,6 +76,8 @@ class Uncertainty:
 
     - `inputs`: [U] names of `Given`s; `entries`: [U] positions; `distributions`: [U].
     - `correlation`: [U, U] of the underlying standard normals.
+    - `between`: [U] whether it differs between batches (a feed), or is one number that is not known
+      (a rate constant); () where only what changes within a batch differs between them.
     - `when`: [U] "batch" for one draw per batch (kinetics, feed); "step" for a new draw in every
       decision step (a temperature that is not held exactly).
     """
@@ -85,6 +87,7 @@ class Uncertainty:
     distributions: tuple[Distribution, ...]
     correlation: np.ndarray
     when: tuple[Literal["batch", "step"], ...]
+    between: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -109,6 +112,8 @@ class Experiment:
     """One measured batch: its settings, and its measurements with their times.
 
     - `settings`: ((`Given` name, entry, value in the domain's unit), …) other than the case's.
+    - `units`: [n] the owner's of `value`, with (scale, offset) of each in `scales`, as of a
+      `Parameter`.
     - `time`: [n] s since the unit's start, `state`: [n] "unit.state" measured, `value`: [n] in the
       domain's unit, `error`: [n] standard deviation, above 0.
     """
@@ -119,6 +124,8 @@ class Experiment:
     state: tuple[str, ...]
     value: np.ndarray
     error: np.ndarray
+    units: tuple[str, ...] = ()
+    scales: tuple[tuple[float, float], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -127,7 +134,7 @@ class Estimation:
 
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
-    - `level`: of the confidence intervals.
+    - `level`: of the confidence intervals. `units`, `scales`: [P] the owner's, as of a `Parameter`.
     """
 
     inputs: tuple[str, ...]
@@ -137,3 +144,5 @@ class Estimation:
     high: tuple[float, ...]
     experiments: tuple[Experiment, ...]
     level: float
+    units: tuple[str, ...] = ()
+    scales: tuple[tuple[float, float], ...] = ()

@@ -17,14 +17,22 @@ from .connections import in_order, read_connections
 from .control import read_control, read_design_space, read_goal
 from .entries import Numbers
 from .estimation import read_estimation
+from .fitted import read_fitted
 from .network import read_feeds, read_network
+from .numbers import suggest
 from .optimise import read_optimise
 from .plausible.checks import check_amounts, check_decided, check_moved, check_varied_once
 from .plausible.physics import check_moved_solubility, check_physics
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
-from .tables import NumericsTable, PharmaTable
+from .tables import NumericsTable, PharmaTable, ReportTable
 
 # Where a case does not say: limits as soft as their margins at first, so that all of them are felt.
+PARTS = (
+    "one batch", "integration", "balances", "convergence", "certificate", "sensitivity matrix",
+    "all sensitivities", "attribution", "profile sensitivities", "second derivatives",
+    "mesh of statistics", "capability", "criticality", "spread", "best recipe", "design space",
+    "proven ranges", "estimation", "best fixed recipe", "training", "closed loop",
+)  # fmt: skip
 TRAINING = {
     "steps": 150, "paths": 256, "learning_rate": 0.02, "warmup": 10, "temperature_start": 1.0,
     "temperature_end": 0.1, "validation_paths": 2048, "validation_every": 25,
@@ -57,6 +65,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
     numbers = Numbers(
         {given.name: given for given in every_given((network, feeds, units))}, network
     )
+    fitted = read_fitted(file, top.fitted, numbers, notes)
     check_amounts(file, feeds, units, connections, notes)
     check_physics(file, feeds, units, network, notes)
     parameters = read_parameters(file, top.parameters, numbers, notes)
@@ -71,7 +80,9 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         connections=connections,
         parameters=parameters,
         attributes=attributes,
-        uncertainty=read_uncertainty(file, top.uncertainty, top.correlations, numbers, notes),
+        uncertainty=read_uncertainty(
+            file, top.uncertainty, top.correlations, numbers, notes, fitted
+        ),
         control=read_control(file, top.control, numbers, network.species, units, notes),
         goal=read_goal(file, top.goal, attributes),
         design_space=read_design_space(file, top.design_space, parameters, attributes),
@@ -83,6 +94,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         evaluation=read_evaluation({**EVALUATION, **top.evaluation}, str(file)),
         assumptions=tuple(top.assumptions),
         notes=tuple(notes),
+        parts=_read_parts(file, top.report),
         optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
     spans = [(each.input, each.low, each.high) for each in parameters]
@@ -114,6 +126,16 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
                 what = f"parameter {each.name} is one of these numbers, and needs a sensitivity"
                 raise CaseError(str(file), "held", name, what)
     return frozenset(raw)
+
+
+def _read_parts(file, raw: dict) -> tuple[str, ...]:
+    """`[report]`: the parts of a run that are wanted; none named is all."""
+    table = parse(ReportTable, raw, str(file), "report")
+    for i, name in enumerate(table.parts):
+        if name not in PARTS:
+            what = f"there is no such part; {suggest(name, PARTS, 'part')}"
+            raise CaseError(str(file), f"report.parts[{i}]", name, what)
+    return tuple(table.parts)
 
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:

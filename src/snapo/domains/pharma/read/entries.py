@@ -5,11 +5,10 @@ import re
 from typing import Any, NamedTuple
 
 from snapo.case.given import Given
-from snapo.case.table import Section
 
 from ..flowsheet.network import Network
 from ..given import Entry
-from .numbers import suggest
+from .numbers import Place, suggest
 
 TINY = 1e-300  # the smallest number above 0
 ENTRY = re.compile(r"([^\[\]]+)(?:\[([^\[\]]+)\])?")
@@ -31,7 +30,7 @@ class Numbers(NamedTuple):
             return unit.split(", ")[entry]
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")
 
-    def all(self, section: Section, key: str, text: str) -> list[Entry]:
+    def all(self, section: Place, key: str, text: str) -> list[Entry]:
         """The entries that "name", "name[1]" or "name[label]" stands for."""
         found = ENTRY.fullmatch(text)
         name = found[1] if found else text
@@ -49,7 +48,7 @@ class Numbers(NamedTuple):
         known += f" or {', '.join(labels)}" if any(labels) else ""
         raise section.error(key, text, f"its entries are {known}")
 
-    def one(self, section: Section, key: str, text: str) -> Entry:
+    def one(self, section: Place, key: str, text: str) -> Entry:
         """The one entry that a text stands for."""
         found = self.all(section, key, text)
         if len(found) > 1:
@@ -57,7 +56,7 @@ class Numbers(NamedTuple):
             raise section.error(key, text, what)
         return found[0]
 
-    def check(self, section: Section, key: str, raw: Any, entry: Entry, value: float) -> None:
+    def check(self, section: Place, key: str, raw: Any, entry: Entry, value: float) -> None:
         """Refuses a `value` that the number may not have."""
         given = self.givens[entry[0]]
         if not given.low <= value <= given.high:

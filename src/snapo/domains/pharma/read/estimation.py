@@ -9,12 +9,15 @@ from snapo.case.csv import Mention, Row, read_rows
 from snapo.case.error import CaseError
 from snapo.case.table import Section, parse
 
+from ..flowsheet.possible import least
 from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
 from .entries import Numbers
-from .numbers import NOT_NEGATIVE, POSITIVE, quantity, suggest
+from .numbers import ANY, NOT_NEGATIVE, POSITIVE, Bounds, quantity, suggest, unit_of
+from .quantities import conversion
 from .tables import EstimationTable, ExperimentTable, FitTable
 
+NOISE = 5.0  # standard deviations that the noise of a measurement may take it below 0
 COLUMNS = ("time", "state", "value", "error")
 
 
@@ -25,7 +28,7 @@ def read_estimation(
     if raw is None:
         return None
     table = parse(EstimationTable, raw, str(file), "estimation")
-    which, lows, highs, logarithms = [], [], [], []
+    which, lows, highs, logarithms, own, scales = [], [], [], [], [], []
     for i, each in enumerate(table.fit):
         section = Section(file, f"estimation.fit[{i}]", notes)
         fit = parse(FitTable, each, str(file), section.name)
@@ -49,6 +52,8 @@ def read_estimation(
         lows.append(low)
         highs.append(high)
         logarithms.append(fit.logarithm)
+        own.append(unit_of(section, "low", fit.low, unit))
+        scales.append(_scale(own[-1], unit))
     known = {f"{u.name}.{state}": unit for u in units for state, unit in u.states(species).items()}
     experiments = tuple(
         _experiment(file, each, i, numbers, known, notes)
@@ -61,7 +66,7 @@ def read_estimation(
         raise section.error("experiments", None, what)
     return Estimation(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(logarithms),
-        tuple(lows), tuple(highs), experiments, table.level,
+        tuple(lows), tuple(highs), experiments, table.level, tuple(own), tuple(scales),
     )  # fmt: skip
 
 
@@ -83,15 +88,34 @@ def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment
             hint = suggest(state, known, "state")
             raise row.error("state", f"there is no such state; {hint}")
         names.append(state)
-    values = np.array([_cell(row, "value", known[row.cells["state"]]) for row in rows])
-    errors = np.array([_cell(row, "error", known[row.cells["state"]], True) for row in rows])
-    return Experiment(table.name, tuple(settings), times, tuple(names), values, errors)
+    values = np.array([_cell(row, "value", known[row.cells["state"]], ANY) for row in rows])
+    errors = np.array([_cell(row, "error", known[row.cells["state"]], POSITIVE) for row in rows])
+    for row, value, error in zip(rows, values, errors):
+        lowest = least(row.cells["state"])
+        if value < lowest - NOISE * error:
+            what = (
+                f"{(lowest - value) / error:.3g} of its standard deviations below the least value "
+                f"that is possible; allowed are {NOISE:g}"
+            )
+            raise row.error("value", what)
+    own = [
+        unit_of(_Cell(row, "value"), "value", row.cells["value"], known[state])
+        for row, state in zip(rows, names)
+    ]
+    scales = tuple(_scale(unit, known[state]) for unit, state in zip(own, names))
+    return Experiment(
+        table.name, tuple(settings), times, tuple(names), values, errors, tuple(own), scales
+    )
 
 
-def _cell(row: Row, column: str, unit: str, error: bool = False) -> float:
+def _scale(own: str, unit: str) -> tuple[float, float]:
+    change = conversion(own, unit)
+    return change.scale, change.offset
+
+
+def _cell(row: Row, column: str, unit: str, bounds: Bounds = NOT_NEGATIVE) -> float:
     """A quantity in a cell, "600 s"; mistakes name the line."""
-    bounds = POSITIVE if error else NOT_NEGATIVE
-    place = _Cell(row, column)
+    place, error = _Cell(row, column), column == "error"
     return quantity(place, column, row.cells[column], unit, bounds, difference=error)
 
 

@@ -80,7 +80,7 @@ def quantity(
     return value
 
 
-def unit_of(section: Section, key: str, raw: Any, unit: str) -> str:
+def unit_of(section: Place, key: str, raw: Any, unit: str) -> str:
     """The unit that the owner wrote under `key`, for a quantity in the domain's `unit`."""
     return _split(section, key, raw, unit)[1] or "1"
 

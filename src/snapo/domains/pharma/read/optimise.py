@@ -45,6 +45,9 @@ class OptimiseTable(Table):
     reserve: Annotated[float, Field(ge=0)] = Field(
         0.0, description="a number of margins, 0 or more"
     )
+    deviations: Annotated[float, Field(ge=0)] = Field(
+        0.0, description="a number of standard deviations, 0 or more"
+    )
     starts: Annotated[int, Field(ge=1, le=1000)] = Field(1, description="a whole number, 1 or more")
 
 
@@ -70,8 +73,9 @@ def read_optimise(
                 raise section.error("of", each.get("of"), "this number is decided twice")
             decisions.append(decision)
     return Optimise(
-        sense, terms("terms"), terms("per"), tuple(decisions), table.reserve, table.starts
-    )
+        sense, terms("terms"), terms("per"), tuple(decisions), table.reserve, table.starts,
+        table.deviations,
+    )  # fmt: skip
 
 
 def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, str]) -> Term:

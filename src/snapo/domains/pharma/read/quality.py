@@ -13,6 +13,7 @@ from ..given import Entry
 from ..quality.records import Attribute, Distribution, Parameter, Uncertainty
 from ..units.operation import Unit
 from .entries import Numbers
+from .fitted import Fitted
 from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
 from .plausible.drawn import check_drawn
 from .quantities import UnitError, conversion
@@ -162,17 +163,20 @@ def _margin(low: float | None, high: float | None) -> float:
 
 
 def read_uncertainty(
-    file, raw: list[dict], correlations: list[dict], numbers: Numbers, notes
+    file, raw: list[dict], correlations: list[dict], numbers: Numbers, notes, fitted: Fitted
 ) -> Uncertainty:
-    """`[[uncertainty]]` and `[[correlations]]`; without an entry, every number varies alike."""
+    """`[[uncertainty]]` and `[[correlations]]`, and after them what was fitted to data."""
     which: list[Entry] = []
-    spreads, when = [], []
+    spreads, when, between = [], [], []
     for i, each in enumerate(raw):
         section = Section(file, f"uncertainty[{i}]", notes)
         table = parse(UncertaintyTable, each, str(file), section.name)
         for entry in numbers.all(section, "of", table.of):
             if entry in which:
                 raise section.error("of", table.of, "this number stands there twice")
+            if entry in fitted.entries:
+                what = "the uncertainty of this number comes with its fit, from the file `fitted`"
+                raise section.error("of", table.of, what)
             unit = numbers.unit(*entry)
             distribution = read_distribution(section, table.distribution, unit)
             if distribution.kind == "lognormal" and numbers.value(entry) <= 0:
@@ -182,7 +186,13 @@ def read_uncertainty(
             which.append(entry)
             spreads.append(distribution)
             when.append(table.when)
-    matrix = np.eye(len(which))
+            between.append(table.between_batches or table.when == "step")
+    matrix = np.eye(len(which) + len(fitted.entries))
+    matrix[len(which) :, len(which) :] = fitted.correlation
+    which += fitted.entries
+    spreads += fitted.distributions
+    when += ["batch"] * len(fitted.entries)
+    between += [False] * len(fitted.entries)
     for i, each in enumerate(correlations):
         section = Section(file, f"correlations[{i}]", notes)
         table = parse(CorrelationTable, each, str(file), section.name)
@@ -199,5 +209,5 @@ def read_uncertainty(
         raise CaseError(str(file), "correlations", None, what)
     return Uncertainty(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(spreads),
-        matrix, tuple(when),
+        matrix, tuple(when), tuple(between),
     )  # fmt: skip

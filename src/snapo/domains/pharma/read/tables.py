@@ -92,6 +92,7 @@ class UncertaintyTable(Table):
     of: Text = Field(description='a number of the case, such as "kinetics.prefactor[0]"')
     distribution: dict = Field(description='{ kind = "lognormal", spread = 0.1 }')
     when: Literal["batch", "step"] = word("batch", "step", default="batch")
+    between_batches: bool = Field(False, description="true or false")
 
 
 class CorrelationTable(Table):
@@ -161,7 +162,7 @@ class DesignSpaceTable(Table):
         17, description="a whole number from 3 to 201, of points along each axis"
     )
     samples: Annotated[int, Field(ge=16, le=10**6)] = Field(
-        256, description="a whole number, 16 or more, of draws at each point"
+        256, description="a whole number from 16 to 1000000, of draws at each point"
     )
     levels: Annotated[list[Annotated[float, Field(gt=0, lt=1)]], Field(min_length=1)] = Field(
         [0.85, 0.95, 0.99], description="probabilities between 0 and 1"
@@ -216,6 +217,14 @@ class NumericsTable(Table):
     refine: bool = Field(True, description="true or false")
 
 
+class ReportTable(Table):
+    """`[report]`"""
+
+    parts: list[Text] = Field(
+        [], description='names of parts such as ["capability"]; what they need is done too'
+    )
+
+
 class PharmaTable(Table):
     """The whole file."""
 
@@ -224,6 +233,9 @@ class PharmaTable(Table):
     purpose: str = Field("", description="a sentence on the purpose of the model")
     assumptions: list[str] = Field([], description="sentences for the report")
     held: list[Text] = Field([], description="numbers of the case that get no sensitivity")
+    fitted: Text | None = Field(
+        None, description='the file "fitted.csv" of a run with [estimation]'
+    )
     reference_temperature: Any = quantity('"313.15 K"', None)
     species: dict = Field(description='lines such as A = { molar_mass = "100 g/mol" }')
     reactions: list[dict] = Field([], description="tables [[reactions]]")
@@ -246,6 +258,7 @@ class PharmaTable(Table):
     design_space: dict | None = Field(None, description="the table [design_space]")
     estimation: dict | None = Field(None, description="the table [estimation]")
     optimise: dict | None = Field(None, description="the table [optimise]")
+    report: dict = Field({}, description="the table [report]")
     numerics: dict = Field({}, description="the table [numerics]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

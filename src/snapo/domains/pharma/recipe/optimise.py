@@ -9,11 +9,13 @@ from jaxtyping import Array
 
 from snapo.solver.statistics import proportion
 
-from ..derivatives.jacobian import choose
+from ..derivatives.jacobian import choose, matrix
+from ..derivatives.sensitivities import spread
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
 from ..given import Entry, every_given
 from ..quality import batches
+from ..quality.draws import all_entries
 from ..quality.limits import Limits
 from .optimum import TOLERANCE, Recipe, Traced, optimum
 from .records import Optimise, Term
@@ -71,7 +73,7 @@ def optimise(process: Process, seed: int = 0) -> Optimum:
     ask = case.optimise
     if ask is None:
         raise ValueError("optimise: the case has no [optimise].")
-    limits, steep = bounds(case), ramps(case)
+    limits, steep = bounds(case, varies(process)), ramps(case)
     count = 1 + len(limits) + 2 * len(steep)
     mode, reason = choose(process, count, len(ask.decisions), "auto")
     traced = Traced(goal_and_room(process, limits, steep), mode)
@@ -131,13 +133,26 @@ def _sum(terms: tuple[Term, ...], measures, inputs) -> Array:
     return total
 
 
-def bounds(case: PharmaCase) -> tuple[Bound, ...]:
-    """The limits of all attributes as inequalities, less the reserve."""
+def varies(process: Process) -> np.ndarray:
+    """[Q] standard deviation of the batches about the case's own recipe, to first order, in the
+    attributes' units; zeros where nothing asks for it."""
+    case = process.case
+    assert case.optimise is not None
+    known = len(all_entries(case))
+    if not (case.optimise.deviations and known):
+        return np.zeros(len(case.attributes))
+    # The run's matrix is of the same function, so that nothing compiles again.
+    found = matrix(process, entries=batches.varied(case)).jacobian[:, :known]
+    return spread(case, found).total
+
+
+def bounds(case: PharmaCase, deviation: np.ndarray) -> tuple[Bound, ...]:
+    """The limits of all attributes as inequalities, less the reserve; `deviation` [Q]."""
     ask = case.optimise
     assert ask is not None
     found = []
     for q, each in enumerate(case.attributes):
-        reserve = ask.reserve * each.margin
+        reserve = ask.reserve * each.margin + ask.deviations * float(deviation[q])
         for sign, limit in ((1, each.low), (-1, each.high)):
             if limit is not None:
                 size = abs(limit) or each.margin
@@ -177,6 +192,7 @@ def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
         "per": [_shown(each) for each in ask.per],
         "unit": _unit(ask),
         "reserve": ask.reserve,
+        "deviations": ask.deviations,
         "before": found.before,
         "value": recipe.value,
         "decisions": [
@@ -198,6 +214,7 @@ def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
         "violation": conditions.violation,
         "tolerance": TOLERANCE,
         "converged": recipe.converged,
+        "message": recipe.message,
         "iterations": recipe.iterations,
         "evaluations": recipe.evaluations,
         "ends": list(found.ends),

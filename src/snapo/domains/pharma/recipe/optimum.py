@@ -15,6 +15,7 @@ import numpy as np
 from scipy.optimize import lsq_linear, minimize
 
 from ..derivatives.mode import DERIVATIVES, Mode
+from .watch import Limits, Stopped, Watch
 
 TOLERANCE = 1e-6  # of the first-order conditions
 ACTIVE = 1e-7  # a bound or inequality closer than this counts as active
@@ -49,7 +50,8 @@ class Conditions(NamedTuple):
 
 class Recipe(NamedTuple):
     """`x` [n] and the `value` there; `gradient` [n]; the `conditions`, whose `residual` says
-    whether it `converged`; `constraints` [k + m] at x; how much work it was."""
+    whether it `converged`; `constraints` [k + m] at x; how much work it was; `message`: why it
+    stopped, in words."""
 
     x: np.ndarray
     value: float
@@ -59,6 +61,7 @@ class Recipe(NamedTuple):
     iterations: int
     evaluations: int
     converged: bool
+    message: str = ""
 
     @property
     def residual(self) -> float:
@@ -122,15 +125,21 @@ def best(
     equality: Callable | None = None,
     inequality: Callable | None = None,
     sense: Literal[-1, 1] = 1,
+    tolerance: float = TOLERANCE,
+    limits: Limits = Limits(),
 ) -> Recipe:
     """Makes the traceable `function(x)` large (`sense` -1: small) within bounds, with
-    `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one)."""
+    `equality(x)` = 0 and `inequality(x)` >= 0 (arrays, of order one), to a `tolerance` of the
+    first-order conditions. Where it ends short of that, at one of the `limits` or because the
+    function is not a number, it is the best point seen, not `converged`, and `message` says why."""
     parts, count = [each for each in (function, equality, inequality) if each is not None], 0
     if equality is not None:
         with jax.enable_x64(True):
             count = jax.eval_shape(lambda x: jnp.ravel(equality(x)), *_float64(start)).size
     traced = Traced(lambda x: jnp.concatenate([jnp.ravel(each(x)) for each in parts]))
-    return optimum(traced, start, low, high, equalities=count, sense=sense)
+    return optimum(
+        traced, start, low, high, equalities=count, sense=sense, tolerance=tolerance, limits=limits
+    )
 
 
 def optimum(
@@ -142,19 +151,28 @@ def optimum(
     equalities: int = 0,
     sense: Literal[-1, 1] = 1,
     scale: float = 1.0,
+    tolerance: float = TOLERANCE,
+    limits: Limits = Limits(),
 ) -> Recipe:
     """The best point of a function whose first number is the goal; the next `equalities` shall be
     0, and all others not below it. `scale`: the size of the goal (of order one without it)."""
     low, high = np.asarray(low, float), np.asarray(high, float)
-    problem = _Scaled(traced, arguments, low, high, sense, scale, equalities)
     before = traced.evaluations
+    watch = Watch(traced, limits, equalities)
+    problem = _Scaled(traced, arguments, low, high, sense, scale, equalities, watch)
     u, iterations = np.clip((np.asarray(start, float) - low) / (high - low), 0.0, 1.0), 0
+    stopped = ""
     for _ in range(ROUNDS):
-        u, steps = _solve(problem, u)
-        iterations += steps
+        try:
+            u, steps = _solve(problem, u)
+            iterations += steps
+        except Stopped as stop:
+            u, stopped = watch.best(u), str(stop)
         conditions = problem.conditions(u)
-        if conditions.residual <= TOLERANCE:
+        if stopped or conditions.residual <= tolerance:
             break
+    converged = bool(conditions.residual <= tolerance)
+    message = "converged" if converged else _short_of(conditions, tolerance, stopped)
     values, slopes = traced(low + (high - low) * u, *arguments)
     return Recipe(
         low + (high - low) * u,
@@ -164,7 +182,17 @@ def optimum(
         values[1:],
         iterations,
         traced.evaluations - before,
-        bool(conditions.residual <= TOLERANCE),
+        converged,
+        message,
+    )
+
+
+def _short_of(conditions: Conditions, tolerance: float, stopped: str) -> str:
+    """Why a point does not count as the best one."""
+    why = stopped or "the solver ended"
+    return (
+        f"{why} short of the tolerance {tolerance:.1g}: stationarity "
+        f"{conditions.stationarity:.2g}, violation {conditions.violation:.2g}"
     )
 
 
@@ -178,8 +206,15 @@ class _Scaled(NamedTuple):
     sense: int
     scale: float
     equalities: int
+    watch: Watch
 
     def at(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same, watched."""
+        found = self.scaled(u)
+        self.watch.see(u, found[0], -self.sense * self.scale * found[0][0])
+        return found
+
+    def scaled(self, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Numbers [K] and derivatives [K, n]; the goal's with the sign to make it small."""
         width = self.high - self.low
         values, slopes = self.traced(self.low + width * u, *self.arguments)
@@ -189,7 +224,11 @@ class _Scaled(NamedTuple):
 
     def conditions(self, u: np.ndarray) -> Conditions:
         """Multipliers by least squares, those of inequalities not negative."""
-        values, slopes = self.at(u)
+        values, slopes = self.scaled(u)
+        if not (np.isfinite(values).all() and np.isfinite(slopes).all()):
+            none, rest = np.full(len(u), np.nan), np.full(len(values) - 1, np.nan)
+            few = slice(self.equalities), slice(self.equalities, None)
+            return Conditions(np.inf, np.inf, none, none, *(rest[each] for each in few))
         n, k, width = len(u), self.equalities, self.high - self.low
         equal, above = values[1 : 1 + k], values[1 + k :]
         at_low, at_high = u <= ACTIVE, u >= 1 - ACTIVE

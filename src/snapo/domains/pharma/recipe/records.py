@@ -48,7 +48,8 @@ class Optimise:
     """Goal = sum of `terms`, divided by the sum of `per` where there is one; at the nominal model.
 
     - `sense`: 1 to make it large, -1 to make it small.
-    - `reserve`: the attributes stay this many margins within their limits.
+    - `reserve`: the attributes stay this many margins within their limits, and `deviations`: this
+      many standard deviations of the batches about the case's own recipe.
     - `starts`: the case's own recipe, and random ones within the bounds beside it.
     """
 
@@ -58,3 +59,4 @@ class Optimise:
     decisions: tuple[Decision, ...]
     reserve: float
     starts: int
+    deviations: float = 0.0

@@ -1,5 +1,6 @@
 """The checks that every run is put to, and the words for what is not in order."""
 
+import math
 from typing import Any, Protocol
 
 CLOSED, AGREED = 1e-10, 1e-10  # relative gaps of balances, and of paths against the matrix
@@ -46,12 +47,36 @@ def status(run: Tables) -> str:
     if run.get("estimation") and not run.get("estimation.converged"):
         return f"the fit did not converge: {run.get('estimation.message')}"
     if run.get("optimise") and not run.get("optimise.converged"):
-        return "the best recipe did not converge"
+        return f"the best recipe did not converge: {run.get('optimise.message')}"
     failed = [name for name, good in checks(run) if not good]
     if failed:
-        return f"a check fails: {', '.join(failed)}"
+        return f"a check fails: {', '.join(name + _where(run, name) for name in failed)}"
     count = run.get("capability.batches")
     lost = (run.get("capability.failed") or 0) / count if count else 0.0
     if lost > LOST:
         return f"{100 * lost:.2g} % of the batches gave no finite result"
     return "ok"
+
+
+def _where(run: Tables, name: str) -> str:
+    """Where a check that does not hold is off most, in brackets."""
+    if name == "balances":
+        row = next(each for each in run.get("balances") if not closed(each))
+        keys = ("unit", "quantity")
+    elif name == "adjoint against differences":
+        row = next(each for each in run.get("certificate") if not each.get("passed"))
+        keys = ("attribute", "parameter", "point")
+    elif name == "convergence in time":
+        rows = run.get("convergence.rows", [])
+        row = max(rows, key=_gap, default={})
+        keys = ("attribute", "parameter")
+    else:
+        return ""
+    said = ", ".join(str(row[key]) for key in keys if row.get(key))
+    return f" ({said})" if said else ""
+
+
+def _gap(row: dict[str, Any]) -> float:
+    """The larger gap of a row of the table of convergence; one that is not a number is largest."""
+    gaps = (row.get("halving_gap"), row.get("adaptive_gap"))
+    return max(math.inf if gap is None else abs(gap) for gap in gaps)

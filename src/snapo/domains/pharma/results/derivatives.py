@@ -36,14 +36,17 @@ def matrix_tables(process: Process) -> dict[str, Any]:
     found = matrix(process, entries=entries)
     columns = [entries.index((each.input, each.entry)) for each in case.parameters]
     forms = sensitivities.table(case, found._replace(jacobian=found.jacobian[:, columns]))
+    moving = found.jacobian[:, : len(all_entries(case))]
+    varied = sensitivities.spread(case, moving)
+    ranks = sensitivities.ranking(case, forms, found, varied)
     return {
         "mode": found.mode,
         "reason": found.reason,
         "passes": found.passes,
         "values": found.values,
         **forms._asdict(),
-        "ranking": [rank._asdict() for rank in sensitivities.ranking(case, forms)],
-        "varied": found.jacobian[:, : len(all_entries(case))],
+        "ranking": [rank._asdict() for rank in ranks],
+        "varied": moving,
     }
 
 

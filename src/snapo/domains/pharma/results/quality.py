@@ -1,6 +1,6 @@
 """Quality by design as tables of plain data: capability, design space, ranges, estimation."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -8,8 +8,11 @@ import numpy as np
 from ..derivatives import sensitivities
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
+from ..given import every_given
 from ..quality import design_space, estimation, ranges
 from ..quality.capability import capability
+from ..quality.criticality import DRAWS, criticality
+from ..read.entries import Numbers
 from ..recipe import optimise
 
 BATCHES, RANGE_SAMPLES = 4096, 128
@@ -19,6 +22,11 @@ def capability_rows(process: Process, seed: int) -> dict[str, Any]:
     """Spread, Cpk and shares out of specification, over fresh batches."""
     count = min(process.case.evaluation.paths, BATCHES)
     return capability(process, count, seed)._asdict()
+
+
+def criticality_rows(process: Process, seed: int) -> dict[str, Any]:
+    """Which parameter moves which attribute, by how much of its room, with intervals."""
+    return criticality(process, seed)._asdict() | {"draws": DRAWS}
 
 
 def spread_rows(case: PharmaCase, matrix: dict[str, Any]) -> dict[str, Any]:
@@ -77,17 +85,49 @@ def estimation_rows(process: Process) -> dict[str, Any]:
     assert given is not None
     found = estimation.fit(process, given)
     start = [process.inputs[name][entry] for name, entry in zip(given.inputs, given.entries)]
+    scales = np.array([scale for each in given.experiments for scale in each.scales])
+    own = {
+        f"{key}_own": (np.asarray(x) - scales[:, 1]) / scales[:, 0]
+        for key, x in (("measured", found.measured), ("fitted", found.fitted))
+    }
     return {
-        **found._asdict(), "start": start, "level": given.level,
+        **found._asdict(), **own, "start": start, "level": given.level,
+        "units": list(given.units), "scales": [list(each) for each in given.scales],
         "state": [state for each in given.experiments for state in each.state],
+        "state_unit": [unit for each in given.experiments for unit in each.units],
         "time": np.concatenate([each.time for each in given.experiments]),
         "experiment": [each.name for each in given.experiments for _ in each.time],
     }  # fmt: skip
 
 
-def space_rows(found: dict[str, Any]) -> tuple[tuple[str, ...], Iterable[tuple]]:
+def fitted_rows(case: PharmaCase, found: dict[str, Any]) -> list[tuple]:
+    """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
+    given = case.estimation
+    if given is None or not found["converged"] or found["unidentified"]:
+        return []
+    known = every_given((case.network, case.feeds, case.units))
+    numbers = Numbers({each.name: each for each in known}, case.network)
+    deviation = np.sqrt(np.diag(np.asarray(found["covariance"], float)))
+    rows = []
+    for i, entry in enumerate(zip(given.inputs, given.entries)):
+        unit = numbers.unit(*entry)
+        own = "" if unit == "1" else f" {unit}"
+        log = given.logarithm[i]
+        size = f"{float(deviation[i])!r}{'' if log else own}"
+        correlation = " ".join(repr(float(x)) for x in found["correlation"][i])
+        value = f"{float(found['values'][i])!r}{own}"
+        rows.append((found["names"][i], value, "true" if log else "false", size, correlation))
+    return rows
+
+
+def space_rows(
+    found: dict[str, Any], attributes: Sequence[str]
+) -> tuple[tuple[str, ...], Iterable[tuple]]:
     """Header and rows of `design_space.csv`: one row per point of the map."""
     grid = [x.ravel() for x in np.meshgrid(*found["grid"], indexing="ij")]
     names = tuple(f"{name} [{unit}]" for name, unit in zip(found["axes"], found["units"]))
-    columns = [*grid, *(np.ravel(found[key]) for key in ("probability", "error", "binding"))]
-    return (*names, "probability", "standard_error", "binding"), zip(*(c.tolist() for c in columns))
+    numbers = ("probability", "error", "low", "high")
+    columns = [each.tolist() for each in (*grid, *(np.ravel(found[key]) for key in numbers))]
+    which = [attributes[i] if i >= 0 else "" for i in np.ravel(found["binding"]).tolist()]
+    header = (*names, "probability", "standard_error", "low", "high", "binding")
+    return header, zip(*columns, which)

@@ -2,6 +2,7 @@
 
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section, Table
 from snapo.report.quantity import finite, number, percent, plus_minus, quantity
+from snapo.study.domain import GOOD
 
 from ..results.checks import checks
 from .run import Run, limits
@@ -33,6 +34,8 @@ def headline(run: Run) -> Section:
 
 def _note(run: Run) -> str:
     who = "of the trained policy" if run.get("closed_loop") else "of the recipe as given"
+    if run.result.get("verdict"):
+        return f"{run.result['verdict']} ± one standard error of the sample, in percentage points."
     return (
         f"{who}, over the batch-to-batch variation that the case states; ± one standard error of "
         "the sample, in percentage points."
@@ -40,11 +43,44 @@ def _note(run: Run) -> str:
 
 
 def _marks(run: Run) -> list[Mark]:
-    found = checks(run)
+    """Verdicts on the numbers, then on the process; nothing good stands above a bad status."""
+    found, state = checks(run), str(run.result.get("status") or "ok")
     failed = [name for name, good in found if not good]
+    marks = []
     if failed:
-        return [Mark(False, f"{len(failed)} of {len(found)} checks fail: {', '.join(failed)}")]
-    return [Mark(True, f"all {len(found)} checks hold")] if found else []
+        words = f"{len(failed)} of {len(found)} numerical checks fail: {', '.join(failed)}"
+        marks = [Mark(False, words)]
+    elif state not in GOOD:
+        marks = [Mark(False, state)]
+    elif found:
+        all_of_them = f"all {len(found)} numerical checks hold"
+        marks = [Mark(True, all_of_them if len(found) > 1 else "the numerical check holds")]
+    return [*marks, *_quality(run)]
+
+
+def _quality(run: Run) -> list[Mark]:
+    """What speaks against the process, however good the numbers are."""
+    rows, found = run.get("ranges", []), []
+    holds = run.get("run.holds", [])
+    broken = [each["name"] for each, good in zip(run.attributes, holds) if not good]
+    outside = [each["parameter"] for each in rows if not each["probable"]["holds_normal"]]
+    unsure = [each["parameter"] for each in rows if not each["probable"].get("sure_normal")]
+    for words, names in (
+        ("at the set point a limit is broken", broken),
+        ("normal ranges not inside the proven ones", outside),
+        (
+            "normal ranges inside the proven ones, but not surely at 95 %",
+            [name for name in unsure if name not in outside],
+        ),
+    ):
+        if names:
+            found.append(Mark(False, f"{words}: {', '.join(names)}"))
+    chance = run.get("optimise.chance")
+    if chance and chance[1]["probability"] < chance[0]["probability"] - 3 * chance[1]["error"]:
+        pair = f"{percent(chance[1]['probability'])} for {percent(chance[0]['probability'])}"
+        words = f"the optimised recipe keeps all limits less often, {pair}: keep a reserve"
+        found.append(Mark(False, words))
+    return found
 
 
 def _facts(run: Run) -> list[tuple[str, str, str]]:
@@ -52,8 +88,12 @@ def _facts(run: Run) -> list[tuple[str, str, str]]:
     ranking = run.get("matrix.ranking", [])
     if ranking and ranking[0].get("attribute"):
         first = ranking[0]
-        share = percent(first.get("share"), 0)
-        note = f"its normal range uses {share} of the room that {first['attribute']} has"
+        share, attribute = percent(first.get("share"), 0), first["attribute"]
+        note = f"its normal range uses {share} of the room that batches leave to {attribute}"
+        if first.get("outside"):
+            note = f"{attribute} is beyond its limit"
+        elif first.get("spent"):
+            note = f"for {attribute}, of which variation alone takes the room"
         facts.append(("Most critical parameter", first["parameter"], note))
     box = run.get("design_space.box")
     if box:
@@ -61,7 +101,12 @@ def _facts(run: Run) -> list[tuple[str, str, str]]:
     joint = finite(run.get("capability.joint"))
     if joint is not None:
         batches = number(run.get("capability.batches"), 0)
-        facts.append(("Out of specification", percent(joint), f"of {batches} simulated batches"))
+        note = f"of {batches} simulated batches"
+        facts.append(("Out of specification, recipe as given", percent(joint), note))
+    loop = run.get("closed_loop")
+    if loop:
+        error = plus_minus(100 * loop["baseline_error"], 1)
+        facts.append(("All limits, best fixed recipe", percent(loop["baseline"]), error))
     return facts
 
 

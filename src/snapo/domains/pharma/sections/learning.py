@@ -7,6 +7,7 @@ import numpy as np
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, power
+from snapo.report.theme import LIGHT
 
 from . import pictures
 from .run import Run
@@ -17,23 +18,31 @@ def estimation(run: Run) -> Section:
     title, short = "Estimation", "Estimation"
     found = run.get("estimation")
     if not found:
-        text = "Nothing was fitted: the case has no [estimation] with data of this process."
+        text = f"Nothing was fitted: {run.why_not('estimation', 'estimation')}."
         return Section("estimation", title, short, [Missing(text)])
-    rows = [
-        (name, number(start), number(value), number(low), number(high))
-        for name, start, value, low, high in zip(
-            *(found[key] for key in ("names", "start", "values", "low", "high"))
-        )
-    ]
+    rows = []
+    for i, name in enumerate(found["names"]):
+        scale, offset = found["scales"][i]
+        cells = (finite(found[key][i]) for key in ("start", "values", "low", "high"))
+        own = (None if x is None else (x - offset) / scale for x in cells)
+        unit = "" if found["units"][i] == "1" else found["units"][i]
+        rows.append((name, unit, *map(number, own)))
     level = percent(found["level"], 0)
-    head = [("Number", ""), ("Before", ""), ("Fitted", ""), (f"{level} from", ""), ("to", "")]
+    head = [
+        ("Number", ""),
+        ("Unit", ""),
+        ("Before", ""),
+        ("Fitted", ""),
+        (f"{level} from", ""),
+        ("to", ""),
+    ]
     blocks: list[Block] = [
         Text(
             f"Weighted least squares, {'converged' if found['converged'] else found['message']}: "
             f"chi² {number(found['chi2'])} at {number(found['freedom'], 0)} degrees of freedom, "
             f"condition {power(found['condition'])}."
         ),
-        Table(head, rows, "Fitted numbers, in the units of the computation"),
+        Table(head, rows, "Fitted numbers", 2),
     ]
     blocks += [Text(text) for text in found["unidentified"]]
     names = found["names"]
@@ -43,20 +52,41 @@ def estimation(run: Run) -> Section:
         ]
         blocks.append(Table([("", ""), *((n, "") for n in names)], body, "Correlation of the fit"))
     blocks.append(_agreement(found))
+    blocks.append(Text(_use(found)))
     return Section("estimation", title, short, blocks)
 
 
 def _agreement(found) -> Chart:
-    """Measured and fitted in standard deviations of the data, so that states share one plot."""
-    measured, fitted = (np.asarray(found[key], float) for key in ("measured", "fitted"))
+    """Fitted over measured, one panel for each unit of measure."""
+    measured, fitted = (np.asarray(found[f"{key}_own"], float) for key in ("measured", "fitted"))
+    units = np.asarray(found["state_unit"])
+    every = list(dict.fromkeys(units.tolist()))
 
-    def paint(axes):
-        pictures.agreement(axes, measured, fitted, "units of the computation")
+    def paint(*panels):
+        for axes, unit in zip(panels, every):
+            at = units == unit
+            states = dict.fromkeys(s for s, here in zip(found["state"], at) if here)
+            said = ", ".join(states) if len(states) <= 2 else f"{len(states)} states"
+            own = "" if unit == "1" else f", {unit}"
+            pictures.agreement(axes, measured[at], fitted[at], f"{said}{own}")
 
-    svg = draw("agreement", "Fitted over measured values.", paint)
+    svg = draw("agreement", "Fitted over measured values.", paint, 60 + 220 * len(every),
+               [1.0] * len(every))  # fmt: skip
     worst = float(np.abs(np.asarray(found["residuals"], float)).max())
     caption = f"The largest residual is {number(worst, 1)} standard deviations of its measurement."
     return Chart(svg, caption)
+
+
+def _use(found: dict[str, Any]) -> str:
+    """How the fit is used from here on."""
+    if not found["converged"] or found["unidentified"]:
+        return "As not all numbers are identified, there is no fitted.csv to go on with."
+    return (
+        "The other parts of this run take the numbers of the case as they stand. fitted.csv of "
+        "this run has the fitted ones with their covariance: copied beside the case and named "
+        'there, fitted = "fitted.csv", they take the place of these numbers and of their '
+        "[[uncertainty]]."
+    )
 
 
 def _goal(found: dict[str, Any]) -> Table:
@@ -69,29 +99,70 @@ def _goal(found: dict[str, Any]) -> Table:
     return Table(head, rows, f"The goal: {found['goal']}")
 
 
+def _course(found: dict[str, Any]) -> Chart:
+    """A control over time: the policy's median and band, and both recipes."""
+    minutes = np.asarray(found["time"], float) / 60
+    lines = {
+        "Policy, median": found["policy"],
+        "Best fixed recipe": found["values"],
+        "Recipe as given": found["given"],
+    }
+
+    def paint(axes):
+        band = (np.asarray(found[key], float) for key in ("policy_low", "policy_high"))
+        axes.fill_between(minutes, *band, color=LIGHT["inject-soft"], linewidth=0)
+        each = [(name, np.asarray(values, float)) for name, values in lines.items()]
+        pictures.curves(axes, minutes, each, f"{found['input']}, {found['unit']}")
+        axes.set_xlabel("Time at the end of each decision, min")
+
+    svg = draw(f"course-{found['input']}", "A control over time: the policy's median and its band "
+               "over batches, the best fixed recipe, and the recipe as given.", paint,
+               220)  # fmt: skip
+    text = "The band holds the middle four fifths of the policy's decisions over batches."
+    return Chart(svg, f"{found['input']}: {text}")
+
+
+def _once(rows: list[dict[str, Any]]) -> Table:
+    """What is decided once in a batch."""
+    body = []
+    for each in rows:
+        low, high = number(each["policy_low"][0]), number(each["policy_high"][0])
+        three = (number(each[key][0]) for key in ("policy", "values", "given"))
+        body.append((f"{each['input']}, {each['unit']}", *three, f"{low} – {high}"))
+    names = ("Decided once", "Policy, median", "Best fixed recipe", "As given", "Policy, 10–90 %")
+    return Table([(name, "") for name in names], body, "Decisions of one number")
+
+
 def closed_loop(run: Run) -> Section:
     """The policy against the best fixed recipe, on the same fresh batches."""
     title, short = "Closed loop", "Closed loop"
     found = run.get("closed_loop")
     if not found:
-        text = "No policy was trained: the case has no [control], or its part failed."
+        text = f"No policy was trained: {run.why_not('closed loop', 'control')}."
         return Section("loop", title, short, [Missing(text)])
     gain, error = finite(found["gain"]), finite(found["gain_error"])
     sure = gain is not None and error is not None and gain > 3 * error
     rows = [
         ("Trained policy", percent(found["value"]), percent(found["standard_error"], 2)),
         ("Best fixed recipe", percent(found["baseline"]), percent(found["baseline_error"], 2)),
-        ("Difference, same batches", percent(gain), percent(error, 2)),
+        ("Recipe as given", percent(found["given"]), percent(found["given_error"], 2)),
+        ("Policy less best recipe", percent(gain), percent(error, 2)),
     ]
     head = [("", ""), ("Probability of all limits", ""), ("Standard error", "")]
     batches = number(found["paths"].get("evaluate"), 0)
+    caption = f"On the same {batches} fresh batches, exact limits"
     blocks: list[Block] = [
-        Table(head, rows, f"On {batches} fresh batches, exact limits"),
+        Text(str(run.result.get("verdict", ""))),
+        Table(head, rows, caption),
         Table([], [("Gain above three standard errors", Mark(sure, "yes" if sure else "no"))],
               "", 2),
     ]  # fmt: skip
     if run.result["references"].get("goal") is not None:
         blocks.append(_goal(found))
+    blocks += [_course(each) for each in found["recipe"] if len(each["time"]) > 1]
+    once = [each for each in found["recipe"] if len(each["time"]) == 1]
+    if once:
+        blocks.append(_once(once))
     steps = run.column("history", "step")
     best = run.column("history", "best")
     if steps is not None and best is not None and len(steps) > 1:

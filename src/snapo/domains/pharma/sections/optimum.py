@@ -22,7 +22,7 @@ def optimum(run: Run) -> Section:
     title, short = "Best recipe", "Best recipe"
     found = run.get("optimise")
     if not found:
-        text = "No recipe was optimised: the case has no [optimise], or its part failed."
+        text = f"No recipe was optimised: {run.why_not('best recipe', 'optimise')}."
         return Section("optimum", title, short, [Missing(text)])
     unit = str(found["unit"])
     blocks: list[Block] = [Text(_goal(found)), _facts(found, unit), _decisions(found, unit)]
@@ -41,6 +41,8 @@ def _goal(found: dict[str, Any]) -> str:
     kept = "all limits of the nominal model are kept"
     if found["reserve"]:
         kept += f", with {number(found['reserve'])} margins to spare"
+    if found["deviations"]:
+        kept += f", and {number(found['deviations'])} standard deviations of the batches to spare"
     word = "Largest" if found["sense"] == "maximise" else "Smallest"
     return f"{word} {goal} such that {kept}."
 
@@ -134,6 +136,7 @@ def _conditions(found: dict[str, Any]) -> Table:
     if len(ends) > 1:
         starts += ", ".join(number(each) for each in ends)
     rows = [
+        ("Solver", Mark(bool(found["converged"]), str(found["message"]))),
         ("Gradient that no multiplier of the right sign explains", small(found["stationarity"])),
         ("Largest violation of a limit, a ramp or a bound", small(found["violation"])),
         ("Work", f"{found['iterations']} iterations, {found['evaluations']} evaluations with all "

@@ -100,8 +100,11 @@ def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.nd
     legend_above(axes)
 
 
-def space(axes: Axes, found: dict[str, Any], probability: np.ndarray, names) -> None:
-    """Probability of all limits over two parameters: contours, set point, boxes, binding limit."""
+def space(
+    axes: Axes, found: dict[str, Any], probability: np.ndarray, names, low: np.ndarray
+) -> None:
+    """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
+    lower ends `low` of its interval reach what is required."""
     x, y = (np.asarray(grid) for grid in found["grid"][:2])
     levels = sorted({*found["levels"], found["required"]})
     shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]
@@ -114,6 +117,9 @@ def space(axes: Axes, found: dict[str, Any], probability: np.ndarray, names) -> 
             drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
                                  linewidths=0.9)  # fmt: skip
             axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8)
+    if low.min() < found["required"] < low.max():
+        axes.contour(x, y, low.T, levels=[found["required"]], colors=LIGHT["good"],
+                     linestyles="dotted", linewidths=1.6)  # fmt: skip
     _boxes(axes, found)
     axes.set_xlabel(f"{names[0]}, {found['units'][0]}")
     number_axis(axes.xaxis, 8)

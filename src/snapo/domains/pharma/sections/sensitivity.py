@@ -21,6 +21,7 @@ def sensitivity(run: Run) -> Section:
         _heat(run, scaled, share),
         _forms(run, raw, scaled, share),
         _ranking(run),
+        _criticality(run),
         _tornados(run, scaled),
     ]
     return Section("sensitivity", title, short, blocks, break_before=True)
@@ -79,12 +80,54 @@ def _ranking(run: Run) -> Table | Missing:
         (
             each["parameter"],
             each["attribute"] or "–",
-            "attribute beyond its limit" if each["outside"] else percent(each["share"], 1),
+            _used(each),
+            percent(each["variance"], 0),
         )
         for each in ranks
     ]
-    head = [("Parameter", ""), ("Most critical for", ""), ("Share of the room used", "")]
-    return Table(head, rows, "Criticality: the largest share of any limit's room", 2)
+    names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance")
+    caption = (
+        "Criticality: the largest share of any limit's room that half the normal range uses; room "
+        "is the distance to the limit less two standard deviations of the batches. Last, how much "
+        "of that attribute's variance the parameter causes"
+    )
+    return Table([(name, "") for name in names], rows, caption, 2)
+
+
+def _criticality(run: Run) -> Table | Missing:
+    """Every parameter by every attribute: the share of its room, with an interval."""
+    found = {key: run.table(f"criticality.{key}") for key in ("share", "share_low", "share_high")}
+    share, low, high = found.values()
+    if share is None or low is None or high is None:
+        return Missing(f"There is no table of criticality: {run.why_not('criticality')}.")
+    names, parameters = run.names
+    rows = []
+    for p, parameter in enumerate(parameters):
+        cells = (_interval(*(each[q, p] for each in (share, low, high))) for q in range(len(names)))
+        rows.append((parameter, *cells))
+    caption = (
+        "Which parameter moves which attribute: half the change as the parameter goes over its "
+        "normal range, as a share of the room to the nearest limit; in brackets 5 to 95 % of it "
+        f"over {number(run.get('criticality.draws'), 0)} draws of the variation"
+    )
+    return Table([("Parameter", ""), *((name, "") for name in names)], rows, caption)
+
+
+def _interval(share: float, low: float, high: float) -> str:
+    if np.isnan(share):
+        return "–"
+    if share == 0 and high == 0:
+        return "0"
+    if np.isinf(share):
+        return "beyond"
+    return f"{percent(share, 1)} ({percent(low, 1)} – {percent(high, 1)})"
+
+
+def _used(rank: dict) -> str:
+    """The share of the room, or why it has no meaning."""
+    if rank["outside"]:
+        return "attribute beyond its limit"
+    return "variation alone takes the room" if rank["spent"] else percent(rank["share"], 1)
 
 
 def _tornados(run: Run, scaled: np.ndarray) -> Chart:

@@ -1,5 +1,6 @@
 """Design space, proven ranges, capability, and where the spread comes from."""
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -8,6 +9,7 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity
 
+from ..quality.interval import draws_for
 from . import pictures
 from .run import Run
 
@@ -17,13 +19,14 @@ def design_space(run: Run) -> Section:
     title, short = "Design space", "Design space"
     found, probability = run.get("design_space"), run.table("design_space.probability")
     if found is None or probability is None:
-        text = "No design space was mapped: the case has no [design_space], or its part failed."
+        text = f"No design space was mapped: {run.why_not('design space', 'design_space')}."
         return Section("space", title, short, [Missing(text)])
     binding = np.asarray(found["binding"])
     error = np.asarray(found["error"], float)
     blocks: list[Block] = [_words(found, probability, error)]
     for place, words in _slices(found, probability):
-        blocks.append(_map(run, found, probability[place], binding[place], words))
+        low = np.asarray(found["low"], float)[place]
+        blocks.append(_map(run, found, probability[place], binding[place], words, low))
     return Section("space", title, short, blocks, break_before=True)
 
 
@@ -42,8 +45,16 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
     text = (
         f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
         f"{number(required)} or more; {number(found['samples'], 0)} batches per point, the same "
-        f"draws at every point, standard error at most {percent(error.max())}."
+        f"draws at every point, standard error at most {percent(error.max())}. At "
+        f"{percent(_surely(found), 0)} of the points this is so even at the lower end of the 95 % "
+        "interval, within the dotted line of the map."
     )
+    for level in found["levels"]:
+        if found["samples"] < draws_for(level):
+            text += (
+                f" So many draws cannot make a contour of {level:g} sure anywhere: it takes "
+                f"{number(draws_for(level), 0)} at a point, all of them good."
+            )
     if found.get("box") is None:
         return Text(text + " No box around the set point keeps the required probability.")
     box = found["box"]
@@ -54,12 +65,18 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
     return Text(f"{text} The largest box inside: {', '.join(sides)}.")
 
 
-def _map(run: Run, found, probability: np.ndarray, binding: np.ndarray, words: str) -> Chart:
+def _surely(found: dict[str, Any]) -> float:
+    return float((np.asarray(found["low"], float) >= found["required"]).mean())
+
+
+def _map(
+    run: Run, found, probability: np.ndarray, binding: np.ndarray, words: str, low: np.ndarray
+) -> Chart:
     names, _ = run.names
     axes_names = found["axes"][:2]
 
     def paint(upper, lower):
-        pictures.space(upper, found, probability, axes_names)
+        pictures.space(upper, found, probability, axes_names, low)
         pictures.binding(lower, found, binding, axes_names, names)
 
     key = words.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
@@ -68,7 +85,8 @@ def _map(run: Run, found, probability: np.ndarray, binding: np.ndarray, words: s
     at = f" at {words}" if words else ""
     caption = (
         f"Above: probability that a batch keeps all limits{at}, deeper is better, with its "
-        "contours. Below: the attribute that most often breaks its limits."
+        "contours; dotted, within which the required probability is sure at 95 %. Below: the "
+        "attribute that most often breaks its limits."
     )
     return Chart(svg, caption)
 
@@ -78,33 +96,52 @@ def ranges(run: Run) -> Section:
     title, short = "Proven acceptable ranges and edge of failure", "Ranges"
     rows = run.get("ranges")
     if not rows:
-        return Section("ranges", title, short, [Missing("Proven ranges were not computed.")])
+        return Section("ranges", title, short, [Missing(_no_ranges(run))])
     normal = {each["name"]: each["normal"] for each in run.parameters}
     body = []
     for each in rows:
         inside = bool(each["probable"]["holds_normal"])
+        sure = bool(each["probable"].get("sure_normal"))
         body.append(
             (
                 f"{each['parameter']}, {each['unit']}",
                 _edges(each["nominal"]),
                 _edges(each["probable"]),
-                Mark(inside, "inside" if inside else "not inside"),
+                Mark(inside and sure, _verdict(inside, sure)),
                 " – ".join(number(x) for x in normal.get(each["parameter"], [])),
                 _span(each["nominal"]),
                 _span(each["probable"]),
+                _ends(each["probable"].get("sure")),
+                _ends(each["probable"].get("possible")),
             )
         )
     required = percent(rows[0]["required"], 0)
     head = [("Parameter", ""), ("Edge, nominal model", ""), (f"Edge, at {required}", ""),
             ("Normal range", ""), ("Normal range", ""), ("Nominal model", ""),
-            (f"Probability {required}", "")]  # fmt: skip
+            (f"Probability {required}", ""), ("sure at 95 %", ""),
+            ("possible at 95 %", "")]  # fmt: skip
     caption = (
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
         f"({number(rows[0]['samples'], 0)} batches per point). An edge names the attribute that "
-        "fails beyond it; “studied range” where none does."
+        "fails beyond it; “studied range” where none does. Sure and possible: as far as the 95 % "
+        "interval of the probability lies above, or reaches, what is required."
     )
     return Section("ranges", title, short, [Table(head, body, caption, 4)])
+
+
+def _no_ranges(run: Run) -> str:
+    return f"Proven ranges: none, since {run.why_not('proven ranges', 'design_space')}."
+
+
+def _verdict(inside: bool, sure: bool) -> str:
+    if inside:
+        return "inside" if sure else "inside, not surely"
+    return "not inside"
+
+
+def _ends(ends: Sequence[float] | None) -> str:
+    return "–" if ends is None else " – ".join(number(x) for x in ends)
 
 
 def _span(found: dict[str, Any]) -> str:
@@ -125,7 +162,8 @@ def capability(run: Run) -> Section:
     title, short = "Capability and sources of variation", "Capability"
     found = run.get("capability")
     if not found:
-        return Section("capability", title, short, [Missing("Capability was not computed.")])
+        text = f"Capability was not computed: {run.why_not('capability')}."
+        return Section("capability", title, short, [Missing(text)])
     names, _ = run.names
     linear = run.get("spread.total") or [None] * len(names)
     rows = [
@@ -134,6 +172,8 @@ def capability(run: Run) -> Section:
             number(found["mean"][q]),
             number(found["deviation"][q]),
             number(linear[q]),
+            number(found["cpk_batches"][q], 2),
+            " – ".join(number(found[end][q], 2) for end in ("cpk_low", "cpk_high")),
             number(found["cpk"][q], 2),
             number(found["sigmas"][q], 2),
             percent(found["outside"][q], 2),
@@ -143,13 +183,17 @@ def capability(run: Run) -> Section:
         for q, name in enumerate(names)
     ]
     head = [("Attribute", ""), ("Mean", ""), ("Deviation", ""), ("to first order", ""),
-            ("Cpk", ""), ("Sigmas to the edge", ""), ("Out of limits", ""), ("±", ""),
+            ("Cpk, batch to batch", ""), ("over uncertain numbers", ""), ("Cpk, all together", ""),
+            ("Sigmas to the edge", ""), ("Out of limits", ""), ("±", ""),
             ("1–99 %", "")]  # fmt: skip
     caption = (
         f"Over {number(found['batches'], 0)} simulated batches at the set point; together "
-        f"{percent(found['joint'])} ± {percent(found['joint_error'])} break a limit. Cpk takes an "
-        "attribute for normal; the share out of limits is counted. Where the deviation to first "
-        "order is another than the counted one, the process is not linear over its variation."
+        f"{percent(found['joint'])} ± {percent(found['joint_error'])} break a limit. Cpk from "
+        "batch to batch varies only what differs between batches, with the model's numbers at "
+        "their nominal values; beside it, 5 to 95 % of it as these numbers are uncertain; all "
+        "together counts both as variation. Cpk takes an attribute for normal; the share out of "
+        "limits is counted. Where the deviation to first order is another than the counted one, "
+        "the process is not linear over its variation."
     )
     blocks: list[Block] = [Table(head, rows, caption)]
     if (finite(found.get("failed")) or 0) > 0:

@@ -1,0 +1,31 @@
+"""Lines of progress within a long part of a run, some seconds apart."""
+
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+
+EVERY = 10.0  # seconds between two lines
+
+_listeners: list[list] = []  # [tell, when the part began, when it was last told]
+
+
+@contextmanager
+def told(tell: Callable[[str], None]) -> Iterator[None]:
+    """Within it, `say` reaches `tell`."""
+    now = time.perf_counter()
+    _listeners.append([tell, now, now])
+    try:
+        yield
+    finally:
+        _listeners.pop()
+
+
+def say(text: str) -> None:
+    """A line of progress, if the last one is long enough ago and anyone listens."""
+    if not _listeners:
+        return
+    tell, began, last = _listeners[-1]
+    now = time.perf_counter()
+    if now - last >= EVERY:
+        _listeners[-1][2] = now
+        tell(f"  {text}, {now - began:.0f} s")

@@ -1,0 +1,89 @@
+"""Numbers that an earlier run fitted to data: their values, and their covariance as uncertainty."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.error import CaseError
+from snapo.case.table import Section
+
+from ..given import Entry
+from ..quality.records import Distribution
+from .entries import Numbers
+from .numbers import ANY, NOT_NEGATIVE, quantity
+from .plausible.drawn import check_drawn
+
+COLUMNS = ("of", "value", "logarithm", "deviation", "correlation")
+
+
+class Fitted(NamedTuple):
+    """`entries` with a `Distribution` each, and the correlation [F, F] of their normals."""
+
+    entries: list[Entry]
+    distributions: list[Distribution]
+    correlation: np.ndarray
+
+
+def read_fitted(file, name: str | None, numbers: Numbers, notes: list[str]) -> Fitted:
+    """Puts the fitted values in the place of the case's own; returns how uncertain they are.
+
+    A logarithm that is normal makes the number lognormal; all others are normal.
+    """
+    entries: list[Entry] = []
+    distributions: list[Distribution] = []
+    if name is None:
+        return Fitted(entries, distributions, np.zeros((0, 0)))
+    section = Section(file, "case", notes)
+    rows = read_rows(Mention(section, "fitted", name), COLUMNS)
+    for row in rows:
+        place = _Line(row)
+        entry = numbers.one(place, "of", row.cells["of"])
+        if entry in entries:
+            raise row.error("of", "this number stands there twice")
+        unit = numbers.unit(*entry)
+        value = quantity(place, "value", row.cells["value"], unit, ANY)
+        numbers.check(place, "value", row.cells["value"], entry, value)
+        if row.cells["logarithm"] not in ("true", "false"):
+            raise row.error("logarithm", "allowed is true or false")
+        log = row.cells["logarithm"] == "true"
+        text, own = row.cells["deviation"], "1" if log else unit
+        spread = quantity(place, "deviation", text, own, NOT_NEGATIVE, difference=True)
+        # Nothing has read the number yet: all that is said of it from here on is of the fitted one.
+        numbers.givens[entry[0]].values[entry[1]] = value
+        distribution = Distribution("lognormal" if log else "normal", spread)
+        if spread > 0:
+            check_drawn(Section(file, "fitted", notes), text, distribution, numbers, entry)
+        entries.append(entry)
+        distributions.append(distribution)
+    said = ", ".join(row.cells["of"] for row in rows)
+    notes.append(f"{name} has the values and uncertainties of {said}, as fitted to data.")
+    return Fitted(entries, distributions, _correlation(rows))
+
+
+def _correlation(rows: list[Row]) -> np.ndarray:
+    found = np.eye(len(rows))
+    for i, row in enumerate(rows):
+        try:
+            numbers = [float(each) for each in row.cells["correlation"].split()]
+        except ValueError:
+            numbers = []
+        if len(numbers) != len(rows) or not np.isfinite(numbers).all():
+            what = f"allowed are {len(rows)} numbers, one for each line, with spaces between them"
+            raise row.error("correlation", what)
+        found[i] = numbers
+    if not np.allclose(found, found.T, atol=1e-6) or (np.linalg.eigvalsh(found) <= 1e-12).any():
+        what = (
+            "these are not the correlations of any numbers (not symmetric, not positive definite)"
+        )
+        raise rows[0].error("correlation", what)
+    return (found + found.T) / 2
+
+
+class _Line(NamedTuple):
+    """A line of the file as the place of a mistake."""
+
+    row: Row
+
+    def error(self, key: str, value: Any, allowed: str) -> CaseError:
+        return self.row.error(key, allowed)

@@ -1,0 +1,101 @@
+"""What was fitted is used: values and covariance in the case, measurements in their own unit."""
+
+import tomllib
+from pathlib import Path
+
+import numpy as np
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, data
+
+from snapo.case.error import CaseError
+from snapo.domains.pharma.quality import draws
+from snapo.domains.pharma.read.case import read_case, resolve
+from snapo.domains.pharma.results.quality import fitted_rows
+
+FIT = {
+    "converged": True,
+    "unidentified": [],
+    "names": ["kinetics.prefactor[product]", "kinetics.prefactor[impurity]"],
+    "values": [2.654e4, 5.3e2],
+    "covariance": [[0.01**2, 0.0001], [0.0001, 0.02**2]],
+    "correlation": [[1.0, 0.5], [0.5, 1.0]],
+}
+ROWS = "of,value,logarithm,deviation,correlation\n"
+
+
+def write(folder: Path, rows: str, text: str = CASE) -> Path:
+    """A case that names a file of fitted numbers; the prefactors have no [[uncertainty]] left."""
+    cut, rest = text.split("[[uncertainty]]"), text.index("[design_space]")
+    (folder / "case.toml").write_text(f'fitted = "fitted.csv"\n{cut[0]}{text[rest:]}', "utf-8")
+    (folder / "batch.csv").write_text(data())
+    (folder / "fitted.csv").write_text(ROWS + rows)
+    return folder
+
+
+def rows_of(folder: Path) -> str:
+    (folder / "batch.csv").write_text(data())
+    case = resolve(folder / "case.toml", tomllib.loads(CASE))
+    return "".join(",".join(row) + "\n" for row in fitted_rows(case, FIT))
+
+
+def test_values_and_covariance_go_on(tmp_path):
+    """The file of a run, named in a case: nominal values, deviations and correlation are the fit's."""
+    case = read_case(write(tmp_path, rows_of(tmp_path)))
+    assert case.network.prefactor.values.tolist() == [2.654e4, 5.3e2]
+    assert (
+        "fitted.csv has the values and uncertainties of kinetics.prefactor[product]"
+        in case.notes[0]
+    )
+    drawn = np.log(draws.draw(case, 20_000, 1))
+    assert drawn.std(0) == pytest.approx([0.01, 0.02], rel=0.02)
+    assert np.corrcoef(drawn.T)[0, 1] == pytest.approx(0.5, abs=0.02)
+    assert draws.unknown(case)[:2].all()
+
+
+def test_a_fit_that_leaves_numbers_free_is_not_handed_on(tmp_path):
+    (tmp_path / "batch.csv").write_text(data())
+    case = resolve(tmp_path / "case.toml", tomllib.loads(CASE))
+    assert fitted_rows(case, FIT | {"unidentified": ["one of them"]}) == []
+    assert fitted_rows(case, FIT | {"converged": False}) == []
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("product", "main", "its entries are 0 to 1 or product, impurity"),
+        ("26540.0 m3", "-26540.0 m3", "kinetics.prefactor[product] is at least 0"),
+        ("true", "yes", "allowed is true or false"),
+        ("1.0 0.5\n", "1.0\n", "allowed are 2 numbers"),
+        ("1.0 0.5\n", "1.0 0.7\n", "not the correlations of any numbers"),
+    ],
+)
+def test_mistakes_in_the_file_are_named(tmp_path, old, new, words):
+    rows = rows_of(tmp_path)
+    assert old in rows
+    with pytest.raises(CaseError) as caught:
+        read_case(write(tmp_path, rows.replace(old, new, 1)))
+    assert words in str(caught.value) and "fitted.csv, line 2" in str(caught.value)
+
+
+def test_a_number_is_not_uncertain_twice(tmp_path):
+    folder = write(tmp_path, rows_of(tmp_path))
+    file = folder / "case.toml"
+    table = '[[uncertainty]]\nof = "kinetics.prefactor"\n'
+    table += 'distribution = { kind = "lognormal", spread = 0.1 }\n'
+    file.write_text(file.read_text() + table)
+    with pytest.raises(CaseError, match="comes with its fit, from the file `fitted`"):
+        read_case(folder)
+
+
+def test_measurements_keep_their_unit_and_may_lie_a_little_below_zero(tmp_path):
+    (tmp_path / "case.toml").write_text(CASE)
+    text = data() + "70 min,reactor.concentration.A,-0.2 mmol/L,0.1 mmol/L\n"
+    (tmp_path / "batch.csv").write_text(text)
+    found = read_case(tmp_path).estimation
+    assert found is not None and found.units == ("L/mol/s", "L/mol/s")
+    batch = found.experiments[0]
+    assert batch.units[-1] == "mmol/L" and batch.scales[-1] == pytest.approx((1e-3, 0.0))
+    assert batch.value[-1] == pytest.approx(-2e-4) and batch.units[0] == "mol/L"
+    (tmp_path / "batch.csv").write_text(text.replace("-0.2 mmol/L", "-2 mmol/L"))
+    with pytest.raises(CaseError, match="20 of its standard deviations below the least value"):
+        read_case(tmp_path)

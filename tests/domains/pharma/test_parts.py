@@ -1,0 +1,121 @@
+"""Which parts a run has, their progress, and the words where one is not there."""
+
+import tomllib
+
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER, TEMPLATE, data
+
+from snapo.case.error import CaseError
+from snapo.domains.pharma.flowsheet import progress
+from snapo.domains.pharma.read.case import PARTS, resolve
+from snapo.domains.pharma.results.quality import space_rows
+from snapo.domains.pharma.sections.headline import _marks
+from snapo.domains.pharma.sections.run import Run
+from snapo.domains.pharma.sections.space import design_space
+from snapo.domains.pharma.study import study
+from snapo.report.page import Missing
+from snapo.study.domain import Options
+
+
+def case(folder, text=CASE, **tables):
+    (folder / "batch.csv").write_text(data())
+    return resolve(folder / "case.toml", tomllib.loads(text) | tables)
+
+
+def names(folder, *parts, text=CASE):
+    found = study(case(folder, text, report={"parts": list(parts)}), Options())
+    return [part.name for part in found.parts], found.about
+
+
+def test_every_part_has_a_known_name(tmp_path):
+    loop = {k: v for k, v in tomllib.loads(LOOP).items() if k not in SMALLER}
+    every = study(case(tmp_path, **loop), Options())
+    assert [part.name for part in every.parts] == list(PARTS)
+
+
+def test_parts_are_chosen_with_what_they_need(tmp_path):
+    found, about = names(tmp_path, "capability")
+    assert found == ["one batch", "integration", "mesh of statistics", "capability"]
+    assert about["planned"] == found and "design space" in about["left_out"]
+    assert len(names(tmp_path)[0]) > 12
+
+
+def test_a_part_that_is_not_known_is_refused(tmp_path):
+    with pytest.raises(CaseError, match=r"report.parts\[0\].*the nearest known part is capability"):
+        names(tmp_path, "capabilty")
+
+
+def test_progress_is_told_some_seconds_apart(monkeypatch):
+    clock, lines = [0.0], []
+    monkeypatch.setattr(progress.time, "perf_counter", lambda: clock[0])
+    progress.say("nobody listens")
+    with progress.told(lines.append):
+        for clock[0] in (1.0, 11.0, 12.0, 25.0):
+            progress.say(f"{clock[0]:.0f} of 30")
+    assert lines == ["  11 of 30, 11 s", "  25 of 30, 25 s"]
+
+
+@pytest.mark.parametrize(
+    ("details", "parts", "words"),
+    [
+        ({}, {}, "the case has no [design_space]"),
+        ({"planned": ["design space"]}, {}, "the run has not come to it"),
+        ({"left_out": ["design space"]}, {}, "it is not among the [report] parts"),
+        ({}, {"design space": {"state": "failed", "note": "a stone"}}, "its part failed (a stone)"),
+        ({}, {"design space": {"state": "done", "note": ""}}, "its file is not in the run folder"),
+    ],
+)
+def test_a_section_says_why_it_is_empty(details, parts, words):
+    block = design_space(Run({}, details, parts, (), {}, {})).blocks[0]
+    assert isinstance(block, Missing) and words in block.text
+
+
+def test_the_map_names_the_attribute_that_binds():
+    found = {
+        "grid": [[1.0, 2.0], [3.0]], "axes": ["a", "b"], "units": ["K", "1"],
+        "probability": [[0.5], [1.0]], "error": [[0.1], [0.1]], "low": [[0.4], [0.9]],
+        "high": [[0.6], [1.0]], "binding": [[1], [-1]],
+    }  # fmt: skip
+    header, rows = space_rows(found, ["yield", "size"])
+    assert header[-1] == "binding" and [row[-1] for row in rows] == ["size", ""]
+
+
+def test_a_whole_number_of_samples_is_asked_for_with_both_ends(tmp_path):
+    space = tomllib.loads(CASE)["design_space"] | {"samples": 10_000_000}
+    with pytest.raises(CaseError, match="a whole number from 16 to 1000000"):
+        case(tmp_path, design_space=space)
+
+
+def test_the_template_reads_with_its_parts():
+    read = tomllib.loads(TEMPLATE.read_text("utf-8")) | {"report": {"parts": ["one batch"]}}
+    assert resolve(TEMPLATE, read).parts == ("one batch",)
+
+
+@pytest.mark.parametrize(
+    ("details", "status", "marks"),
+    [
+        ({}, "ok", ["✓ all 2 numerical checks hold"]),
+        ({"balances": [{"quantity": "A", "relative": 1.0}]}, "a check fails: balances (A)",
+         ["✗ 1 of 2 numerical checks fail: balances"]),
+        ({}, "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
+        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": False}}]}, "ok",
+         ["✓ all 2 numerical checks hold", "✗ normal ranges not inside the proven ones: T"]),
+        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": True}}]}, "ok",
+         ["✓ all 2 numerical checks hold",
+          "✗ normal ranges inside the proven ones, but not surely at 95 %: T"]),
+        ({"run": {"holds": [False]}}, "ok",
+         ["✓ all 2 numerical checks hold", "✗ at the set point a limit is broken: size"]),
+        ({"optimise": {"chance": [{"probability": 0.85, "error": 0.01},
+                                  {"probability": 0.09, "error": 0.01}]}}, "ok",
+         ["✓ all 2 numerical checks hold",
+          "✗ the optimised recipe keeps all limits less often, 9.0 % for 85.0 %: keep a reserve"]),
+    ],
+)  # fmt: skip
+def test_nothing_good_stands_alone_above_what_fails(details, status, marks):
+    known = {
+        "balances": [{"quantity": "A", "relative": 0.0}], "convergence": {"passed": True},
+        "attributes": [{"name": "size"}],
+    }  # fmt: skip
+    run = Run({"status": status}, known | details, {}, (), {}, {})
+    found = [f"{'✓' if each.good else '✗'} {each.text}" for each in _marks(run)]
+    assert [each.replace("\N{NO-BREAK SPACE}", " ") for each in found] == marks
