@@ -22,6 +22,9 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
+PLAIN = ("step", "best_value", "stale", "status", "clip", "since")
+
+
 def save(progress: Progress, file: Path) -> None:
     """Writes the whole state of training."""
     state = {
@@ -29,6 +32,8 @@ def save(progress: Progress, file: Path) -> None:
         "best_value": progress.best_value,
         "stale": progress.stale,
         "status": progress.status,
+        "clip": progress.clip,
+        "since": progress.since,
         "history": [list(record) for record in progress.history],
     }
     save_arrays(file, {name: getattr(progress, name) for name in _TREES}, state)
@@ -41,7 +46,7 @@ def load(file: Path, like: Progress) -> Progress:
     """
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
     try:
-        plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
+        plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
     except (KeyError, TypeError, AttributeError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None

@@ -27,6 +27,7 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
+from .learning import clipping
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 
@@ -43,7 +44,8 @@ class Training:
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
       steps; after `patience` validations without a new best the run stops (None: never).
     - `window`: train on windows of this many steps, starting from states of the present policy.
-    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`).
+    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
+      where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
     - `seed`: of the network's first weights and of all scenarios.
     """
 
@@ -58,13 +60,18 @@ class Training:
     validation_every: int = 50
     patience: int | None = None
     window: int | None = None
-    clip: float | None = None
+    clip: float | str | None = "auto"
     seed: int = 0
 
     def __post_init__(self):
         for name, least in COUNTS.items():
             if (value := getattr(self, name)) is not None:
                 whole(f"Training: {name}", value, least)
+        number = isinstance(self.clip, int | float) and self.clip > 0
+        if not number and self.clip not in ("auto", None):
+            raise ValueError(
+                f"Training: clip is {self.clip!r}; allowed is a number above 0, 'auto' or None."
+            )
 
     def temperature(self, step: int) -> float:
         """Geometric from start to end, which is reached at three quarters of the steps."""
@@ -103,6 +110,8 @@ class Progress:
 
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
     steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
+    `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
+    began anew, its gradients having exploded.
     """
 
     step: int
@@ -116,6 +125,8 @@ class Progress:
     stale: int
     history: tuple[Record, ...]
     status: str
+    clip: float | None = None
+    since: int = 0
 
 
 Callback = Callable[[Progress], None]
@@ -126,7 +137,9 @@ def begin(policy: Policy, training: Training) -> Progress:
     moving, _ = trainable(policy)
     state = _optimiser(training).init(_flat(moving))
     nothing = float("-inf")
-    return Progress(0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training")
+    same = (policy,) * 5
+    given = training.clip if isinstance(training.clip, int | float) else None
+    return Progress(0, *same, state, nothing, 0, (), "training", given)
 
 
 class Loop(NamedTuple):
@@ -185,6 +198,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
+    progress = _clipped(loop, progress, smooth)
     options = _options(loop, progress, draws, smooth)
     value, result, bad = adjoint_of_finite_paths(
         loop.bound, progress.policy, draws, smooth, problem.objective, **options
@@ -223,12 +237,29 @@ def _marks(step: int, steps: int) -> bool:
     return step in (steps >> k for k in range(steps.bit_length()))
 
 
+def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+    """The bound of this step: none until gradients explode, then measured every few steps."""
+    step, norms = progress.step, [record.gradient_norm for record in progress.history]
+    if loop.training.clip != "auto" or not norms:
+        return progress
+    anew = clipping.exploded(norms, progress.since)
+    if not anew and (progress.clip is None or step % clipping.EVERY):
+        return progress
+    clip = clipping.bound(loop.problem, progress.policy, smooth, step) or progress.clip
+    progress = replace(progress, clip=clip)
+    if not anew:
+        return progress
+    fresh = _optimiser(loop.training).init(_flat(trainable(progress.policy)[0]))
+    forgotten = clipping.forgotten(progress.optimiser, fresh)
+    return replace(progress, optimiser=forgotten, since=step)
+
+
 def _options(loop: Loop, progress: Progress, draws, smooth) -> dict:
     """The clip, and the window of this step with its starting states."""
     training, horizon = loop.training, loop.problem.simulator.horizon
     options: dict = {"wrt": ("policy",)}
-    if training.clip is not None:
-        options["clip"] = Clip(training.clip)
+    if progress.clip is not None:
+        options["clip"] = Clip(progress.clip)
     if training.window is not None and training.window < horizon:
         length = training.window
         firsts = np.arange(0, horizon - length + 1, max(1, length // 2))

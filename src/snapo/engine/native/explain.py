@@ -100,7 +100,7 @@ def _kernel(
     policy,
     smooth,
     record=(),
-    clip: float | None = None,
+    clip: bool = False,
     stages: Stages | None = None,
 ) -> Kernel:
     """The kernel of a whole adjoint."""
