@@ -37,7 +37,7 @@ class TrainingTable(Table):
     validation_every: Count = Field(50, description="a number of steps, 1 or more")
     patience: Count | None = Field(None, description="a number of validations, 1 or more")
     window: Count | None = Field(None, description="a number of days, 1 or more")
-    clip: Positive | None = Field(None, description="a number above 0")
+    clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
 

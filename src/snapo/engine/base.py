@@ -72,12 +72,18 @@ class Clip:
 
     norm: float
 
-    def apply(self, packed, packing, simulator: Simulator, constants, weight):
-        """The identity on a packed state, whose cotangent is bounded."""
-        scale = simulator.state_scale(constants)
-        ones = tuple(jnp.ones_like(vector) for vector in packed)
-        scales = ones if scale is None else packing.pack(scale)
-        return _bounded(packed, scales, self.norm * weight)
+    def bounds(self, weights: Mapping[str, ArrayLike]):
+        """[N]: the bound of every path, whose weight is the largest of its own."""
+        sizes = [jnp.abs(jnp.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
+        return self.norm * jnp.concatenate(sizes).max(0)
+
+
+def clipped(packed, packing, simulator: Simulator, constants, bound):
+    """The identity on a path's packed state, whose cotangent is bounded."""
+    scale = simulator.state_scale(constants)
+    ones = tuple(jnp.ones_like(vector) for vector in packed)
+    scales = ones if scale is None else packing.pack(scale)
+    return _bounded(packed, scales, bound)
 
 
 @jax.custom_vjp

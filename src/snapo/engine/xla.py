@@ -21,8 +21,9 @@ from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
-from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked
+from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
 from .packing import Packing
+from .totals import add, zero
 
 NOISE_BYTES = 1 << 28  # noise is kept for one call up to this size
 
@@ -78,7 +79,9 @@ class Xla(Engine):
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
             given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
-            return self.leave(_adjoint(self, call, given, clip, wrt))
+            # The bound is an array: another one compiles nothing.
+            bounds = None if clip is None else clip.bounds(given)
+            return self.leave(_adjoint(self, call, given, bounds, wrt))
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
@@ -99,7 +102,7 @@ class Xla(Engine):
 
     def traced(self, call: "Call", record: tuple[str, ...] = ()) -> Rollout:
         """The rollout as plain JAX, for callers that differentiate it themselves."""
-        return _rollout(self, call, record, None, None)
+        return _rollout(self, call, record, None)
 
 
 class Call(eqx.Module):
@@ -132,22 +135,23 @@ class _Carry(NamedTuple):
 @eqx.filter_jit
 def _values(engine: Xla, call: Call, record: tuple[str, ...]) -> Rollout:
     def some(call):
-        return _rollout(engine, call, record, None, None)
+        return _rollout(engine, call, record, None)
 
     return Rollout(*_over_devices(engine, some, (call,), (call.axes(),), (0, 0, 1)))
 
 
 @eqx.filter_jit
 def _adjoint(
-    engine: Xla, call: Call, weights: dict[str, Array], clip: Clip | None, wrt: tuple[str, ...]
+    engine: Xla, call: Call, weights: dict[str, Array], bounds: Array | None, wrt: tuple[str, ...]
 ) -> Adjoint:
-    def some(call, weights):
-        return _pulled_back(engine, call, weights, clip, wrt)
+    def some(call, weights, bounds):
+        return _pulled_back(engine, call, weights, bounds, wrt)
 
     batched = any(weight.ndim == 2 for weight in weights.values())
-    axes = call.axes(), jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    each = jax.tree.map(lambda weight: weight.ndim - 1, weights)
+    axes = call.axes(), each, None if bounds is None else 0
     out = (0, None, None, int(batched))
-    return Adjoint(*_over_devices(engine, some, (call, weights), axes, out))
+    return Adjoint(*_over_devices(engine, some, (call, weights, bounds), axes, out))
 
 
 def _over_devices(engine: Xla, work, given, axes, out):
@@ -178,17 +182,13 @@ def _over_devices(engine: Xla, work, given, axes, out):
     )
 
 
-def _pulled_back(engine: Xla, call: Call, weights, clip: Clip | None, wrt) -> Adjoint:
+def _pulled_back(engine: Xla, call: Call, weights, bounds: Array | None, wrt) -> Adjoint:
     """Totals, and the gradient of their weighted sum."""
     moving, fixed = eqx.partition({name: getattr(call, name) for name in wrt}, eqx.is_inexact_array)
-    # How much a path counts, for the bound of a clipped adjoint: its largest weight.
-    size = jnp.stack(
-        [jnp.abs(w).reshape(-1, call.draws.size).max(0) for w in weights.values()]
-    ).max(0)
 
     def weighted(moving):
         new = replace(call, **eqx.combine(moving, fixed))
-        totals = _rollout(engine, new, (), clip, size).totals
+        totals = _rollout(engine, new, (), bounds).totals
         # Only outputs with a weight are differentiated.
         return {name: totals[name] for name in weights}, totals
 
@@ -198,15 +198,15 @@ def _pulled_back(engine: Xla, call: Call, weights, clip: Clip | None, wrt) -> Ad
     return Adjoint(totals, *(gradient.get(name) for name in ("policy", "schedule", "start")))
 
 
-def _rollout(engine: Xla, call: Call, record, clip, size) -> Rollout:
+def _rollout(engine: Xla, call: Call, record, bounds) -> Rollout:
     """All paths at once: `_path` mapped over the paths' own arrays."""
 
     noise = _noise(engine, call)
 
-    def one(draws, noise, start, actions, size):
-        return _path(engine, call, draws, noise, start, actions, record, clip, size)
+    def one(draws, noise, start, actions, bound):
+        return _path(engine, call, draws, noise, start, actions, record, bound)
 
-    given = (call.draws, noise, call.start, call.actions, size)
+    given = (call.draws, noise, call.start, call.actions, bounds)
     axes = (call.draws.axes(), *(None if x is None else a for x, a in zip(given[1:], (1, 0, 1, 0))))
     out = Rollout(0, 0, dict.fromkeys(record, 1))  # pyright: ignore[reportArgumentType]
     return jax.vmap(one, in_axes=axes, out_axes=out)(*given)
@@ -232,7 +232,7 @@ def _noise(engine: Xla, call: Call) -> Array | None:
 
 
 def _path(
-    engine: Xla, call: Call, draws, noise, start, actions, record, clip: Clip | None, size
+    engine: Xla, call: Call, draws, noise, start, actions, record, bound: Array | None
 ) -> Rollout:
     """One path through the window."""
     simulator, policy, schedule, smooth = call.simulator, call.policy, call.schedule, call.smooth
@@ -247,8 +247,8 @@ def _path(
         now, noise, action = x
         packed = (
             carry.state
-            if clip is None
-            else clip.apply(carry.state, packing, simulator, constants, size)
+            if bound is None
+            else clipped(carry.state, packing, simulator, constants, bound)
         )
         state = packing.unpack(packed)
         if action is None:
@@ -260,7 +260,7 @@ def _path(
         if "slack" in record:
             kept["slack"] = dict(simulator.slack(constants, now, after, outputs))
         totals = {
-            name: _add(kinds.get(name, "sum"), carry.totals.get(name), v)
+            name: add(kinds.get(name, "sum"), carry.totals.get(name), v)
             for name, v in outputs.items()
         }
         return _Carry(packing.pack(after), totals), {name: kept[name] for name in record}
@@ -273,14 +273,14 @@ def _path(
     shapes = jax.eval_shape(
         step, _Carry(packing.pack(start), {}), jax.tree.map(lambda leaf: leaf[0], xs)
     )
-    zero = {name: _zero(kinds.get(name, "sum"), dtype) for name in shapes[0].totals}
-    carry = _Carry(packing.pack(start), zero)
+    zeros = {name: zero(kinds.get(name, "sum"), dtype) for name in shapes[0].totals}
+    carry = _Carry(packing.pack(start), zeros)
     carry, kept = _scan(jax.checkpoint(step, prevent_cse=False), carry, xs, length, engine.segments)
     state = packing.unpack(carry.state)
     totals = dict(carry.totals)
     if call.ends:
         for name, value in simulator.terminal(constants, state, smooth).items():
-            totals[name] = _add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
+            totals[name] = add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
     return Rollout(totals, state, kept)
 
 
@@ -307,13 +307,3 @@ def weighted_sum(totals, weights) -> Array:
     return sum(
         (jnp.sum(jnp.asarray(w) * totals[name]) for name, w in weights.items()), jnp.zeros(())
     )
-
-
-def _add(kind: str, total, value):
-    if total is None or kind == "last":
-        return value
-    return jnp.maximum(total, value) if kind == "max" else total + value
-
-
-def _zero(kind: str, dtype):
-    return jnp.asarray(-jnp.inf if kind == "max" else 0.0, dtype)

@@ -25,6 +25,9 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
+PLAIN = ("step", "best_value", "stale", "status", "clip", "since")
+
+
 def save(progress: Progress, file: Path, mark: str = "") -> None:
     """Writes the whole state of training; `mark` is that of the run that it belongs to."""
     state = {
@@ -32,6 +35,8 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "best_value": progress.best_value,
         "stale": progress.stale,
         "status": progress.status,
+        "clip": progress.clip,
+        "since": progress.since,
         "history": [list(record) for record in progress.history],
         "mark": mark,
     }
@@ -47,7 +52,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
     try:
         if mark and state["mark"] != mark:
             raise CheckpointError(f"{file}: this file belongs to another run.")
-        plain = {name: state[name] for name in ("step", "best_value", "stale", "status")}
+        plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
     except (KeyError, TypeError, AttributeError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None

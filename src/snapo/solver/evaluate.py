@@ -62,11 +62,16 @@ def path_totals(
     source, smooth = source or problem.sources.evaluation, smooth or Exact()
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
-    for block in source.blocks(paths, max(BLOCKS, -(-paths // CHUNK))):
+    for block in chunks(source, paths):
         draws = source.draws(block, problem.simulator)
         for name, total in float64(bound.values(policy, draws, smooth).totals).items():
             totals.setdefault(name, np.full(paths, np.nan))[block] = total
     return totals
+
+
+def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:
+    """Path numbers of one call of an engine each."""
+    return source.blocks(paths, max(BLOCKS, -(-paths // CHUNK)))
 
 
 def estimate(

@@ -39,6 +39,8 @@ class Solution:
     - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
       infinity, "not finite" where it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
+    - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit) or
+      "barely moved" (an untrained rule does as well); empty where the value is no number.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -62,6 +64,7 @@ class Solution:
     policy_gradient_noise: float = float("nan")
     dropped: Mapping[str, int] = field(default_factory=dict)
     notes: tuple[str, ...] = ()
+    convergence: str = ""
     halfway: Policy | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
@@ -84,9 +87,10 @@ class Solution:
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
+        status = ", ".join(filter(None, (self.status, self.convergence)))
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
-            f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {self.status}",
+            f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
             *self.notes,
@@ -109,6 +113,7 @@ class Solution:
             "roles": dict(self.roles),
             "seed": self.seed,
             "status": self.status,
+            "convergence": self.convergence,
         }
 
     def save(self, folder: Path | str) -> None:
@@ -180,7 +185,7 @@ class Solution:
 PLAIN = (
     "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm",
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
-    "status", "control", "versions", "roles",
+    "status", "convergence", "control", "versions", "roles",
 )  # fmt: skip
 KINDS = ("held", "smooth")
 

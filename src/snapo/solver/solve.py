@@ -23,6 +23,7 @@ from snapo.problem.smooth import Exact, Smooth
 from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
+from .learning.convergence import ending
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train, whole
@@ -106,7 +107,7 @@ def solve(
         clock.stage("evaluate")
         progress = train(problem, progress, training, engines.train, callbacks)
         clock.stage("train")
-        found = measure(problem, progress, training, evaluation, engines)
+        found = measure(problem, policy, progress, training, evaluation, engines)
         clock.stage("evaluate")
     return Solution(
         **found,
@@ -130,12 +131,14 @@ def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
 
 def measure(
     problem: Problem,
+    untrained: Policy,
     progress: Progress,
     training: Training,
     evaluation: Evaluation,
     engines: Engines,
 ) -> dict[str, Any]:
-    """Value, smoothing gap and sensitivities of the best policy, as fields of a `Solution`."""
+    """Value, smoothing gap, sensitivities of the best policy and how training ended, as fields of a
+    `Solution`."""
     policy, engine, objective = progress.best, engines.evaluate, problem.objective
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
     smooth = Smooth(np.float64(training.temperature(training.steps)))
@@ -145,6 +148,8 @@ def measure(
     with np.errstate(invalid="ignore"):
         gap = float(np.subtract(worth(objective, exact), worth(objective, soft)))
     table = _sensitivities(problem, progress, evaluation, smooth, engine)
+    held = min(evaluation.sensitivity_paths, evaluation.paths)
+    ended = ending(problem, untrained, progress, exact, held, engine)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
@@ -169,7 +174,8 @@ def measure(
             min(evaluation.sensitivity_paths, evaluation.paths),
         ),
         "dropped": dropped,
-        "notes": _notes(value, dropped, ruined(objective, exact)),
+        "notes": _notes(value, dropped, ruined(objective, exact)) + ended.notes,
+        "convergence": ended.word,
         "status": _status(value.value, progress.status),
     }
 

@@ -27,6 +27,7 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
+from .learning import clipping
 from .windows.critic import Learner, learner
 from .windows.window import window_adjoint
 
@@ -46,7 +47,8 @@ class Training:
       steps; after `patience` validations without a new best the run stops (None: never).
     - `window`: go back through windows of this many steps, after which a critic tells the worth of
       all that comes (see `windows`); for means only.
-    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`).
+    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
+      where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
     - `seed`: of the network's first weights and of all scenarios.
     """
 
@@ -61,13 +63,18 @@ class Training:
     validation_every: int = 50
     patience: int | None = None
     window: int | None = None
-    clip: float | None = None
+    clip: float | str | None = "auto"
     seed: int = 0
 
     def __post_init__(self):
         for name, least in COUNTS.items():
             if (value := getattr(self, name)) is not None:
                 whole(f"Training: {name}", value, least)
+        number = isinstance(self.clip, int | float) and self.clip > 0
+        if not number and self.clip not in ("auto", None):
+            raise ValueError(
+                f"Training: clip is {self.clip!r}; allowed is a number above 0, 'auto' or None."
+            )
 
     def temperature(self, step: int) -> float:
         """Geometric from start to end, which is reached at three quarters of the steps."""
@@ -107,6 +114,8 @@ class Progress:
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
     steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
     `critic`: of training on windows.
+    `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
+    began anew, its gradients having exploded.
     """
 
     step: int
@@ -121,6 +130,8 @@ class Progress:
     history: tuple[Record, ...]
     status: str
     critic: Learner | None = None
+    clip: float | None = None
+    since: int = 0
 
 
 Callback = Callable[[Progress], None]
@@ -130,15 +141,16 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     """The state before the first step; training on windows needs the problem, for its critic."""
     moving, _ = trainable(policy)
     state = _optimiser(training).init(_flat(moving))
-    nothing = float("-inf")
+    given = training.clip if isinstance(training.clip, int | float) else None
     critic = None
     if training.window is not None:
         if problem is None:
             raise ValueError("begin: give the problem too where training has a window.")
         if training.window < problem.simulator.horizon:
             critic = learner(problem, training.seed)
-    begun = (0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training", critic)
-    return Progress(*begun)
+    same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
+    empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
+    return Progress(step=0, **same, optimiser=state, **empty, critic=critic, clip=given)
 
 
 class Loop(NamedTuple):
@@ -197,9 +209,10 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
+    progress = _clipped(loop, progress, smooth)
     options: dict = {"wrt": ("policy",)}
-    if training.clip is not None:
-        options["clip"] = Clip(training.clip)
+    if progress.clip is not None:
+        options["clip"] = Clip(progress.clip)
     value, result, bad, critic = _adjoint(loop, progress, draws, smooth, options)
     lost = bad + sum(record.bad_paths for record in progress.history)
     if bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training):
@@ -234,6 +247,23 @@ def most_dropped(training: Training) -> float:
 def _marks(step: int, steps: int) -> bool:
     """Whether a step is one of steps, steps / 2, steps / 4, …, rounded down."""
     return step in (steps >> k for k in range(steps.bit_length()))
+
+
+def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+    """The bound of this step: none until gradients explode, then measured every few steps."""
+    step, norms = progress.step, [record.gradient_norm for record in progress.history]
+    if loop.training.clip != "auto" or progress.critic is not None or not norms:
+        return progress  # a window is short enough
+    anew = clipping.exploded(norms, progress.since)
+    if not anew and (progress.clip is None or step % clipping.EVERY):
+        return progress
+    clip = clipping.bound(loop.problem, progress.policy, smooth, step) or progress.clip
+    progress = replace(progress, clip=clip)
+    if not anew:
+        return progress
+    fresh = _optimiser(loop.training).init(_flat(trainable(progress.policy)[0]))
+    forgotten = clipping.forgotten(progress.optimiser, fresh)
+    return replace(progress, optimiser=forgotten, since=step)
 
 
 def _adjoint(loop: Loop, progress: Progress, draws, smooth, options):

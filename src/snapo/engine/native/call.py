@@ -63,7 +63,7 @@ class Call:
         self.steps = Given(schedule.steps, engine.dtype)
 
     def runner(
-        self, adjoint: bool, record: tuple[str, ...], clip: float | None, wrt: tuple[str, ...]
+        self, adjoint: bool, record: tuple[str, ...], clip: bool, wrt: tuple[str, ...]
     ) -> Runner:
         """The compiled kernel, from memory, from disk, or made now."""
         counter = isinstance(self.draws, Counter)

@@ -46,7 +46,7 @@ class Native(Engine):
     ) -> Rollout:
         with self.numbers():
             call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
-            runner = call.runner(False, tuple(record), None, ())
+            runner = call.runner(False, tuple(record), False, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
             return Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
@@ -68,12 +68,12 @@ class Native(Engine):
     ) -> Adjoint:
         with self.numbers():
             call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
-            runner = call.runner(True, (), None if clip is None else clip.norm, tuple(wrt))
+            runner = call.runner(True, (), clip is not None, tuple(wrt))
             arrays = {name: np.asarray(w, self.dtype) for name, w in weights.items()}
             stacked = [w.shape[0] for w in arrays.values() if w.ndim == 2]
             size = np.max(
                 [np.abs(w).reshape(-1, call.paths).max(0) for w in arrays.values()], axis=0
-            )
+            ) * (1.0 if clip is None else clip.norm)
             rows = []
             for k in range(stacked[0] if stacked else 1):
                 row = {name: w[k] if w.ndim == 2 else w for name, w in arrays.items()}

@@ -84,7 +84,7 @@ def unsupported(
     Nothing is compiled; tracing takes some tenths of a second.
     """
     try:
-        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, 1.0)
+        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, True)
     except Unsupported as reason:
         return str(reason)
     return None
@@ -100,7 +100,7 @@ def _kernel(
     policy,
     smooth,
     record=(),
-    clip: float | None = None,
+    clip: bool = False,
     stages: Stages | None = None,
 ) -> Kernel:
     """The kernel of a whole adjoint."""

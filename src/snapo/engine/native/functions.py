@@ -19,6 +19,7 @@ import numpy as np
 from snapo.lanes.program.cut import evaluate
 from snapo.lanes.unsupported import Unsupported
 
+from ..totals import add
 from .given import floating, jax_type
 
 
@@ -32,7 +33,7 @@ class Setup:
     actions: bool
     start: bool
     ends: bool
-    clip: float | None
+    clip: bool
     wrt: tuple[str, ...]
     counter: bool
     antithetic: bool
@@ -128,7 +129,7 @@ class Functions:
         found = evaluate(self.once, [*call, *now, *leaves, noise, action])
         after, outputs, kept = jax.tree.unflatten(self.after, found)
         kinds = self.pieces(call)[3].totals()
-        totals = [_add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
+        totals = [add(kinds.get(k, "sum"), t, outputs[k]) for k, t in zip(self.names, totals)]
         return [*self._leaves(after), *totals, *jax.tree.leaves(kept), *self._scales(call)]
 
     def _final(self, *values):
@@ -140,7 +141,7 @@ class Functions:
             kinds = simulator.totals()
             for name, value in simulator.terminal(constants, self._state(own[:n]), smooth).items():
                 value = jnp.asarray(value, self.dtype)
-                totals[name] = _add(kinds.get(name, "sum"), totals.get(name), value)
+                totals[name] = add(kinds.get(name, "sum"), totals.get(name), value)
         return [*(totals[name] for name in self.final_names), *own[:n]]
 
     def phases(self) -> Iterator[Any]:
@@ -164,22 +165,22 @@ class Functions:
 
     def bound(self) -> Callable | None:
         """Clips the cotangents of the state (not those of the totals), as `Clip` does."""
-        if self.setup.clip is None:
+        if not self.setup.clip:
             return None
         floats = [i for i, x in enumerate(self.state) if floating(x)]
-        norm, tiny = self.setup.clip, np.finfo(self.dtype).tiny
+        tiny = np.finfo(self.dtype).tiny
 
         def bound(back, outputs, size):
             scales = outputs[len(outputs) - len(floats) :]
             square = sum(jnp.sum((g * s) ** 2) for g, s in zip(back, scales))
-            factor = jnp.minimum(1.0, norm * size / jnp.sqrt(jnp.maximum(square, tiny)))
+            factor = jnp.minimum(1.0, size / jnp.sqrt(jnp.maximum(square, tiny)))
             return [*(g * factor for g in back[: len(floats)]), *back[len(floats) :]]
 
         return bound if floats else None
 
     def _scales(self, call) -> list[Any]:
         """`state_scale` of every floating leaf of the state, where adjoints are clipped."""
-        if self.setup.clip is None:
+        if not self.setup.clip:
             return []
         _, constants, _, simulator = self.pieces(call)
         scale = simulator.state_scale(constants)
@@ -189,9 +190,3 @@ class Functions:
             for s, x in zip(leaves, self.state)
             if floating(x)
         ]
-
-
-def _add(kind: str, total, value):
-    if total is None or kind == "last":
-        return value
-    return jnp.maximum(total, value) if kind == "max" else total + value

@@ -33,6 +33,10 @@ class Actions(eqx.Module):
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         """What is wrong with these numbers for the exact set, and a remedy; None if nothing is."""
 
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        """[size] low and [size] high, in float64: 0 and 1, unless the set has others."""
+        return np.zeros(self.size), np.ones(self.size)
+
     def together(self) -> list[list[int]]:
         """The components in groups whose members cannot move alone: by default each by itself."""
         return [[i] for i in range(self.size)]

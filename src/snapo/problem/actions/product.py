@@ -64,6 +64,10 @@ class Product(Actions):
                 return f"{name}: {found[0]}", found[1]
         return None
 
+    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
+        low, high = zip(*(each.bounds() for each in self.sets))
+        return np.concatenate(low), np.concatenate(high)
+
     def together(self) -> list[list[int]]:
         found, first = [], 0
         for each in self.sets:

@@ -14,6 +14,7 @@ Only an objective that is a mean of sums has such a value; others are refused.
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -67,7 +68,9 @@ class Windowed(Simulator):
 
     def terminal(self, constants, state, smooth):
         seen = self.own.observe(constants["own"], constants["end"], state)
-        return {AHEAD: constants["critic"](seen, constants["left"])}
+        # What the horizon's end alone gives lies ahead: it is part of the critic's worth.
+        later = dict.fromkeys(self.own.terminal(constants["own"], state, smooth), jnp.zeros(()))
+        return later | {AHEAD: constants["critic"](seen, constants["left"])}
 
     def totals(self):
         return self.own.totals()

@@ -1,0 +1,84 @@
+"""How large a path's own adjoint is at every step: what shows that a derivative explodes."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.typing import ArrayLike
+from jaxtyping import Array
+
+from snapo.problem.noise import Draws
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+
+from .packing import Packing
+from .totals import add, zero
+from .xla import Call, Xla
+
+
+def adjoint_norms(
+    problem: Problem, policy: Policy, draws: Draws, smooth: Any, weights: Mapping[str, ArrayLike]
+) -> np.ndarray:
+    """[T, N]: the norm of each path's adjoint at the state before every step, in float32.
+
+    The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
+    weight: the number that `Clip` bounds. By XLA, as many paths as `draws` has, at once.
+    """
+    engine = Xla("float32")
+    given = {name: jnp.asarray(weight, jnp.float32) for name, weight in weights.items()}
+    call = engine.call(problem.simulator, policy, problem.schedule, draws, smooth)
+    return np.asarray(_norms(engine, call, given)).T
+
+
+@eqx.filter_jit
+def _norms(engine: Xla, call: Call, weights: dict[str, Array]) -> Array:
+    return jax.vmap(lambda draws, own: _of_path(engine, call, draws, own), (call.draws.axes(), 0))(
+        call.draws, weights
+    )
+
+
+def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]) -> Array:
+    """[T] of one path: the derivative by a nudge of the state before every step."""
+    simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
+    initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))
+    packing, kinds = Packing(initial, dtype), simulator.totals()
+    start = packing.pack(initial)
+    if dtype not in packing.kinds:  # a state of whole numbers has no adjoint
+        return jnp.zeros(call.length)
+    place = packing.kinds.index(dtype)
+
+    def step(carry, x):
+        packed, totals = carry
+        now, drawn, nudge = x
+        packed = tuple(part + nudge if i == place else part for i, part in enumerate(packed))
+        state = packing.unpack(packed)
+        action = call.policy(simulator.observe(constants, now, state), call.smooth)  # pyright: ignore
+        noise = draws.noise(drawn, simulator.noise_size, dtype)
+        after, outputs = simulator.step(constants, now, state, action, noise, call.smooth)
+        totals = {
+            name: add(kinds.get(name, "sum"), totals.get(name), jnp.asarray(value, dtype))
+            for name, value in outputs.items()
+        }
+        return (packing.pack(after), totals), None
+
+    def worth(nudges):
+        xs = call.schedule.steps, draws.steps(call.first, call.length), nudges
+        names = jax.eval_shape(step, (start, {}), jax.tree.map(lambda leaf: leaf[0], xs))[0][1]
+        totals = {name: zero(kinds.get(name, "sum"), dtype) for name in names}
+        (packed, totals), _ = jax.lax.scan(jax.checkpoint(step), (start, totals), xs)
+        for name, value in simulator.terminal(
+            constants, packing.unpack(packed), call.smooth
+        ).items():
+            value = jnp.asarray(value, dtype)
+            totals[name] = add(kinds.get(name, "sum"), totals.get(name), value)
+        return sum((weight * totals[name] for name, weight in weights.items()), jnp.zeros(()))
+
+    size = jnp.stack([jnp.abs(weight) for weight in weights.values()]).max()
+    slopes = jax.grad(worth)(jnp.zeros((call.length, start[place].size), dtype))
+    scale = simulator.state_scale(constants)
+    if scale is not None:
+        slopes = slopes * packing.pack(scale)[place]
+    return jnp.linalg.norm(slopes, axis=1) / jnp.maximum(size, jnp.finfo(dtype).tiny)

@@ -1,0 +1,53 @@
+"""When to clip, and at which bound: from gradients as they come, and adjoints as they are measured.
+
+Most simulators need no clip, and it would bend their gradient. Where the derivative explodes on
+its way back, the gradient of an untrained policy is thousands of times that of a better one; the
+memory of Adam then holds its steps down for the rest of the run, or a few paths lead it astray.
+That shows in the norms of the first gradients, or in a leap of one norm over all before it, and
+costs nothing to see. Only then the paths' adjoints are measured, and bounded at `ROOM` times their
+usual norm over a memory of sqrt(T) steps: an adjoint that has grown beyond it is that of chaos, or
+of a policy that is being left behind. No unit enters.
+"""
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.engine.norms import adjoint_norms
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+
+FIRST = 20  # steps after a beginning in which a fall of the norm counts
+APART = 100.0  # times that a norm falls or leaps: more than a trained policy's first steps do
+EVERY = 10  # steps between two measurements
+PATHS = 64  # of a measurement
+ROOM = 3.0
+
+
+def exploded(norms: Sequence[float], since: int) -> bool:
+    """Whether the last gradient is far from others: below the largest of the first few steps after
+    `since`, or above the usual one of all before it."""
+    own, last = np.asarray(norms[since:]), norms[-1]
+    if len(own) <= FIRST and last * APART < own.max():
+        return True
+    return len(own) > 3 and bool(last > APART * np.median(own[:-1]))
+
+
+def bound(problem: Problem, policy: Policy, smooth: Smooth, step: int) -> float | None:
+    """The bound for `engine.Clip` at this policy; None where no path has a finite adjoint."""
+    draws = problem.sources.training.batch(step, PATHS, problem.simulator)
+    size = draws.size
+    weights = dict.fromkeys(problem.objective.outputs, np.full(size, 1 / size))
+    norms = adjoint_norms(problem, policy, draws, smooth, weights)
+    usual = np.where(np.isfinite(norms), norms, np.inf)
+    memory = min(len(usual), math.ceil(math.sqrt(len(usual))))
+    found = ROOM * float(np.median(usual[-memory:].max(0)))
+    return found if 0 < found < np.inf else None
+
+
+def forgotten(optimiser: PyTree, fresh: PyTree) -> PyTree:
+    """The optimiser without what it remembers of gradients; its schedule goes on."""
+    return (fresh[0], *optimiser[1:])
