@@ -70,6 +70,7 @@ def _stiff(
         after, error, _ = rosenbrock(problem.rate, y, problem.duration * now["width"], drive)
         return jnp.where(size_of_error(error, y, after) <= limit, after, jnp.nan)
 
-    left, width = edges[steps.number], np.diff(edges)[steps.number]
-    local = np.stack([(each - left) / width for each in (steps.start, steps.end)], 1)
-    return advance, {"piece": steps.number, "ends": local, "width": steps.end - steps.start}
+    first, last, number = (np.asarray(each) for each in steps)
+    left, width = edges[number], np.diff(edges)[number]
+    local = np.stack([(each - left) / width for each in (first, last)], 1)
+    return advance, {"piece": number, "ends": local, "width": last - first}
