@@ -137,9 +137,9 @@ def begin(policy: Policy, training: Training) -> Progress:
     moving, _ = trainable(policy)
     state = _optimiser(training).init(_flat(moving))
     nothing = float("-inf")
-    same = (policy,) * 5
     given = training.clip if isinstance(training.clip, int | float) else None
-    return Progress(0, *same, state, nothing, 0, (), "training", given)
+    start = Progress(0, policy, policy, policy, policy, policy, state, nothing, 0, (), "training")
+    return replace(start, clip=given)
 
 
 class Loop(NamedTuple):

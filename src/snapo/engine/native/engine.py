@@ -46,7 +46,7 @@ class Native(Engine):
     ) -> Rollout:
         with self.numbers():
             call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
-            runner = call.runner(False, tuple(record), None, ())
+            runner = call.runner(False, tuple(record), False, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
             return Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))

@@ -84,7 +84,7 @@ def unsupported(
     Nothing is compiled; tracing takes some tenths of a second.
     """
     try:
-        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, 1.0)
+        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, True)
     except Unsupported as reason:
         return str(reason)
     return None
