@@ -11,8 +11,10 @@ import pytest
 
 from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.sections import risk
+from snapo.domains.pension.sections.outputs import outputs as outputs_section
 from snapo.domains.pension.sections.page import SECTIONS
 from snapo.domains.pension.sections.run import PensionRun
+from snapo.report.page import Table
 from snapo.study import report
 from snapo.study.run_folder import plain_json
 
@@ -27,6 +29,19 @@ def fan(centre: np.ndarray, width: float) -> dict:
     shifts = (-2.3, -1.6, -0.7, 0.0, 0.7, 1.6, 2.3)
     spread = width * np.sqrt(np.arange(len(centre)) + 1e-3)
     return {name: centre + s * spread for name, s in zip(names, shifts)} | {"mean": centre + 0.01}
+
+
+def outputs() -> dict:
+    """Effects of one input on two outputs."""
+    every = [
+        {"key": "funding", "name": "Mean funding ratio", "money": False, "value": 1.15}
+        | {"error": 0.003},
+        {"key": "contributions", "name": "PV of contributions", "money": True, "value": 6e7}
+        | {"error": 3e5},
+    ]
+    effects = {"funding": [0.0123, 2e-4], "contributions": [-5e5, 1e4]}
+    family = {"input": "zero_rate", "move": "1 bp", "count": 6, "effects": effects}
+    return {"outputs": every, "families": [family], "rows": []}
 
 
 def sample() -> dict:
@@ -142,6 +157,7 @@ def sample() -> dict:
             "combined": [family | life],
             "rows": rows,
         },
+        "outputs": outputs(),
         "policies": policies,
         "attribution": {
             "start": 1.048,
@@ -354,3 +370,12 @@ def test_a_parallel_shift_keeps_its_digits_where_the_objective_is_no_money():
     whole = row | {"effect": 0.001309, "standard_error": 4e-6}
     table = risk._nodes(whole, rows, 1.0, "objective")
     assert table.rows[-1][:3] == ("Parallel = sum", "1 bp", "+0.0013090")
+
+
+def test_outputs_are_told_in_points_basis_points_and_money(folder):
+    blocks = outputs_section(PensionRun.read(folder)).blocks
+    summary, funding, paid = (each.rows for each in blocks if isinstance(each, Table))
+    assert summary[0][1:] == ("+1.23", "−500")
+    # Of a liability of 250 million.
+    assert funding[0][1:] == ("+1.230", "±\xa00.020", "+123.0", "EUR\xa0m\xa0+3.08")
+    assert paid[0][1:] == ("−0.200", "±\xa00.004", "−20.0", "EUR\xa0k\xa0−500.00")

@@ -3,7 +3,7 @@
 from snapo.report.quantity import long_date, number
 from snapo.study.domain import Report
 
-from . import decisions, evidence, frontier, outcome, reconciliation, risk
+from . import decisions, evidence, frontier, outcome, outputs, reconciliation, risk
 from .run import PensionRun
 
 SECTIONS = (
@@ -18,6 +18,7 @@ SECTIONS = (
     decisions.rivals,
     frontier.frontier,
     decisions.policy,
+    outputs.outputs,
     risk.sensitivities,
     risk.ladder,
     decisions.limits,
