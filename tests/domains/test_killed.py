@@ -79,3 +79,9 @@ def same_after(kind: str, solved, tmp_path: Path, moments: int, seconds: float) 
 @pytest.mark.prove
 def test_a_killed_run_resumes_to_the_same_bits(solved, tmp_path):
     same_after("own", solved, tmp_path, 3, 2.0)
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("kind", ["own", "gas-storage"])
+def test_fifty_kills(kind, solved, tmp_path):
+    same_after(kind, solved, tmp_path, 25, 2.0)

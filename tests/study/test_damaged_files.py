@@ -8,6 +8,7 @@ import json
 import shutil
 from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import jax
 import numpy as np
@@ -54,7 +55,7 @@ def run(fake, case, capsys) -> Path:
     return case / "run"
 
 
-def numbers(run: Path) -> dict[str, object]:
+def numbers(run: Path) -> dict[str, Any]:
     """What a run says: the tables of its parts, its value and its status."""
     result = json.loads((run / "result.json").read_text())
     tables = {each.name: each.read_text() for each in (run / "parts").iterdir()}

@@ -76,12 +76,12 @@ def load_arrays(file: Path, like: PyTree) -> tuple[PyTree, dict[str, Any]]:
     leaves, structure = jax.tree.flatten(moving)
     stored, both = _load(file)
     header, words = _two(file, both, "header", "described")
-    if words and (other := difference(words, described(_policies(like)))):
-        raise CheckpointError(f"{file}: this file holds another policy: {other}.")
     found = list(stored.values())
     shapes = [leaf.shape for leaf in leaves], [leaf.shape for leaf in found]
     if shapes[0] != shapes[1]:
         raise CheckpointError(f"{file}: this file holds a policy of another shape.")
+    if words and (other := difference(words, described(_policies(like)))):
+        raise CheckpointError(f"{file}: this file holds another policy: {other}.")
     # Tables in NumPy keep their precision, which JAX might not have.
     kept = [
         np.asarray(new, old.dtype) if isinstance(old, np.ndarray) else jnp.asarray(new, old.dtype)
