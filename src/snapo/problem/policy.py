@@ -249,10 +249,9 @@ class Linear(Policy):
 
 def _middle(interface: Interface) -> Float[Array, " size"]:
     """The action that a network without weights would take."""
-    return interface.action.squash(jnp.zeros(interface.action.size, jnp.float32), MIDDLING)
-
-
-MIDDLING = Smooth(np.float32(0.02))  # smooth, as in training: the exact middle may be an end
+    nothing = jnp.zeros(interface.action.size, jnp.float32)
+    # Smooth, as in training: the exact middle may be an end.
+    return interface.action.squash(nothing, Smooth(np.float32(0.02)))
 
 
 class BaseStock(Policy):

@@ -88,6 +88,7 @@ TRAINING: dict[str, Any] = {
     "patience": 5, "seed": 1,
 }  # fmt: skip
 SHORT = TRAINING | {"window": 1, "clip": 10.0}
+AUTO = TRAINING | {"clip": "auto"}
 VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"}
 TABLE = {"kind": "table", "file": "mortality.csv", "multiplier": "by_age.csv"}
 FORMULA = {
@@ -106,7 +107,7 @@ MARKET: dict[str, Any] = {
     "members": {"file": "cohorts.csv"},
     "mortality": TABLE,
     "policy": {"hidden": [4]},
-    "training": TRAINING,
+    "training": AUTO,
     "evaluation": VALUED,
 }
 CASES: dict[str, dict[str, Any]] = {

@@ -1,5 +1,6 @@
 """Assumptions, notes, timings, versions and hashes: how to get this report again."""
 
+from snapo.report.evidence import spent
 from snapo.report.page import Block, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import number, seconds
 
@@ -12,7 +13,7 @@ def assumptions(run: Run) -> Section:
     if not blocks:
         blocks.append(Missing("The assumptions are not in this run."))
     blocks += [Text(str(note), caveat=True) for note in [*run.get("notes", []), *_notes(run)]]
-    times = run.result.get("seconds") or {}
+    times = spent(run)
     if times.get("total") is not None:
         blocks.append(Facts([("Whole study", seconds(times["total"]), "wall clock")]))
     rows = [(name.capitalize(), seconds(each)) for name, each in times.items() if name != "total"]
