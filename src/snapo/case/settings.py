@@ -1,6 +1,6 @@
 """The tables that every case has: `[training]`, `[evaluation]` and `[objective]`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from typing import Annotated, Literal
 
 from pydantic import Field
@@ -108,6 +108,14 @@ def read_training(data: Mapping, file: str) -> TrainingTable:
         what = f"allowed is at most temperature_start, {training.temperature_start:g}"
         raise CaseError(file, where, value, what)
     return training
+
+
+def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> None:
+    """Refuses training on windows for objectives that have no worth of what lies ahead."""
+    for kind in kinds:
+        if training.window is not None and kind != "mean":
+            what = f'windows need an objective of kind "mean", and there is "{kind}"'
+            raise CaseError(file, "training.window", training.window, what)
 
 
 def read_evaluation(data: Mapping, file: str) -> EvaluationTable:

@@ -8,6 +8,7 @@ from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
 from snapo.case.settings import (
     ObjectiveTable,
+    check_window,
     read_evaluation,
     read_objective,
     read_training,
@@ -34,6 +35,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     output = _output(table.objective, name)
     rest = {key: value for key, value in table.objective.items() if key != "output"}
     objective = read_objective(rest, name)
+    check_window(training, [objective.kind], name)
     use_every_core()  # before the user's module computes anything
     code = load_class(*place, file.parent)
     simulator = _made(code.found, code.file, table, data, file)

@@ -85,9 +85,9 @@ MISTAKES = {
         "case.toml", 'kind = "crra"   ', 'kind = "cvar"   ',
         ["objective.level", '"cvar"'],
     ),
-    "window that ends before its objective": (
+    "windows without a mean": (
         "case.toml", "steps = 300\n", "steps = 300\nwindow = 12\n",
-        ["training.window", "12", "funding_ratio is known at the horizon only"],
+        ["training.window", "12", 'kind "mean", and there is "crra"'],
     ),
     "unknown input held": ("case.toml", '"asset_cost"', '"asset_csot"', ["held", "asset_cost"]),
     "both members and cash flows": (

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.settings import read_evaluation, read_objective, read_training
+from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
 from snapo.case.table import Section, parse
 
 from ..contract.feasibility import check_feasible
@@ -68,6 +68,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         evaluation=read_evaluation(top.evaluation, str(file)),
         notes=tuple(notes),
     )
+    check_window(case.training, [case.objective.kind], str(file))
     check_plausible(case)
     if not expired:
         check_feasible(case)

@@ -7,11 +7,10 @@ from typing import Any, TypeVar
 
 from snapo.case.error import CaseError
 from snapo.case.given import Given
-from snapo.case.settings import read_evaluation, read_training
+from snapo.case.settings import check_window, read_evaluation, read_training
 from snapo.case.table import Table, load, parse
 
 from ..fund.observation import FEATURES
-from ..fund.simulator import AT_END
 from ..market.assets.asset_class import Names
 from ..market.correlation import all_names
 from ..records.case import PensionCase
@@ -112,7 +111,8 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         held=_held(reader, case),
         notes=tuple(reader.notes),
     )
-    _check_window(case)
+    kinds = [term.objective.kind for term in case.objective]
+    check_window(case.training, [*kinds, *(["cvar"] if case.frontier else [])], str(file))
     known_words(str(file), "policy.observation", case.observation, tuple(FEATURES))
     parse_shocks(case, top.stress)
     return case
@@ -194,18 +194,6 @@ def _people(reader: _Reader, rules: Plan, grid: Grid) -> dict[str, Any]:
     lee_carter = reader.maybe(tables_people.LeeCarterTable, "lee_carter")
     found["lee_carter"] = read_lee_carter(reader.place("lee_carter"), lee_carter, mortality)
     return found
-
-
-def _check_window(case: PensionCase) -> None:
-    """Training on a part of the horizon knows no output of its end."""
-    window = case.training.window
-    if window is None or window >= case.steps:
-        return
-    last = [term.output for term in case.objective if term.output in AT_END]
-    if last or case.frontier is not None:
-        known = last[0] if last else "surplus_ratio of [frontier]"
-        what = f"{known} is known at the horizon only, which most windows of training do not reach"
-        raise CaseError(str(case.file), "training.window", window, what)
 
 
 def usual_observation(case: PensionCase) -> tuple[str, ...]:
