@@ -100,7 +100,7 @@ def test_the_page_shows_what_solve_finds(kind, worker, solved, tmp_path):
     state = replace(begin(policy, setup.training), best=policy)
     # The figures of the page alone: no smooth derivatives and no moves that judge.
     asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0)
-    solved_anew = measure(setup.problem, state, setup.training, asked, setup.engines)
+    solved_anew = measure(setup.problem, policy, state, setup.training, asked, setup.engines)
     assert found["value"]["value"] == solved_anew["value"]
     assert found["value"]["standard_error"] == solved_anew["standard_error"]
     held = derivatives(solved_anew["sensitivities"].held, setup.problem.named)

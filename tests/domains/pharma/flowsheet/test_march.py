@@ -79,7 +79,8 @@ def test_no_sensitivities_and_sensitivities_by_what_only_later_units_read(proces
 @pytest.mark.parametrize("which", ["plug flow", "finite volumes"])
 def test_units_of_many_states(which):
     case = read_case(PLUG_FLOW) if which == "plug flow" else finite_volumes()
-    process = on_mesh(case)
+    # The native engine has no stiff steps for so many unknowns.
+    process = on_mesh(replace(case, numerics=replace(case.numerics, stiff="none")))
     entries = process.entries
     draws = process.at(entries) * (1 + 1e-3 * np.random.default_rng(0).normal(size=(5, 1)))
     compared(process, entries, draws, entries)

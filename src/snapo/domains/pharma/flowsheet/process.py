@@ -256,14 +256,14 @@ class Process:
 def _status(times: dict[str, Any]) -> str:
     """The first unit, in the order of flow, that was not integrated to its end; "" if all were."""
     for name, (duration, reached, rough, error) in times.items():
-        if not reached >= duration:
-            estimate = "" if error is None else f" (error estimate of a step {error:.2g})"
-            return f"{name}: did not converge at {reached:.6g} s{estimate}"
         if rough < duration:
             return (
                 f"{name}: the time steps are too long from {rough:.6g} s on; "
                 'take [numerics] method = "adaptive", or more steps'
             )
+        if not reached >= duration:
+            estimate = "" if error is None else f" (error estimate of a step {error:.2g})"
+            return f"{name}: did not converge at {reached:.6g} s{estimate}"
     return ""
 
 

@@ -86,7 +86,7 @@ def rosenbrock(
     """y after a step of `step` seconds, the estimate of its error, and df/dy where it began."""
     now = push.at[0]
     jacobian = jax.jacfwd(rate)(y, now)
-    matrix = jnp.eye(len(y), dtype=y.dtype) - GAMMA * step * jacobian
+    matrix = np.eye(len(y), dtype=y.dtype) - GAMMA * step * jacobian
     factors = factorised(matrix)
     bend = step * jax.jvp(lambda u: rate(y, u), (now,), (push.bend,))[1]
     u: list[Array] = []
