@@ -154,7 +154,7 @@ SHORT = snapo.Training(steps=60, paths=64, validation_paths=1024, validation_eve
     [
         (0.3, 60, None, "A constant decision does as well"),
         (20.0, 120, "saturated", "at its limit"),
-        (0.5, 1, "barely moved", "An untrained rule does as well"),
+        (0.5, 1, "barely moved", "Training gained nothing over the rule"),
         (0.8, 8, "still improving", "try steps=16"),
     ],
 )

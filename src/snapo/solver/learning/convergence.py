@@ -68,8 +68,9 @@ def ending(
     over_start = _over_untrained(problem, untrained, exact, engine)
     if not over_start.sure:
         notes.append(
-            f"An untrained rule does as well (the trained one gains {over_start}): try more steps, "
-            "another learning_rate, wider starting states or features that tell states apart."
+            f"Training gained nothing over the rule that it began with ({over_start}). Unless that "
+            "is a good rule already, try more steps, another learning_rate, wider starting states "
+            "or features that tell states apart."
         )
     stays = None
     if held_paths:
