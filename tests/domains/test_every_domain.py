@@ -28,6 +28,7 @@ def test_every_installed_domain_has_a_miniature():
     assert set(MINIATURES) == set(installed())
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("spoilt", ["keys", "files"])
 def test_a_mistake_is_refused_in_words(kind, spoilt, tmp_path):
     """Every key and column of the template, spoilt in every common way."""

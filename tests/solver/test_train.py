@@ -85,6 +85,7 @@ def test_patience_stops_early():
     assert done.step < 400
 
 
+@pytest.mark.prove
 def test_windows_and_clips_train_too():
     for training in (replace(SHORT, window=2), replace(SHORT, clip=1.0)):
         done = run(training)
