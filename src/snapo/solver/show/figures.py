@@ -94,6 +94,7 @@ class Figures:
         figure, ax = _axes(ax)
         steps = [record.step for record in history]
         ax.plot(steps, [record.objective for record in history], color=SOFT, label="smooth, a step")
+        # Between two validations the records repeat the last exact value: its first step counts.
         exact = {record.exact: record.step for record in reversed(history)}
         exact = {value: step for value, step in exact.items() if np.isfinite(value)}
         ax.plot(list(exact.values()), list(exact), "o", color=INK, ms=4, label="exact, validation")

@@ -17,11 +17,10 @@ from .numerics import Numerics
 from .profile import values_at
 from .runge_kutta import last_state, runge_kutta
 from .step_choice import own_steps
-from .stiff import FLOOR, Stepped, Steps, course, limit_of, stepped, steps_of
+from .stiff import Stepped, Steps, course, limit_of, stepped, steps_of
 
 MEMORY = 2**20  # numbers in one matrix for every step, above which derivatives go step by step
 OWN, MORE = 2, 100  # tries for a stiff run's own steps: twice the nominal ones, and so many more
-COARSE = 0.05  # defect of an explicit step, over its state's largest, that cannot be believed
 
 
 class Solved(NamedTuple):
@@ -57,9 +56,7 @@ def integrate(
     controls = jnp.stack([mesh.point_values(*each) for each in problem.controls], -1)
     slope = jax.vmap(problem.rate)(states, problem.drive(*controls.T))
     time = problem.duration * mesh.times()
-    if numerics.method == "mesh" and problem.stiff:
-        share = jnp.minimum(share, _believed(problem, mesh, states))
-    return Solved(final, ends, problem.duration * share, Track(time, states, slope, controls))
+    return Solved(final, ends, reached, Track(time, states, slope, controls))
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
@@ -115,27 +112,6 @@ def _on_mesh(problem: Dynamics, numerics: Numerics, mesh: Mesh, record: bool):
     finite = jnp.all(jnp.isfinite(later), axis=1)
     share = jnp.where(jnp.all(finite), 1.0, mesh.stages[jnp.argmin(finite), 0])
     return jnp.concatenate([problem.start[None], later]), final, share
-
-
-def _believed(problem: Dynamics, mesh: Mesh, states: Float[Array, "n+1 m"]) -> Array:
-    """The share of the time before the first explicit step that cannot be believed.
-
-    The defect of a step, y1 - y0 - h/6 (f0 + 4 f + f1) with f at the middle of the cubic through
-    both ends (the collocation method Lobatto IIIA), is of order h^5 where steps are short enough,
-    and of the size of the state where they are unstable.
-    """
-    drive = problem.drive(*(mesh.values(*each) for each in problem.controls))
-    step = (problem.duration * (mesh.stages[:, 2] - mesh.stages[:, 0]))[:, None]
-    rate = jax.vmap(problem.rate)
-    before, after = states[:-1], states[1:]
-    first, last = rate(before, drive[:, 0]), rate(after, drive[:, 2])
-    middle = rate((before + after) / 2 + step / 8 * (first - last), drive[:, 1])
-    defect = jnp.abs(after - before - step / 6 * (first + 4 * middle + last))
-    size = jnp.abs(states)
-    bad = jnp.any(defect > COARSE * (FLOOR + jnp.max(size, 0)))
-    # A state that grew without end did so from the first step that was large for it then.
-    early = jnp.any(defect > COARSE * (FLOOR + jax.lax.cummax(size)[1:]), 1)
-    return jnp.where(bad, mesh.stages[jnp.argmax(early), 0], 1.0)
 
 
 class _Field(eqx.Module):
