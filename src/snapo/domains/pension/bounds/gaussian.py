@@ -1,4 +1,4 @@
-"""Log returns over cash of a step as Gaussian: their means and loads, given the market before it."""
+"""Log returns over cash of a step as Gaussian: means and loads, given the market before it."""
 
 from typing import NamedTuple
 

@@ -113,7 +113,7 @@ class FundRelaxation:
         return float(found.fun), float(np.exp(found.x))
 
     def _paths(self, rolled: Rollout, draws: Draws) -> Paths:
-        """The exogenous side of paths: what no decision moves, and the extremes of what one does."""
+        """What no decision moves on these paths, and the extremes of what one does."""
         case, steps = self.simulator.case, self.schedule.steps
         constants = self.schedule.constants
         before = rolled.record["state"].market
