@@ -78,6 +78,10 @@ class Objective(abc.ABC):
         """[N]: numbers whose mean is the value and whose spread is its sampling error."""
         return functional.influence(self, self.used(totals))
 
+    def sure(self, value: float) -> float | None:
+        """The total that is worth as much when it is sure; None where nothing says so."""
+        return None
+
     def used(self, totals: Totals) -> dict[str, np.ndarray]:
         """The totals of this objective's outputs in float64; an unknown name is an error."""
         for name in self.outputs:
@@ -227,6 +231,10 @@ class ExpectedUtility(_ByPath):
         most = weight[alive].max() if alive.any() else 1 / weight.size
         return {self.output: np.where(alive, weight, most)}
 
+    def sure(self, value: float) -> float | None:
+        found = self.utility.certainty_equivalent(value)
+        return found if np.isfinite(found) else None
+
     def _slope(self, x):
         return self.utility.slope(x)
 
@@ -256,10 +264,13 @@ class CRRA:
         return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
-        """The sure x of this utility."""
+        """The sure x of this utility; infinite where no x has as much."""
         if self.aversion == 1:
             return float(np.exp(utility)) - self.wealth
-        return float(((1 - self.aversion) * utility) ** (1 / (1 - self.aversion))) - self.wealth
+        power = (1 - self.aversion) * utility
+        if power <= 0:
+            return np.inf if self.aversion > 1 else -self.wealth
+        return float(power ** (1 / (1 - self.aversion))) - self.wealth
 
 
 @dataclass(frozen=True)

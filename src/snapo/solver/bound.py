@@ -84,6 +84,7 @@ class Bound:
     - `lower`: the policy's value; `upper`: a bound of every policy's value.
     - `gap`: upper less lower, paired path by path.
     - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
+    - `sure`: the sure totals that are worth lower and upper, where the objective is a utility.
     """
 
     lower: Between
@@ -93,6 +94,7 @@ class Bound:
     words: str
     scale: tuple[float, ...]
     paths: int
+    sure: tuple[float | None, float | None] = (None, None)
 
     def row(self) -> dict[str, Any]:
         """As plain data."""
@@ -120,6 +122,8 @@ class Bound:
             f"95 %: {each.low:,.7g} to {each.high:,.7g}"
             for name, each in self._named().items()
         ]
+        if None not in self.sure:
+            lines.append("as sure totals  {:>16,.7g} to {:,.7g}".format(*self.sure))
         return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])
 
 
@@ -170,7 +174,8 @@ def bound(
     used: Penalty = penalty
     if not scale.any():
         used = "none"
-    return Bound(below, above, gap, used, words, tuple(scale.tolist()), paths)
+    sure = problem.objective.sure(below.value), problem.objective.sure(above.value)
+    return Bound(below, above, gap, used, words, tuple(scale.tolist()), paths, sure)
 
 
 def nested_mean(
@@ -204,7 +209,7 @@ class _Paths:
         found: Sample = []
         for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
             draws = source.draws(block, self.problem.simulator)
-            rolled = self.bound.values(self.policy_, draws, Exact(), record=("state",))
+            rolled = self.bound.values(self.policy_, draws, Exact(), record=("state", "action"))
             found.append((block, draws, rolled))
         return found
 

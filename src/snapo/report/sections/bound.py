@@ -20,6 +20,10 @@ def bound(run: Folder) -> Section:
     places = decimals([finite(found["upper"]["value"])], 6)
     blocks: list[Block] = [Text(_sentence(run, found, places)), _chart(run, found, places)]
     blocks.append(_table(run, found, places))
+    low, high = (finite(each) for each in run.get("bound.sure") or (None, None))
+    if low is not None and high is not None:
+        worth = f"from {number(low, decimals([low], 4))} to {number(high, decimals([high], 4))}"
+        blocks.append(Text(f"As sure outcomes of the same utility, the two values are {worth}."))
     return Section("bound", title, short, blocks)
 
 

@@ -201,20 +201,24 @@ class PensionSimulator(Simulator):
 
     def _indexed(self, constants: Terms, now: Period, state: State, books, market, smooth):
         """The state at the end of a step but for assets, and indexation granted and cut."""
-        case, people = self.case, now.people
-        rule = case.plan.indexation
-        theta, last = state.theta, state.log_price_last
-        granted = cut = jump = jnp.zeros_like(theta)
+        rule = self.case.plan.indexation
+        granted = cut = jnp.zeros_like(state.theta)
         ratio_sum = state.ratio_sum + now.averaging * books.ratio
         if rule.kind != "none" or rule.cut_years:
+            growth = jnp.expm1(market.log_price - state.log_price_last)
             given = indexation(
-                case.plan,
-                constants.plan,
-                ratio=ratio_sum,
-                price_growth=jnp.expm1(market.log_price - last),
-                smooth=smooth,
+                self.case.plan, constants.plan, ratio=ratio_sum, price_growth=growth, smooth=smooth
             )
             granted, cut = (now.due * each for each in given)
+        after = self.rights(now, state, market, granted, cut)
+        return after._replace(ratio_sum=ratio_sum * (1 - now.due)), granted, cut
+
+    def rights(self, now: Period, state: State, market, granted: Array, cut: Array) -> State:
+        """The rights at the end of a step, after an indexation `granted` and `cut`."""
+        case, people = self.case, now.people
+        theta, last, jump = state.theta, state.log_price_last, jnp.zeros_like(state.theta)
+        rule = case.plan.indexation
+        if rule.kind != "none" or rule.cut_years:
             theta = theta * (1 + granted - cut)
             jump = jnp.log1p(granted - cut)
             if case.liability.future_indexation == "full":
@@ -225,16 +229,14 @@ class PensionSimulator(Simulator):
         deaths = state.deaths
         if case.lee_carter is not None:
             deaths = deaths + people.decline * state.market.mortality
-        after = state._replace(
+        return state._replace(
             market=market,
             theta=theta,
             fresh=fresh,
             deaths=deaths,
             log_price_last=last,
-            ratio_sum=ratio_sum * (1 - now.due),
             jump=jump,
         )
-        return after, granted, cut
 
     @staticmethod
     def _indexation_value(discount: Array, books: Balance, state: State) -> Array:

@@ -7,6 +7,8 @@ from typing import Any
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from ..bounds.conjugate import conjugate
+from ..bounds.relaxation import FundRelaxation
 from ..records.case import PensionCase
 from . import (
     attribution,
@@ -24,7 +26,7 @@ from . import (
 )
 from .figures import table as reconciliation
 from .figures.lines import examine
-from .setup import make_setup, moved_setup
+from .setup import make_setup, moved_setup, objective_of
 
 TRAINED = (TRAINING.name,)
 PARTS = (
@@ -60,8 +62,11 @@ def pension_study(case: PensionCase, engine: str) -> Study:
     def moved(before: Setup, other: PensionCase) -> Setup:
         return moved_setup(before, other, engine)
 
-    checks = ("reconcile",)
-    return Study("pension", about(case), PARTS, result, setup, moved=moved, checks=checks)
+    def relaxation() -> FundRelaxation:
+        return FundRelaxation(setup().problem, setup().policy)
+
+    checks, bounded = ("reconcile",), _unbounded(case) or relaxation
+    return Study("pension", about(case), PARTS, result, setup, bounded, moved, checks)
 
 
 def about(case: PensionCase) -> dict[str, Any]:
@@ -90,6 +95,17 @@ def result(run: StudyRun) -> Mapping[str, Any]:
     return trained(
         run, {each["key"]: each["value"] for each in rows if each["key"] != compare.LEARNED}
     )
+
+
+def _unbounded(case: PensionCase) -> str:
+    """The reason why the value of a fund is not bounded from above; empty where it is."""
+    if case.scenarios is not None:
+        return "ready-made scenarios have no prices of risk to bound a value with"
+    try:
+        conjugate(objective_of(case))
+    except ValueError as reason:
+        return str(reason)
+    return ""
 
 
 def _model(case: PensionCase) -> str:

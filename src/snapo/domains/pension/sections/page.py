@@ -1,6 +1,7 @@
 """The report of a pension run: its sections, and the lines under its title."""
 
 from snapo.report.quantity import long_date, number
+from snapo.report.sections.bound import bound
 from snapo.study.domain import Report
 
 from . import decisions, evidence, frontier, outcome, outputs, reconciliation, risk
@@ -24,6 +25,7 @@ SECTIONS = (
     decisions.limits,
     reconciliation.stress,
     evidence.history,
+    bound,
     evidence.certificate,
     evidence.assumptions,
 )

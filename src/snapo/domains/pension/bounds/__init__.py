@@ -1,0 +1,1 @@
+"""A bound from above for a fund: no policy's expected utility of the funding ratio is higher."""

@@ -1,0 +1,78 @@
+"""The best mix at given prices: the most that a unit of money can be worth within the limits."""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+
+
+class Limits(NamedTuple):
+    """Of the weights: bounds [n]; `group` [n] the group of each class, groups [k] with bounds
+    (a class without a group is one of its own); of the swaps: `least`, `most` [b] shares."""
+
+    low: np.ndarray
+    high: np.ndarray
+    group: np.ndarray
+    group_low: np.ndarray
+    group_high: np.ndarray
+    least: np.ndarray
+    most: np.ndarray
+
+
+def limits(case: PensionCase) -> Limits:
+    """Those of a case; of swaps that are sized by payments, what leverage leaves to each."""
+    assets, overlay = case.assets, case.overlay
+    low, high = np.array(assets.low, float), np.array(assets.high, float)
+    group = np.full(len(low), -1)
+    group_low, group_high = [], []
+    for each in assets.groups:
+        group[np.array(each.members)] = len(group_low)
+        group_low.append(float(each.low))
+        group_high.append(float(each.high))
+    for alone in np.flatnonzero(group < 0):
+        group[alone] = len(group_low)
+        group_low.append(0.0)
+        group_high.append(1.0)
+    none = np.zeros(0)
+    if overlay is None:
+        least = most = none
+    elif overlay.unit == "assets":
+        least, most = np.array(overlay.low, float), np.array(overlay.high, float)
+    else:
+        most = np.full(case.buckets, float(overlay.leverage.used()))
+        least = -most
+    return Limits(low, high, group, np.array(group_low), np.array(group_high), least, most)
+
+
+def best_mix(
+    limits: Limits, worth: Float[Array, " n"], swaps: Float[Array, " b"]
+) -> Float[Array, ""]:
+    """max over weights and shares of weights @ worth + shares @ swaps.
+
+    Classes belong to one group each, so filling the best first, within the room that the class,
+    its group and the whole leave, is exact: first what lower bounds demand, then the rest.
+    """
+    best = jnp.sum(jnp.maximum(limits.least * swaps, limits.most * swaps))
+    order = jnp.argsort(-worth)
+    member = jnp.asarray(limits.group)[:, None] == np.arange(len(limits.group_low))
+    weight = jnp.asarray(limits.low)
+    held = weight @ member
+    room = jnp.asarray(limits.high - limits.low)
+    # What groups must hold beyond their classes' lower bounds, from their own best classes.
+    missing = jnp.maximum(limits.group_low - held, 0.0)
+    for rank in range(len(limits.low)):
+        place = order[rank]
+        add = jnp.minimum(room[place], missing @ member[place])
+        weight, room = weight.at[place].add(add), room.at[place].add(-add)
+        missing = missing - add * member[place]
+    free, group_room = 1 - jnp.sum(weight), limits.group_high - weight @ member
+    for rank in range(len(limits.low)):
+        place = order[rank]
+        add = jnp.minimum(jnp.minimum(room[place], group_room @ member[place]), free)
+        add = jnp.maximum(add, 0.0)
+        weight, free = weight.at[place].add(add), free - add
+        group_room = group_room - add * member[place]
+    return weight @ worth + best

@@ -1,0 +1,89 @@
+"""The rights and payments of a path that no decision can undercut, or exceed.
+
+Decisions move rights through indexation alone, and contributions through assets and rights. The
+least rights follow from the least increase at every date, the most from the most; contributions
+are highest without assets, against the most rights.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.smooth import Exact
+
+from ..fund.books import State, balance, opening
+from ..fund.plan import contribution, indexation
+from ..fund.schedule import Period, Terms
+from ..fund.simulator import PensionSimulator
+from ..market.state import Market
+
+FUNDED = 1e6  # a funding ratio above every limit of a plan
+
+
+class Extremes(NamedTuple):
+    """On one path: `received` [T] the most that can come in net of what is paid out, money;
+    `liability` the least at the horizon."""
+
+    received: Float[Array, " T"]
+    liability: Float[Array, ""]
+
+
+def extremes(
+    simulator: PensionSimulator, terms: Terms, steps: Period, before: Market, after: Market
+) -> Extremes:
+    """Of a path whose markets `before` and `after` each step have leaves [T, …]."""
+    case = simulator.case
+
+    def step(rights: tuple[State, State], given):
+        now, market, then = given
+        least, most = (each._replace(market=market) for each in rights)
+        received = _most_received(simulator, terms, now, least, most)
+        bounds = _increases(simulator, terms, now, market, then, least.log_price_last)
+        zero = jnp.zeros_like(bounds[0])
+        lowest = simulator.rights(now, least, then, bounds[0], zero)
+        return (lowest, simulator.rights(now, most, then, bounds[1], zero)), received
+
+    start = opening(terms)
+    (least, _), received = jax.lax.scan(step, (start, start), (steps, before, after))
+    last = balance(case, terms, terms.last, terms.last_shape, least)
+    return Extremes(received, last.liability)
+
+
+def _most_received(simulator, terms: Terms, now: Period, least: State, most: State) -> Array:
+    """Contributions without assets against the most rights, less benefits on the least."""
+    case = simulator.case
+    books = balance(case, terms, now.people, now.shape, most)
+    highest = contribution(
+        case.plan,
+        terms.plan,
+        assets=jnp.zeros_like(terms.assets),
+        liability=books.liability,
+        normal_cost=books.accrual,
+        payroll=now.people.payroll,
+        wage=jnp.exp(most.market.log_wage),
+        step=case.step,
+        smooth=Exact(),
+    )
+    if now.agreed is not None:
+        highest = highest + now.agreed
+    alive = least.theta * jnp.exp(-least.deaths)
+    benefit = alive * (now.people.benefit + least.fresh * now.people.fresh_benefit)
+    return highest - benefit - now.people.expenses * jnp.exp(least.market.log_price)
+
+
+def _increases(simulator, terms: Terms, now: Period, market: Market, then: Market, last: Array):
+    """(least, most) net increase at the end of the step, whatever the funding ratio."""
+    rule = simulator.case.plan.indexation
+    if rule.kind == "none" and not rule.cut_years:
+        return jnp.zeros_like(last), jnp.zeros_like(last)
+    growth = jnp.expm1(then.log_price - last)
+    poor, rich = (
+        indexation(
+            simulator.case.plan, terms.plan, ratio=ratio, price_growth=growth, smooth=Exact()
+        )
+        for ratio in (jnp.zeros_like(growth), jnp.full_like(growth, FUNDED))
+    )
+    least = jnp.minimum(poor[0], rich[0]) - poor[1]
+    return now.due * least, now.due * jnp.maximum(poor[0], rich[0])

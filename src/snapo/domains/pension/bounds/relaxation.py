@@ -1,0 +1,195 @@
+"""The bound of a fund: its assets at a deflator's prices in place of the market's returns.
+
+With a price of risk p, deflate: D(t+1) = D(t) exp(-p @ noise - p^2 / 2) / cash / m(t), where m(t)
+is the most that a unit of deflated money can grow to on average within the limits of weights and
+swaps. Then D A earns nothing on average under any policy, so
+
+    E[u(F)] <= E[sup over F of u(F) - y D(T) L F] + y (A(0) + E[sum of deflated money received])
+
+for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
+least and the money received the most that any decision can bring about: exact where indexation and
+contributions do not depend on decisions, wide where they do. Costs of trading count as nothing.
+"""
+
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from scipy.optimize import minimize_scalar
+
+from snapo.engine import Rollout, Xla
+from snapo.problem.noise import Draws
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, stream
+from snapo.problem.smooth import Exact
+
+from ..fund.books import LEAST
+from ..fund.simulator import PensionSimulator
+from ..market.dynamics import noise_size
+from .best_mix import best_mix, limits
+from .conjugate import IN_MONEY, conjugate
+from .extremes import Extremes, extremes
+from .gaussian import Returns, Worth, gaussian_returns, worth
+
+PATHS, STREAM = 512, 258  # on which prices are fitted
+SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
+
+
+class Paths(NamedTuple):
+    """What a bound is made of, whatever the prices: leaves [T, N, …], `extremes` [N, …]."""
+
+    returns: Returns
+    noise: Float[Array, "T N Z"]
+    extremes: Extremes
+
+
+class Deflated(NamedTuple):
+    """[T, N]: D at the start of each step, over m; `after` at its end; and the `worth` of a unit
+    in each investment, not yet deflated by either."""
+
+    over: Array
+    after: Array
+    worth: Worth
+
+
+class FundRelaxation:
+    """See `snapo.solver.bound.Relaxation`; prices of risk and y are fitted on paths of their own.
+
+    `policy` makes these paths; no decision matters there.
+    """
+
+    terms, words = 1, "the surprises of the assets at fitted prices of risk"
+
+    def __init__(self, problem: Problem, policy: Policy, paths: int = PATHS):
+        simulator = problem.simulator
+        assert isinstance(simulator, PensionSimulator)
+        self.simulator, self.schedule = simulator, problem.schedule
+        self.in_money = IN_MONEY in problem.objective.outputs
+        fund = self.schedule.constants
+        least = max(float(fund.liability), LEAST * float(fund.assets))
+        self.conjugate = conjugate(problem.objective, float(fund.assets) / least)
+        self.limits = limits(simulator.case)
+        self.price, self.y = self._fitted(problem, policy, paths)
+
+    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        if not scale.all():
+            raise ValueError('nothing limits a fund\'s assets in hindsight: take --penalty "value"')
+        with jax.enable_x64(True):
+            value, money = self._split(self.price, self._paths(rolled, draws))
+            y = scale[0] * self.y
+            return np.asarray(self.conjugate(y * value) + y * money)
+
+    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        with jax.enable_x64(True):
+            return scale[0] * self.y * np.asarray(self._surprises(rolled, draws))
+
+    def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
+        """Prices of risk [Z] of a step's normals, and y: by descent."""
+        source = Pseudo(
+            getattr(problem.sources.evaluation, "seed", 0), stream=stream(EVALUATE, STREAM)
+        )
+        (block,) = source.blocks(paths, 1)
+        draws = source.draws(block, problem.simulator)
+        engine = Xla(precision="float64").bind(problem)
+        rolled = engine.values(policy, draws, Exact(), record=("state",))
+        with jax.enable_x64(True):
+            known = self._paths(rolled, draws)
+            fair = _fair(jax.tree.map(lambda leaf: leaf[0, 0], known.returns))
+            split = jax.jit(self._split)
+            found = [self._lowest(*split(share * fair, known)) for share in SHARES]
+        least = int(np.argmin([value for value, _ in found]))
+        return SHARES[least] * fair, found[least][1]
+
+    def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
+        """The bound on paths of these (see `_split`) where it is lowest, and the y there."""
+
+        def bound(log: float) -> float:
+            return float(jnp.mean(self.conjugate(np.exp(log) * value) + np.exp(log) * money))
+
+        found = minimize_scalar(bound, (-3.0, 0.0))
+        return float(found.fun), float(np.exp(found.x))
+
+    def _paths(self, rolled: Rollout, draws: Draws) -> Paths:
+        """What no decision moves on these paths, and the extremes of what one does."""
+        case, steps = self.simulator.case, self.schedule.steps
+        constants = self.schedule.constants
+        before = rolled.record["state"].market
+        after = jax.tree.map(
+            lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rolled.state.market
+        )
+        across = jax.vmap(gaussian_returns, (None, None, None, 0))
+        returns = jax.vmap(across, (None, None, 0, 0))(case, constants, steps, before)
+        each = jax.vmap(extremes, (None, None, None, 1, 1))
+        found = each(self.simulator, constants, steps, before, after)
+        return Paths(returns, self._noise(draws), found)
+
+    def _noise(self, draws: Draws) -> Array:
+        steps = draws.steps(jnp.zeros((), jnp.uint32), self.simulator.horizon)
+        size = noise_size(self.simulator.case)
+        one = jax.vmap(lambda d, s: d.noise(s, size, jnp.float64), (draws.axes(), None))
+        return jax.vmap(one, (None, 0))(draws, steps)
+
+    def _deflated(self, price: Any, paths: Paths) -> Deflated:
+        case = self.simulator.case
+        price = jnp.asarray(price)
+
+        def step(returns: Returns, noise):
+            units = worth(case, returns, price)
+            most = best_mix(self.limits, units.classes, units.swaps)
+            log = -noise @ price - price @ price / 2
+            # Minus the log return of cash.
+            log = log + returns.mean[-1] + returns.load[-1] @ noise
+            return units, most, log - jnp.log(most)
+
+        units, most, log = jax.vmap(jax.vmap(step))(paths.returns, paths.noise)
+        after = jnp.exp(jnp.cumsum(log, axis=0))
+        before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
+        return Deflated(before / most, after, units)
+
+    def _split(self, price: Any, paths: Paths) -> tuple[Array, Array]:
+        """[N] each, over the assets now: D L at the end, or D where the objective is in money;
+        these assets and all money received, deflated."""
+        found, assets = self._deflated(price, paths), self.schedule.constants.assets
+        received = jnp.sum(self._counts(found) * paths.extremes.received.T, axis=0)
+        least = 1.0 if self.in_money else paths.extremes.liability
+        return found.after[-1] * least / assets, 1 + received / assets
+
+    def _counts(self, found: Deflated) -> Array:
+        """[T, N] by which money received in a step is deflated: at its start or at its end."""
+        if self.simulator.case.plan.timing == "advance":
+            ones = jnp.ones_like(found.after[:1])
+            return jnp.concatenate([ones, found.after[:-1]])
+        return found.over * found.worth.money
+
+    def _surprises(self, rolled: Rollout, draws: Draws) -> Array:
+        """[N] sum over the steps of D A after each one, less its mean before it, of the policy;
+        over the assets now."""
+        paths = self._paths(rolled, draws)
+        found = self._deflated(self.price, paths)
+        simulator, constants = self.simulator, self.schedule.constants
+        states, actions = rolled.record["state"], rolled.record["action"]
+
+        def step(now, state, action, noise, units: Worth):
+            done = simulator.happen(constants, now, state, action, noise, Exact())
+            mean = (done.invested - done.held.cost) * jnp.sum(done.held.weights * units.classes)
+            if done.held.notional is not None:
+                mean = mean + jnp.sum(done.held.notional * units.swaps)
+            if case.plan.timing != "advance":
+                mean = mean + done.flows.net * units.money
+            return done.after.assets, mean
+
+        case = simulator.case
+        across = jax.vmap(step, (None, 0, 0, 0, 0))
+        after, mean = jax.vmap(across)(
+            self.schedule.steps, states, actions, paths.noise, found.worth
+        )
+        return jnp.sum(found.after * after - found.over * mean, axis=0) / constants.assets
+
+
+def _fair(returns: Returns) -> np.ndarray:
+    """[Z] the least prices of risk at which no investment earns more than another."""
+    excess = returns.mean + jnp.sum(returns.load**2, axis=-1) / 2
+    return np.linalg.lstsq(np.asarray(returns.load)[:-1], np.asarray(excess)[:-1], rcond=None)[0]
