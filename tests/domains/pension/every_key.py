@@ -31,6 +31,7 @@ Spouse,spouse,female,80,2,3,,
 FILES = {
     "zero.csv": "tenor,zero\n1,0.02\n10,0.024\n30,0.025\n",
     "forward.csv": "tenor,forward\n1,0.02\n10,0.025\n30,0.026\n",
+    "swaps.csv": "tenor,swap\n1,0.02\n10,0.024\n20,0.025\n30,0.024\n",
     "break_evens.csv": "tenor,rate\n1,0.018\n30,0.02\n",
     "forward_prices.csv": "tenor,forward\n1,0.018\n30,0.021\n",
     "steps.csv": "from_year,value\n0,0.1\n1,0.12\n",
@@ -188,6 +189,8 @@ CASES: dict[str, dict[str, Any]] = {
     },
     "cash flows": MARKET
     | {
+        "curve": {"file": "swaps.csv", "extrapolation": "smith-wilson", "ultimate": 0.0345}
+        | {"compounding": "annual", "last_liquid": 20.0, "convergence": 60.0},
         "members": {"cash_flows": "flows.csv", "normal_cost": 5.0, "salary": 50.0},
         "mortality": None,
         "plan": {

@@ -60,16 +60,18 @@ class FundTable(Table):
 class CurveTable(Table):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
-    file: Name = csv("tenor,zero (or tenor,forward)")
+    file: Name = csv("tenor,zero (or tenor,forward or tenor,swap)")
     measure: Literal["P", "Q"] = words("P", "Q", default="P")
     compounding: Literal["continuous", "annual"] = words(
         "continuous", "annual", default="continuous"
     )
-    extrapolation: Literal["flat-forward", "ultimate"] = words(
-        "flat-forward", "ultimate", default="flat-forward"
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = words(
+        "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
-    speed: Positive = Field(0.1, description=ABOVE)
+    speed: Positive | None = Field(None, description=ABOVE)
+    last_liquid: Positive | None = Field(None, description=f"a tenor in years, {ABOVE}")
+    convergence: Positive | None = Field(None, description=f"a term in years, {ABOVE}")
 
 
 class RatesTable(Table):
