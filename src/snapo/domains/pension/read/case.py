@@ -76,6 +76,9 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
     rules = _plan(reader, grid, start)
+    if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
+        what = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
+        raise CaseError(str(file), "overlay.file", None, what)
     case = PensionCase(
         file=file,
         title=top.title,

@@ -23,6 +23,7 @@ from .cells import (
     single,
     unique,
     whole_steps,
+    word,
     years,
 )
 from .tables import CreditTable, CurrenciesTable, OverlayTable
@@ -94,16 +95,23 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     )
 
 
+SWAPS = ("rates", "inflation")  # kinds of swaps of the overlay
+
+
 def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Overlay | None:
     """Swaps by tenor bucket."""
     if table is None:
         return None
     rows = read_rows(
-        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("cost",)
+        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("kind", "cost")
     )
-    rising(rows, "tenor")
+    kinds = [[row for row in rows if _swap_kind(row) == kind] for kind in SWAPS]
+    for of_kind in kinds:
+        rising(of_kind, "tenor")
+    rows = [row for of_kind in kinds for row in of_kind]
     maturity = [whole_steps(row, "tenor", grid.step) for row in rows]
     labels = [years(steps * grid.step) for steps in maturity]
+    labels = [f"{t} inflation" * (_swap_kind(r) != SWAPS[0]) or t for t, r in zip(labels, rows)]
     low, high = (np.array([row.number(name) for row in rows]) for name in ("low", "high"))
     for row, least, most in zip(rows, low, high):
         if least > most:
@@ -123,4 +131,9 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
         leverage=limit("leverage", share(LIMIT, "overlay")),
         cost=column("overlay_cost", rows, "cost", labels, cost),
         collateral_stress=limit("collateral_stress", share(LIMIT, "overlay", YEARLY)),
+        inflation=len(kinds[1]),
     )
+
+
+def _swap_kind(row: Row) -> str:
+    return word(row, "kind", SWAPS) if row.cells.get("kind") else SWAPS[0]

@@ -116,6 +116,9 @@ class AssetsTable(Table):
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
     return_kind: Literal["excess", "total"] = words("excess", "total")
     mean_kind: Literal["geometric", "arithmetic", "log"] = words("geometric", "arithmetic", "log")
+    turnover: Positive | None = Field(
+        None, description=f"the largest share of the assets traded per year, {ABOVE}"
+    )
 
 
 class CreditTable(Table):
@@ -140,7 +143,7 @@ class CorrelationsTable(Table):
 class OverlayTable(Table):
     """`[overlay]`: receiver swaps by tenor."""
 
-    file: Name = csv("tenor,notional,low,high,cost")
+    file: Name = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = words("assets", "liability", default="assets")
     leverage: NotNegative = Field(1.0, description=LEAST)
     collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")

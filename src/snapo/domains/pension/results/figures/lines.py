@@ -68,6 +68,8 @@ def _human(case: PensionCase, found: Human) -> list[str]:
     lengths = [f"liability {found.duration:.1f} years", f"assets {found.asset_duration:.1f} years"]
     if found.hedge_ratio is not None:
         lengths.append(f"hedge ratio {found.hedge_ratio:.0%}")
+    if found.inflation_hedge_ratio is not None:
+        lengths.append(f"of inflation {found.inflation_hedge_ratio:.0%}")
     told = [", ".join(size), f"duration: {', '.join(lengths)}", f"rates: {_by_tenor(found.rate)}"]
     if found.rate_volatility:
         told.append(f"volatility of rates, a year: {_by_tenor(found.rate_volatility)}")

@@ -24,7 +24,8 @@ class Figures(NamedTuple):
     - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
       for a parallel shift of continuous rates; `convexity`: years squared.
     - `key_rate`: [n] change of the liability, money, for +1 bp at each node of the nominal curve;
-      `inflation01`: for +1 bp on all break-evens. 0 where the basis does not use that curve.
+      `key_inflation` [k] the same of break-evens, `inflation01` their sum. 0 where the basis does
+      not use that curve.
     - `cash_flow`: [S] expected payments of accrued rights by step, money, before indexation.
     """
 
@@ -32,6 +33,7 @@ class Figures(NamedTuple):
     duration: float
     convexity: float
     key_rate: np.ndarray
+    key_inflation: np.ndarray
     inflation01: float
     cash_flow: np.ndarray
 
@@ -65,6 +67,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
         duration=float(value @ years) / scale,
         convexity=float(value @ years**2) / scale,
         key_rate=BASIS_POINT * slopes[case.curve.rate.name],
+        key_inflation=BASIS_POINT * slopes[prices],
         inflation01=BASIS_POINT * float(slopes[prices].sum()),
         cash_flow=flow[: horizon(case) - case.steps],
     )

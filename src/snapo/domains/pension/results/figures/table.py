@@ -31,6 +31,7 @@ def work(run: StudyRun) -> dict[str, Any]:
         "inflation01": found.inflation01,
         "asset_duration": seen.asset_duration,
         "hedge_ratio": seen.hedge_ratio,
+        "inflation_hedge_ratio": seen.inflation_hedge_ratio,
         "rate_volatility": seen.rate_volatility,
         "returns": seen.returns,
         "key_rate_durations": _key_rate_durations(case, found),
