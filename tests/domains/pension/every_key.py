@@ -11,16 +11,16 @@ from snapo.domains.pension.fund.observation import FEATURES
 # Every kind of class, with every column that its kind has.
 ASSETS = (
     "name,kind,mean,volatility,weight,low,high,group,group_low,group_high,max_sale,band,cost,fee,"
-    "maturity,rating,currency,smoothing,eligible"
+    "maturity,rating,currency,smoothing,eligible,risk"
     """
-Cash,cash,,,0.1,0,0.5,,,,,,0,0,,,,,1
-Bonds,bond,,,0.2,0,0.6,Matching,0.1,0.9,,0.01,0.0003,0.0002,10,,,,0.9
-Linkers,index-linked,,,0.1,0,0.6,Matching,,,,0.01,0.0004,0.0002,10,,,,0.8
-Credit,credit,,,0.1,0,0.3,Matching,,,,,0.003,0.001,5,BBB,,,0.5
-Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,,0.01,0.001,0.001,,,USD,,0
-Property,property,0.04,0.15,0.1,0,0.2,,,,0.1,,0.01,0.005,,,,0.4,0
-Gold,commodity,0.03,0.2,0.1,0,0.2,,,,,,0.002,0.001,,,,0.9,0
-Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,USD,0.5,0
+Cash,cash,,,0.1,0,0.5,,,,,,0,0,,,,,1,
+Bonds,bond,,,0.2,0,0.6,Matching,0.1,0.9,,0.01,0.0003,0.0002,10,,,,0.9,
+Linkers,index-linked,,,0.1,0,0.6,Matching,,,,0.01,0.0004,0.0002,10,,,,0.8,
+Credit,credit,,,0.1,0,0.3,Matching,,,,,0.003,0.001,5,BBB,,,0.5,
+Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,,0.01,0.001,0.001,,,USD,,0,emerging
+Property,property,0.04,0.15,0.1,0,0.2,,,,0.1,,0.01,0.005,,,,0.4,0,
+Gold,commodity,0.03,0.2,0.1,0,0.2,,,,,,0.002,0.001,,,,0.9,0,
+Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,USD,0.5,0,
 """
 )
 NAMES = ("Cash", "Bonds", "Linkers", "Credit", "Equity", "Property", "Gold", "Hedge")
@@ -42,7 +42,8 @@ FILES = {
     "assets.csv": ASSETS,
     "credit.csv": "rating,spread,mean_spread,mean_reversion,volatility,default_loss\n"
     "BBB,0.013,0.015,0.4,0.3,0.002\n",
-    "currencies.csv": "currency,volatility,premium,hedge_ratio,hedge_cost\nUSD,0.09,0.001,0.5,0.002\n",
+    "currencies.csv": "currency,market,volatility,premium,hedge_ratio,hedge_cost\n"
+    "USD,developed,0.09,0.001,0.5,0.002\n",
     "correlations.csv": "name,rate,Equity\nrate,1,\nEquity,1,1\n",  # repaired
     "overlay.csv": "tenor,kind,notional,low,high,cost\n10,rates,20,0,0.3,0.0001\n"
     "20,inflation,5,0,0.3,0.0001\n",
@@ -158,6 +159,8 @@ CASES: dict[str, dict[str, Any]] = {
             {"kind": "entropic", "risk_aversion": 0.1},
         ],
         "sensitivity": {"held": ["asset_cost"]},
+        "regulation": {"rules": "dutch-ftk", "policy_ratios": [1.0, 1.01]}
+        | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
         "frontier": {"points": 2, "steps": 1, "level": 0.9},
     },

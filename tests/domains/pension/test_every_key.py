@@ -42,6 +42,7 @@ TABLES = {
     "policy": tables.PolicyTable,
     "objective": ObjectiveTable,
     "sensitivity": tables.SensitivityTable,
+    "regulation": tables.RegulationTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
     "training": TrainingTable,

@@ -10,6 +10,7 @@ from snapo.case.table import Section
 
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
+from ..records.regulation import MARKETS
 from ..records.said import YEARLY, Said, amount, rate, share, volatility
 from ..records.said import number as pure
 from .cells import (
@@ -82,12 +83,14 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     if table is None:
         return Currencies((), **{name: empty(f"currency_{name}") for name in CURRENCY})
     rows = read_rows(
-        Mention(section, "file", table.file), ("currency", "volatility"), tuple(CURRENCY)
+        Mention(section, "file", table.file), ("currency", "volatility"), (*CURRENCY, "market")
     )
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
+    markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
     return Currencies(
         names=names,
+        emerging=tuple(market == MARKETS[1] for market in markets),
         **{
             name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
             for name, said in CURRENCY.items()

@@ -130,7 +130,7 @@ class CreditTable(Table):
 class CurrenciesTable(Table):
     """`[currencies]`"""
 
-    file: Name = csv("currency,volatility,premium,hedge_ratio,hedge_cost")
+    file: Name = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(Table):
@@ -187,6 +187,17 @@ class StressTable(Table):
     file: Name = csv("scenario,input,label,kind,size")
 
 
+class RegulationTable(Table):
+    """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
+
+    rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
+    policy_ratios: list[Positive] = Field(
+        [], description="funding ratios at the ends of the last months, the newest last"
+    )
+    insurance_risk: Share = Field(0.0, description=f"a share of the liability, {SHARE}")
+    active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
+
+
 class PensionTable(Table):
     """The whole file."""
 
@@ -215,5 +226,6 @@ class PensionTable(Table):
     sensitivity: dict = Field({}, description="the table [sensitivity]")
     stress: dict | None = Field(None, description="the table [stress]")
     frontier: dict | None = Field(None, description="the table [frontier]")
+    regulation: dict | None = Field(None, description="the table [regulation]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

@@ -39,6 +39,7 @@ class Assets:
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
       half the sum of all changes of weights per year. None where no class has a limit.
+    - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """
 
     classes: "tuple[AssetClass, ...]"
@@ -58,6 +59,7 @@ class Assets:
     max_sale: np.ndarray | None = None
     band: np.ndarray | None = None
     turnover: float | None = None
+    risk: tuple[str, ...] = ()
 
     @property
     def dealing(self) -> bool:

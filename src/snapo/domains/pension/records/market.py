@@ -78,7 +78,7 @@ class Currencies:
 
     - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
       1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount per
-      year): index [X].
+      year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
 
     names: tuple[str, ...]
@@ -86,6 +86,7 @@ class Currencies:
     premium: Given
     hedge_ratio: Given
     hedge_cost: Given
+    emerging: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

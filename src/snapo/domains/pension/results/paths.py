@@ -7,11 +7,13 @@ from typing import Any
 import jax
 import numpy as np
 
+from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 from snapo.study.study import StudyRun
 
 from ..fund.dealing import dealt
 from ..records.case import PensionCase
+from ..regulation.stand import recovery, stand
 from .setup import case_of
 
 PATHS = 4096
@@ -33,6 +35,9 @@ def work(run: StudyRun) -> dict[str, Any]:
         "first_decision": first_decision(record),
         "recorded_paths": record.action.shape[1],
     }
+    if record.case.regulation is not None:
+        asked = stand(record.case, plain(run.setup.problem.inputs)).required_ratio
+        found["recovery"] = recovery(record.case, record.funding, asked)
     years = found["by_year"]
     columns = {"year": years["years"], "underfunded": years["underfunded"]}
     columns |= {f"funding_{name}": values for name, values in years["funding"].items()}

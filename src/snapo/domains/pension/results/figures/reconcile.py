@@ -54,8 +54,8 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     case = replace(case, scenarios=None)
     held = _with_curves(case, inputs)
     with jax.enable_x64(True):
-        flow, discount = map(np.asarray, _payments(case, held))
-        slopes = jax.grad(lambda given: jnp.dot(*_payments(case, given)))(held)
+        flow, discount = map(np.asarray, payments(case, held))
+        slopes = jax.grad(lambda given: jnp.dot(*payments(case, given)))(held)
         slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
@@ -93,7 +93,7 @@ def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = Non
     return lines
 
 
-def _payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
+def payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
     """Expected payments by step [N] and their discount factors."""
     log_bond = basis_log_bond(case, inputs)
     flow = project(case, inputs, log_bond).accrued
