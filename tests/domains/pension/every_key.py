@@ -210,6 +210,7 @@ CASES: dict[str, dict[str, Any]] = {
     | {
         "rates": None,
         "scenarios": {"training": "training.csv", "evaluation": "evaluation.csv"},
-        "plan": {"contribution": {"kind": "none", "schedule": "recovery.csv"}},
+        "plan": {"indexation": {"kind": "fixed", "rate": 0.025}}
+        | {"contribution": {"kind": "none", "schedule": "recovery.csv"}},
     },
 }

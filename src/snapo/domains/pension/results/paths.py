@@ -121,6 +121,9 @@ def by_year(record: Record) -> dict[str, Any]:
     for name, output in (("contribution", "contribution"), ("benefit", "benefit")):
         found[name] = _fan(_yearly(record.outputs[output], each))
     granted = _yearly(record.outputs["granted"] - record.outputs["cut"], each)
+    if case.plan.indexation.rate is not None:
+        # Fixed increases are part of the payments, and are not granted on top.
+        granted = granted + float(case.plan.indexation.rate.used())
     found["indexation"] = _fan(granted)
     found["cumulated"] = _fan(np.cumprod(1 + granted, 0))
     return found
