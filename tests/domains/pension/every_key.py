@@ -9,17 +9,20 @@ import numpy as np
 from snapo.domains.pension.fund.observation import FEATURES
 
 # Every kind of class, with every column that its kind has.
-ASSETS = """
-name,kind,mean,volatility,weight,low,high,group,group_low,group_high,cost,fee,maturity,rating,currency,smoothing,eligible
-Cash,cash,,,0.1,0,0.5,,,,0,0,,,,,1
-Bonds,bond,,,0.2,0,0.6,Matching,0.1,0.9,0.0003,0.0002,10,,,,0.9
-Linkers,index-linked,,,0.1,0,0.6,Matching,,,0.0004,0.0002,10,,,,0.8
-Credit,credit,,,0.1,0,0.3,Matching,,,0.003,0.001,5,BBB,,,0.5
-Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,0.001,0.001,,,USD,,0
-Property,property,0.04,0.15,0.1,0,0.2,,,,0.01,0.005,,,,0.4,0
-Gold,commodity,0.03,0.2,0.1,0,0.2,,,,0.002,0.001,,,,0.9,0
-Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.002,0.01,,,USD,0.5,0
+ASSETS = (
+    "name,kind,mean,volatility,weight,low,high,group,group_low,group_high,max_sale,band,cost,fee,"
+    "maturity,rating,currency,smoothing,eligible,risk"
+    """
+Cash,cash,,,0.1,0,0.5,,,,,,0,0,,,,,1,
+Bonds,bond,,,0.2,0,0.6,Matching,0.1,0.9,,0.01,0.0003,0.0002,10,,,,0.9,
+Linkers,index-linked,,,0.1,0,0.6,Matching,,,,0.01,0.0004,0.0002,10,,,,0.8,
+Credit,credit,,,0.1,0,0.3,Matching,,,,,0.003,0.001,5,BBB,,,0.5,
+Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,,0.01,0.001,0.001,,,USD,,0,emerging
+Property,property,0.04,0.15,0.1,0,0.2,,,,0.1,,0.01,0.005,,,,0.4,0,
+Gold,commodity,0.03,0.2,0.1,0,0.2,,,,,,0.002,0.001,,,,0.9,0,
+Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,USD,0.5,0,
 """
+)
 NAMES = ("Cash", "Bonds", "Linkers", "Credit", "Equity", "Property", "Gold", "Hedge")
 COHORTS = """
 name,status,sex,age,number,pension,salary,service
@@ -31,6 +34,7 @@ Spouse,spouse,female,80,2,3,,
 FILES = {
     "zero.csv": "tenor,zero\n1,0.02\n10,0.024\n30,0.025\n",
     "forward.csv": "tenor,forward\n1,0.02\n10,0.025\n30,0.026\n",
+    "swaps.csv": "tenor,swap\n1,0.02\n10,0.024\n20,0.025\n30,0.024\n",
     "break_evens.csv": "tenor,rate\n1,0.018\n30,0.02\n",
     "forward_prices.csv": "tenor,forward\n1,0.018\n30,0.021\n",
     "steps.csv": "from_year,value\n0,0.1\n1,0.12\n",
@@ -38,9 +42,11 @@ FILES = {
     "assets.csv": ASSETS,
     "credit.csv": "rating,spread,mean_spread,mean_reversion,volatility,default_loss\n"
     "BBB,0.013,0.015,0.4,0.3,0.002\n",
-    "currencies.csv": "currency,volatility,premium,hedge_ratio,hedge_cost\nUSD,0.09,0.001,0.5,0.002\n",
+    "currencies.csv": "currency,market,volatility,premium,hedge_ratio,hedge_cost\n"
+    "USD,developed,0.09,0.001,0.5,0.002\n",
     "correlations.csv": "name,rate,Equity\nrate,1,\nEquity,1,1\n",  # repaired
-    "overlay.csv": "tenor,notional,low,high,cost\n10,20,0,0.3,0.0001\n20,0,0,0.3,0.0001\n",
+    "overlay.csv": "tenor,kind,notional,low,high,cost\n10,rates,20,0,0.3,0.0001\n"
+    "20,inflation,5,0,0.3,0.0001\n",
     "cohorts.csv": COHORTS,
     "flows.csv": "year,amount\n1,40\n2,45\n15,400\n",
     "mortality.csv": "sex,age,q\n"
@@ -153,6 +159,8 @@ CASES: dict[str, dict[str, Any]] = {
             {"kind": "entropic", "risk_aversion": 0.1},
         ],
         "sensitivity": {"held": ["asset_cost"]},
+        "regulation": {"rules": "dutch-ftk", "policy_ratios": [1.0, 1.01]}
+        | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
         "frontier": {"points": 2, "steps": 1, "level": 0.9},
     },
@@ -162,7 +170,8 @@ CASES: dict[str, dict[str, Any]] = {
         | {"extrapolation": "flat-forward"},
         "inflation": {"break_evens": "break_evens.csv", "compounding": "annual"}
         | {"extrapolation": "flat-forward"},
-        "assets": {"file": "assets.csv", "return_kind": "excess", "mean_kind": "arithmetic"},
+        "assets": {"file": "assets.csv", "return_kind": "excess", "mean_kind": "arithmetic"}
+        | {"turnover": 0.5},
         "overlay": {"file": "overlay.csv", "unit": "liability"},
         "mortality": FORMULA,
         "plan": {"timing": "advance", "age_basis": "exact", "fractional_ages": "uniform"}
@@ -188,6 +197,8 @@ CASES: dict[str, dict[str, Any]] = {
     },
     "cash flows": MARKET
     | {
+        "curve": {"file": "swaps.csv", "extrapolation": "smith-wilson", "ultimate": 0.0345}
+        | {"compounding": "annual", "last_liquid": 20.0, "convergence": 60.0},
         "members": {"cash_flows": "flows.csv", "normal_cost": 5.0, "salary": 50.0},
         "mortality": None,
         "plan": {
@@ -199,6 +210,7 @@ CASES: dict[str, dict[str, Any]] = {
     | {
         "rates": None,
         "scenarios": {"training": "training.csv", "evaluation": "evaluation.csv"},
-        "plan": {"contribution": {"kind": "none", "schedule": "recovery.csv"}},
+        "plan": {"indexation": {"kind": "fixed", "rate": 0.025}}
+        | {"contribution": {"kind": "none", "schedule": "recovery.csv"}},
     },
 }

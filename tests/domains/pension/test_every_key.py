@@ -42,6 +42,7 @@ TABLES = {
     "policy": tables.PolicyTable,
     "objective": ObjectiveTable,
     "sensitivity": tables.SensitivityTable,
+    "regulation": tables.RegulationTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
     "training": TrainingTable,
@@ -118,7 +119,13 @@ def test_the_cases_use_all_that_is_documented():
     assert scenarios(1, 2).count("\n") == 5
 
 
-@pytest.mark.parametrize("name", CASES)
+# Its Smith-Wilson curve is compiled.
+SLOW = ("cash flows",)
+
+
+@pytest.mark.parametrize(
+    "name", [pytest.param(n, marks=[pytest.mark.prove] * (n in SLOW)) for n in CASES]
+)
 def test_a_case_is_read(name, tmp_path):
     """Every number of it is an input, or held by name."""
     data = {key: value for key, value in CASES[name].items() if value is not None}

@@ -73,6 +73,17 @@ MISTAKES = {
         "case.toml", 'measure = "P"', 'extrapolation = "ultimate"',
         ["curve.ultimate", "ultimate"],
     ),
+    "swap rates without their method": (
+        "curve.csv", "tenor,zero", "tenor,swap", ["curve.extrapolation", "smith-wilson"],
+    ),
+    "no such last liquid tenor": (
+        "case.toml", 'measure = "P"', 'measure = "P"\nlast_liquid = 11.5',
+        ["curve.last_liquid", "11.5"],
+    ),
+    "convergence without its method": (
+        "case.toml", 'measure = "P"', 'measure = "P"\nconvergence = 60',
+        ["curve.convergence", "smith-wilson"],
+    ),
     "unknown observation": (
         "case.toml", '[objective]\n', '[policy]\nobservation = ["funding"]\n[objective]\n',
         ["policy.observation", "'funding'", "funding_ratio"],
@@ -335,3 +346,13 @@ def test_several_mistakes_are_told_at_once(case):
     message = str(caught.value)
     for name in ("fund.valuation", "nearest known key is", "fund.asets"):
         assert name in message
+
+
+def test_smith_wilson_needs_zero_or_swap_rates(case):
+    for name, old, new in (
+        ("curve.csv", "tenor,zero", "tenor,forward"),
+        ("case.toml", 'measure = "P"', 'extrapolation = "smith-wilson"\nultimate = 0.03'),
+    ):
+        file = case / name
+        file.write_text(file.read_text().replace(old, new, 1))
+    refused(case, ["curve.file", "zero or swap"])

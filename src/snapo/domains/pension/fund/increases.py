@@ -32,6 +32,12 @@ class NoIncrease(IncreaseRule):
         return jnp.zeros_like(ratio)
 
 
+class Fixed(NoIncrease):
+    """A fixed rate, which the payments hold already: nothing is granted on top."""
+
+    kind, takes = "fixed", ("rate",)
+
+
 class Full(IncreaseRule):
     """The growth of prices, negative under deflation."""
 
@@ -63,5 +69,5 @@ class Conditional(Capped):
 
 
 INCREASES: dict[str, IncreaseRule] = {
-    rule.kind: rule for rule in (NoIncrease(), Full(), Capped(), Conditional())
+    rule.kind: rule for rule in (NoIncrease(), Fixed(), Full(), Capped(), Conditional())
 }

@@ -7,6 +7,7 @@ from jaxtyping import Array
 
 from snapo.problem.smooth import Constraints
 
+from ..people.fixed_increases import due as increases_due
 from ..records.case import PensionCase
 from ..records.plan import Plan
 from .contributions import CONTRIBUTIONS, Due
@@ -82,8 +83,7 @@ def indexation_flags(case: PensionCase) -> tuple[np.ndarray, np.ndarray]:
     rule = case.plan.indexation
     if round(1 / case.step) == 1:
         return np.ones(case.steps), np.ones(case.steps)
-    ends = (case.start_month + np.arange(case.steps)) % 12 + 1
-    due = ends == rule.month
+    due = increases_due(case, case.steps)
     averaging = np.zeros(case.steps)
     for last in np.flatnonzero(due):
         window = slice(max(last + 1 - rule.averaging, 0), last + 1)

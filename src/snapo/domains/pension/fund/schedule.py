@@ -22,7 +22,8 @@ from .terms import PlanTerms, plan_terms
 
 class Swaps(NamedTuple):
     """The overlay: present `notional`, `low`, `high`, `cost` [b], `leverage`, `stress`, and
-    `duration` [b] in years. `nearest` [b, J]: 1 at the payment nodes nearest to the bucket."""
+    `duration` [b] in years. `nearest` [b, J]: 1 at the payment nodes nearest to the bucket, among
+    those of its kind."""
 
     notional: Array
     low: Array
@@ -109,7 +110,12 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
     overlay = case.overlay
     if overlay is None:
         return None
-    far = np.abs(payment_nodes - overlay.maturity[:, None])
+    nearest = np.zeros((case.buckets, len(payment_nodes)))
+    first = case.buckets - overlay.inflation
+    for kind in (slice(0, first), slice(first, case.buckets)):
+        if kind.stop > kind.start:
+            far = np.abs(payment_nodes - overlay.maturity[kind, None])
+            nearest[kind] = np.arange(len(far))[:, None] == far.argmin(axis=0)
     return Swaps(
         notional=use(inputs, overlay.notional),
         # Copies: JAX remembers an array of the case in the type it met first, and policies hold it.
@@ -119,7 +125,7 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
         leverage=use(inputs, overlay.leverage),
         stress=use(inputs, overlay.collateral_stress),
         duration=jnp.asarray(overlay.maturity * case.step),
-        nearest=jnp.asarray(np.arange(case.buckets)[:, None] == far.argmin(axis=0), float),
+        nearest=jnp.asarray(nearest),
     )
 
 

@@ -12,13 +12,14 @@ from jaxtyping import Array, Float
 
 from ..records.assets import Assets
 from ..records.case import PensionCase
+from .dealing import dealt
 
 SHARE = 0.01  # width over which the cost of a trade is rounded while training
 
 
 class Holdings(NamedTuple):
     """`weights` [n] of assets after trading; `notional` [b] money in swaps or None; `cost` money;
-    `bound_excess` by how much the weights leave their bounds (negative inside);
+    `bound_excess` by how much the policy's weights leave their bounds (negative inside);
     `collateral_shortfall` money."""
 
     weights: Array
@@ -33,7 +34,10 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     value of the liability payments nearest to each swap."""
     count, cash = len(case.assets.classes), case.assets.cash
     others = action[:count] * (np.arange(count) != cash)
-    weights = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
+    wanted = others + (np.arange(count) == cash) * (1 - jnp.sum(others))
+    weights = wanted
+    if case.assets.dealing:
+        weights = dealt(case.assets, case.step, wanted, state.weights, smooth)
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
     cost = assets * (traded + jnp.sum(terms.fee * weights))
     notional, short = None, jnp.zeros_like(assets)
@@ -48,7 +52,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
         eligible = np.array([each.eligible for each in case.assets.classes])
         gap = required - assets * jnp.sum(eligible * weights)
         short = smooth.positive_part(gap, SHARE * terms.assets)
-    return Holdings(weights, notional, cost, excess(case.assets, weights), short)
+    return Holdings(weights, notional, cost, excess(case.assets, wanted), short)
 
 
 def _notional(case: PensionCase, swaps, action, assets, buckets, smooth) -> Float[Array, " b"]:

@@ -8,16 +8,20 @@ from jaxtyping import Array, Float
 
 from ..records.inputs import use
 from ..records.market import Curve
+from . import smith_wilson
 
 
 def log_bond(curve: Curve, inputs: dict[str, Any], years: np.ndarray) -> Float[Array, " n"]:
     """ln P(0, t) at times `years` [n] >= 0; of break-evens, minus the log of the expected index.
 
     Zero rates: -z(t) t, z linear between nodes and flat before the first. Forward rates: minus
-    their integral. Beyond the last node as `Curve.extrapolation` says.
+    their integral. Beyond the last node as `Curve.extrapolation` says; "smith-wilson" makes the
+    whole curve.
     """
     years, nodes = np.asarray(years, float), curve.tenor
     rate = use(inputs, curve.rate)
+    if curve.extrapolation == "smith-wilson":
+        return smith_wilson.log_bond(curve, rate, use(inputs, curve.ultimate), years)
     if curve.quote == "zero":
         at_nodes = -rate * nodes
         inside = -_between(nodes, rate, years) * np.minimum(years, nodes[-1])
@@ -31,6 +35,7 @@ def log_bond(curve: Curve, inputs: dict[str, Any], years: np.ndarray) -> Float[A
         forward = (at_nodes[-2] - at_nodes[-1]) / (nodes[-1] - nodes[-2])
     if curve.extrapolation == "flat-forward":
         return inside - forward * beyond
+    assert curve.speed is not None
     # The forward rate moves from the last one to the ultimate one by exp(-speed * beyond).
     fading = -np.expm1(-curve.speed * beyond) / curve.speed
     return inside - forward * fading - use(inputs, curve.ultimate) * (beyond - fading)

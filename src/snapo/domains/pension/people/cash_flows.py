@@ -21,6 +21,7 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, Members
+from .fixed_increases import grown
 from .lives import TINY, Lives, entrants, joined, present, working
 from .mortality import log_survival, partner
 
@@ -72,6 +73,10 @@ def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " 
     wait = np.arange(count) - np.arange(case.steps)[:, None]
     within = count - case.steps
     fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
+    growth = grown(case, inputs, count)
+    if growth is not None:
+        # A right of step t has not grown before it was there.
+        fresh = fresh / growth[: case.steps, None]
     accrued = jnp.where(np.arange(count) < within, streams.held @ streams.unit, 0.0)
     return Projection(accrued, fresh, payroll, streams)
 
@@ -91,7 +96,9 @@ def _streams(
     drawn &= time >= lives.entry[:, None]
     shift = int(plan.timing == "arrears")
     alive = lives.alive[:, shift : count + shift]
-    own = jnp.where(drawn, alive, 0.0) * case.step
+    growth = grown(case, inputs, count)
+    paid = case.step if growth is None else case.step * growth
+    own = jnp.where(drawn, alive, 0.0) * paid
     rights = _accrual(case, inputs, lives)
     groups = np.arange(len(lives.age))
     one, none = np.ones(len(groups)), np.zeros(len(groups))
@@ -101,7 +108,7 @@ def _streams(
     insured[: len(status)] = status != SPOUSE
     share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
     widowed = _partner_alive(case, inputs, lives)[:, shift : count + shift]
-    widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * case.step
+    widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * paid
     return Streams(
         unit=jnp.concatenate([own, widowed, -widowed * alive]),
         held=jnp.tile(lives.pension, 3),
@@ -155,15 +162,18 @@ def _given(
     count, steps = horizon(case), case.steps
     amount = use(inputs, flows.amount)
     accrued = jnp.zeros(count).at[flows.step].add(amount)
+    growth = grown(case, inputs, count)
+    growth = jnp.ones(count) if growth is None else growth
     payroll = jnp.full(steps + 1, use(inputs, flows.salary) * case.step)
     none = jnp.zeros((steps, count))
     if not (case.plan.accruing and flows.normal_cost.values.size):
-        return Projection(accrued, none, payroll, None)
+        return Projection(accrued * growth, none, payroll, None)
     shift = int(case.plan.timing == "arrears")
     discount = jnp.exp(log_bond[shift : count + shift])
     profile = accrued.at[0].set(0.0)
-    value = profile @ discount
+    value = (profile * growth) @ discount
     profile = profile * use(inputs, flows.normal_cost) / jnp.where(value > 0, value, 1.0)
     later = np.arange(count) - np.arange(steps)[:, None]
     fresh = jnp.where(later > 0, profile[np.maximum(later, 0)], 0.0)
-    return Projection(accrued, fresh, payroll, None)
+    fresh = fresh * growth / growth[:steps, None]
+    return Projection(accrued * growth, fresh, payroll, None)

@@ -13,6 +13,7 @@ from snapo.case.table import Section
 from ..market.assets.asset_class import SPECIAL, AssetClass, Names
 from ..market.assets.registry import KINDS
 from ..records.assets import Assets, Group
+from ..records.regulation import RISKS
 from ..records.said import YEARLY, amount, rate, share, volatility
 from .cells import (
     WHOLE,
@@ -37,8 +38,14 @@ MEAN = share(
 )
 VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
 SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
-LIMITS = ("low", "high", "group", "group_low", "group_high")
-OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible")
+RISK = {
+    "equity": "developed",
+    "property": "unlisted-property",
+    "commodity": "commodity",
+    "hedge-fund": "unlisted",
+}  # where the table is silent
+LIMITS = ("low", "high", "group", "group_low", "group_high", "max_sale", "band")
+OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
 COST = rate("the cost of trading as a share of the trade", "assets", "1")
 FEE = rate("the fee per year, as a share of the holding", "assets")
 WEIGHT = share("a weight held today, before the first trade", "assets")
@@ -58,6 +65,9 @@ def read_assets(
         raise section.error("file", got, f"exactly one row of {table.file} must be cash")
     own = [i for i, each in enumerate(classes) if each.own_shock]
     smoothed = [i for i, row in enumerate(rows) if row.cells.get("smoothing")]
+    for column_name in ("max_sale", "band"):
+        if rows[_cash(classes)].cells.get(column_name):
+            raise rows[_cash(classes)].error(column_name, "cash takes what the others leave")
     low = np.array([number(row, "low", 0.0, 0.0, 1.0) for row in rows])
     high = np.array([number(row, "high", 1.0, 0.0, 1.0) for row in rows])
     groups = _groups(rows, classes)
@@ -77,8 +87,27 @@ def read_assets(
         low=low,
         high=high,
         groups=groups,
+        max_sale=_limit(rows, "max_sale", math.inf),
+        band=_limit(rows, "band", 0.0),
+        turnover=table.turnover,
+        risk=tuple(_risk(row, each.kind) for row, each in zip(rows, classes)),
         amount=single("assets", amount_now, amount(AMOUNT, "assets", grid.currency)),
     )
+
+
+def _risk(row: Row, kind: str) -> str:
+    return word(row, "risk", RISKS) if row.cells.get("risk") else RISK.get(kind, "none")
+
+
+def _limit(rows: Sequence[Row], column_name: str, default: float) -> np.ndarray | None:
+    """A column of shares from 0 to 1; None where no row has one."""
+    if not any(row.cells.get(column_name) for row in rows):
+        return None
+    return np.array([number(row, column_name, default, 0.0, 1.0) for row in rows])
+
+
+def _cash(classes: Sequence[AssetClass]) -> int:
+    return next(i for i, each in enumerate(classes) if each.is_cash)
 
 
 def _class(row: Row, names: Names) -> AssetClass:

@@ -16,6 +16,7 @@ from ..market.correlation import all_names
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.plan import Plan
+from ..regulation.read import read_regulation
 from . import people, plan, tables, tables_people
 from .assets import read_assets
 from .cash_plan import Clock
@@ -76,6 +77,9 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
     rules = _plan(reader, grid, start)
+    if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
+        what = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
+        raise CaseError(str(file), "overlay.file", None, what)
     case = PensionCase(
         file=file,
         title=top.title,
@@ -100,6 +104,9 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         objective=read_objectives(str(file), top.objective),
         training=read_training(top.training, str(file)),
         evaluation=read_evaluation(top.evaluation, str(file)),
+        regulation=read_regulation(
+            reader.place("regulation"), reader.maybe(tables.RegulationTable, "regulation"), start
+        ),
         frontier=plan.read_frontier(
             reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
         ),

@@ -1,8 +1,11 @@
 """Reads `[curve]`, `[rates]` and `[inflation]`: quotes at nodes, and the models around them."""
 
 from collections.abc import Mapping
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Literal, NamedTuple
 
+import jax
+import jax.numpy as jnp
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
@@ -11,15 +14,25 @@ from snapo.case.table import nearest
 
 from ..market.rates.registry import MODELS
 from ..market.rates.short_rate import ShortRate
+from ..market.smith_wilson import MOST, cash_flows, distance, fit, log_bond
 from ..records.market import Curve, Inflation
+from ..records.people import PAYMENT_YEARS
 from ..records.said import SQUARE_ROOT, YEARLY, Said, number, quiet_volatility, rate
-from .cells import Grid, Place, alone, empty, listed, rising, single, stepwise, years
+from .cells import NEVER, Grid, Place, alone, empty, listed, rising, single, stepwise, years
 from .tables import CurveTable, InflationTable, RatesTable
 
+SPEED = 0.1  # towards an ultimate rate, where the case does not say
+QUOTES: dict[str, Literal["forward", "swap"]] = {"forward": "forward", "swap": "swap"}
+PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence, and its earliest
+ONLY = 'this key goes with extrapolation "smith-wilson"'
 HELD = "Market values of assets today, prices of risk and excess returns are held"
 ZERO = rate(
     "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
     f" a parallel shift. {HELD}",
+    "curve",
+)
+SWAP = rate(
+    f"KR01: the par swap rate of one tenor, the others held. {HELD}",
     "curve",
 )
 FORWARD = rate(
@@ -52,19 +65,76 @@ class Quotes(NamedTuple):
 
 
 def read_curve(section: Place, table: CurveTable) -> Curve:
-    """The nominal curve; inputs "zero_rate" or "forward_rate"."""
+    """The nominal curve; inputs "zero_rate", "forward_rate" or "swap_rate"."""
     columns = {"zero": ("zero_rate", ZERO), "forward": ("forward_rate", FORWARD)}
-    return quotes(section, table, Quotes("file", table.file, columns, "ultimate_forward"))
+    columns |= {"swap": ("swap_rate", SWAP)}
+    curve = quotes(section, table, Quotes("file", table.file, columns, "ultimate_forward"))
+    return _smith_wilson(section, table, curve)
+
+
+def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
+    """The curve with the numbers of the method; others as they are.
+
+    **Raises:** `CaseError` where keys or quotes do not suit the method, where no speed converges,
+    or where the price of a bond would not be above 0.
+    """
+    if curve.extrapolation != "smith-wilson":
+        if curve.quote == "swap":
+            what = 'a column "swap" goes with "smith-wilson"'
+            raise section.error("extrapolation", curve.extrapolation, what)
+        if table.convergence is not None:
+            raise section.error("convergence", table.convergence, ONLY)
+        return curve
+    last = float(curve.tenor[-1])
+    if curve.quote == "forward":
+        what = 'with "smith-wilson" a column zero or swap is needed'
+        raise section.error("file", table.file, what)
+    if curve.quote == "swap" and np.any(np.abs(curve.tenor - np.round(curve.tenor)) > NEVER):
+        raise section.error("file", table.file, "swaps pay every year: whole tenors are needed")
+    convergence = table.convergence or max(last + PERIOD, EARLIEST)
+    if convergence <= last:
+        raise section.error("convergence", convergence, f"it must lie beyond the tenor {last:g}")
+    whole = np.round(curve.tenor) if curve.quote == "swap" else curve.tenor
+    curve = replace(curve, tenor=whole, speed=table.speed, convergence=convergence)
+    _possible(section, table, curve)
+    return curve
+
+
+def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
+    @jax.jit
+    def whole(rate, ultimate):
+        found = fit(curve, rate, ultimate)
+        dates, flows = cash_flows(curve, rate)
+        own = jnp.exp(-ultimate * dates)[:, None] * flows.T
+        prices = log_bond(curve, rate, ultimate, np.arange(1.0, PAYMENT_YEARS + 61))
+        return found.speed, distance(dates, own, found.speed, curve.convergence), prices
+
+    with jax.enable_x64(True):
+        given = curve.rate.used(), curve.ultimate.used()
+        speed, missed, prices = map(np.asarray, whole(*map(jnp.asarray, given)))
+    if not np.isfinite(prices).all():
+        what = "no Smith-Wilson curve of positive prices meets these quotes with this speed"
+        raise section.error("file", table.file, what)
+    if table.speed is None and missed > 1e-6:
+        what = f"no speed up to {MOST:g} brings the forward rate within a basis point by then"
+        raise section.error("convergence", curve.convergence, what)
+    if table.speed is None:
+        section.notes.append(
+            f"{table.file}: Smith-Wilson with a speed of {float(speed):.6f}, found so that the"
+            f" forward rate at {curve.convergence:g} years is within a basis point of the ultimate"
+            " one; sensitivities move it with the quotes."
+        )
 
 
 def quotes(section: Place, table: CurveTable | InflationTable, given: Quotes) -> Curve:
     """Nodes from a CSV whose second column says which rate is quoted."""
     rows = read_rows(Mention(section, given.key, given.file), ("tenor",))
     column = _quoted(rows, tuple(given.columns))
+    rows = _liquid(section, table, rows)
     tenor = rising(rows, "tenor")
     # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
     rates = np.array([row.number(column, -0.999, 1.0) for row in rows])
-    if table.compounding == "annual":
+    if table.compounding == "annual" and column != "swap":
         rates = np.log1p(rates)
         text = "annual rates were made continuous; sensitivities are per continuous rate."
         section.notes.append(f"{given.file}: {text}")
@@ -73,16 +143,29 @@ def quotes(section: Place, table: CurveTable | InflationTable, given: Quotes) ->
         raise section.error("ultimate", table.ultimate, what)
     far = empty(given.far, ())
     if table.ultimate is not None:
-        far = single(given.far, table.ultimate, ULTIMATE)
+        annual = table.compounding == "annual"
+        ultimate = float(np.log1p(table.ultimate)) if annual else table.ultimate
+        far = single(given.far, ultimate, ULTIMATE)
     name, said = given.columns[column]
     return Curve(
         tenor=tenor,
         rate=listed(name, rates.tolist(), [years(t) for t in tenor], said),
-        quote="forward" if column == "forward" else "zero",
+        quote=QUOTES.get(column, "zero"),
         extrapolation=table.extrapolation,
         ultimate=far,
-        speed=table.speed,
+        speed=SPEED if table.speed is None else table.speed,
     )
+
+
+def _liquid(section: Place, table: CurveTable | InflationTable, rows: list[Row]) -> list[Row]:
+    """The rows up to the last liquid tenor, where the case names one."""
+    last = getattr(table, "last_liquid", None)
+    if last is None:
+        return rows
+    kept = [row for row in rows if row.number("tenor") <= last]
+    if not kept or kept[-1].number("tenor") != last:
+        raise section.error("last_liquid", last, "no row of the file has this tenor")
+    return kept
 
 
 def _quoted(rows: list[Row], columns: tuple[str, ...]) -> str:

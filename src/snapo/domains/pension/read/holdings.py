@@ -10,6 +10,7 @@ from snapo.case.table import Section
 
 from ..records.assets import Overlay
 from ..records.market import Credit, Currencies
+from ..records.regulation import MARKETS
 from ..records.said import YEARLY, Said, amount, rate, share, volatility
 from ..records.said import number as pure
 from .cells import (
@@ -23,6 +24,7 @@ from .cells import (
     single,
     unique,
     whole_steps,
+    word,
     years,
 )
 from .tables import CreditTable, CurrenciesTable, OverlayTable
@@ -81,12 +83,14 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     if table is None:
         return Currencies((), **{name: empty(f"currency_{name}") for name in CURRENCY})
     rows = read_rows(
-        Mention(section, "file", table.file), ("currency", "volatility"), tuple(CURRENCY)
+        Mention(section, "file", table.file), ("currency", "volatility"), (*CURRENCY, "market")
     )
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
+    markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
     return Currencies(
         names=names,
+        emerging=tuple(market == MARKETS[1] for market in markets),
         **{
             name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
             for name, said in CURRENCY.items()
@@ -94,16 +98,23 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     )
 
 
+SWAPS = ("rates", "inflation")  # kinds of swaps of the overlay
+
+
 def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Overlay | None:
     """Swaps by tenor bucket."""
     if table is None:
         return None
     rows = read_rows(
-        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("cost",)
+        Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("kind", "cost")
     )
-    rising(rows, "tenor")
+    kinds = [[row for row in rows if _swap_kind(row) == kind] for kind in SWAPS]
+    for of_kind in kinds:
+        rising(of_kind, "tenor")
+    rows = [row for of_kind in kinds for row in of_kind]
     maturity = [whole_steps(row, "tenor", grid.step) for row in rows]
     labels = [years(steps * grid.step) for steps in maturity]
+    labels = [f"{t} inflation" * (_swap_kind(r) != SWAPS[0]) or t for t, r in zip(labels, rows)]
     low, high = (np.array([row.number(name) for row in rows]) for name in ("low", "high"))
     for row, least, most in zip(rows, low, high):
         if least > most:
@@ -123,4 +134,9 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
         leverage=limit("leverage", share(LIMIT, "overlay")),
         cost=column("overlay_cost", rows, "cost", labels, cost),
         collateral_stress=limit("collateral_stress", share(LIMIT, "overlay", YEARLY)),
+        inflation=len(kinds[1]),
     )
+
+
+def _swap_kind(row: Row) -> str:
+    return word(row, "kind", SWAPS) if row.cells.get("kind") else SWAPS[0]

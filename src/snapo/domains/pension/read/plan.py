@@ -29,7 +29,7 @@ ACCRUAL = rate("the share of salary less offset that a year of service earns", "
 OFFSET, EXPENSES = "the part of a salary without a pension", "the yearly expenses of the scheme"
 SPOUSE = share("the spouse's pension as a share of the member's", "plan")
 MARRIED = share("the share of members with a spouse", "plan")
-INDEXED = rate("a limit of yearly indexation", "plan")
+INDEXED = rate("the rate, or a limit, of yearly indexation", "plan")
 RATIO = share("a funding ratio in the rule of indexation", "plan")
 RULE = share("a number of the rule of contributions", "plan")
 VALUED = rate("the rate that is added to the curve, or takes its place, in valuation", "plan")
@@ -89,7 +89,9 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     kind = table.kind
     used = INCREASES[kind].takes
     cuts = ["required_ratio"] if table.cut_years else []
-    numbers = ("cap", "floor", "lower_ratio", "upper_ratio", "required_ratio")
+    numbers = ("cap", "floor", "lower_ratio", "upper_ratio", "required_ratio", "rate")
+    if kind == "fixed" and table.rate is None:
+        raise section.error("rate", None, 'kind "fixed" needs this key')
     _only(section, table, [*used, *cuts], numbers)
     if table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
@@ -99,7 +101,7 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
 
     def given(name: str) -> Given:
         known = name in used or name in cuts
-        said = INDEXED if name in ("cap", "floor") else RATIO
+        said = INDEXED if name in ("cap", "floor", "rate") else RATIO
         name, value = f"indexation_{name}", getattr(table, name)
         return single(name, value, said) if known else _nothing(name)
 
@@ -113,6 +115,7 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
         upper_ratio=given("upper_ratio"),
         required_ratio=given("required_ratio"),
         cut_years=table.cut_years,
+        rate=given("rate") if kind == "fixed" else None,
     )
 
 

@@ -60,16 +60,18 @@ class FundTable(Table):
 class CurveTable(Table):
     """`[curve]`: the nominal curve, and the measure of the scenarios."""
 
-    file: Name = csv("tenor,zero (or tenor,forward)")
+    file: Name = csv("tenor,zero (or tenor,forward or tenor,swap)")
     measure: Literal["P", "Q"] = words("P", "Q", default="P")
     compounding: Literal["continuous", "annual"] = words(
         "continuous", "annual", default="continuous"
     )
-    extrapolation: Literal["flat-forward", "ultimate"] = words(
-        "flat-forward", "ultimate", default="flat-forward"
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"] = words(
+        "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
-    speed: Positive = Field(0.1, description=ABOVE)
+    speed: Positive | None = Field(None, description=ABOVE)
+    last_liquid: Positive | None = Field(None, description=f"a tenor in years, {ABOVE}")
+    convergence: Positive | None = Field(None, description=f"a term in years, {ABOVE}")
 
 
 class RatesTable(Table):
@@ -114,6 +116,9 @@ class AssetsTable(Table):
     file: Name = csv("name,kind,mean,volatility,weight,low,high and, where they apply, others")
     return_kind: Literal["excess", "total"] = words("excess", "total")
     mean_kind: Literal["geometric", "arithmetic", "log"] = words("geometric", "arithmetic", "log")
+    turnover: Positive | None = Field(
+        None, description=f"the largest share of the assets traded per year, {ABOVE}"
+    )
 
 
 class CreditTable(Table):
@@ -125,7 +130,7 @@ class CreditTable(Table):
 class CurrenciesTable(Table):
     """`[currencies]`"""
 
-    file: Name = csv("currency,volatility,premium,hedge_ratio,hedge_cost")
+    file: Name = csv("currency,market,volatility,premium,hedge_ratio,hedge_cost")
 
 
 class CorrelationsTable(Table):
@@ -138,7 +143,7 @@ class CorrelationsTable(Table):
 class OverlayTable(Table):
     """`[overlay]`: receiver swaps by tenor."""
 
-    file: Name = csv("tenor,notional,low,high,cost")
+    file: Name = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = words("assets", "liability", default="assets")
     leverage: NotNegative = Field(1.0, description=LEAST)
     collateral_stress: NotNegative = Field(0.035, description="a rise in rates of at least 0")
@@ -182,6 +187,17 @@ class StressTable(Table):
     file: Name = csv("scenario,input,label,kind,size")
 
 
+class RegulationTable(Table):
+    """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
+
+    rules: Name = Field(description='"dutch-ftk", or the name of a TOML file of rules')
+    policy_ratios: list[Positive] = Field(
+        [], description="funding ratios at the ends of the last months, the newest last"
+    )
+    insurance_risk: Share = Field(0.0, description=f"a share of the liability, {SHARE}")
+    active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
+
+
 class PensionTable(Table):
     """The whole file."""
 
@@ -210,5 +226,6 @@ class PensionTable(Table):
     sensitivity: dict = Field({}, description="the table [sensitivity]")
     stress: dict | None = Field(None, description="the table [stress]")
     frontier: dict | None = Field(None, description="the table [frontier]")
+    regulation: dict | None = Field(None, description="the table [regulation]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

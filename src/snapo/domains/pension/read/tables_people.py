@@ -90,9 +90,10 @@ class PlanTable(Table):
 class IndexationTable(Table):
     """`[plan.indexation]`"""
 
-    kind: Literal["none", "full", "capped", "conditional"] = words(
-        "none", "full", "capped", "conditional", default="none"
+    kind: Literal["none", "fixed", "full", "capped", "conditional"] = words(
+        "none", "fixed", "full", "capped", "conditional", default="none"
     )
+    rate: Rate | None = Field(None, description=RATE)
     month: Annotated[int, Field(ge=1, le=12)] = Field(1, description="a month, 1 to 12")
     averaging: Annotated[int, Field(ge=1, le=12)] = Field(
         12, description="a whole number of months, 1 to 12"

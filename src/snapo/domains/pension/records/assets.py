@@ -36,6 +36,10 @@ class Assets:
     - `weight`: index [n], weights now, adding up to one.
     - `low`, `high`: [n] bounds between 0 and 1; `groups`: disjoint.
     - `amount`: market value of all assets now, index [].
+    - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
+      `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
+      half the sum of all changes of weights per year. None where no class has a limit.
+    - `risk`: [n] the risk that a regulator sees in each class, one of `regulation.RISKS`.
     """
 
     classes: "tuple[AssetClass, ...]"
@@ -52,6 +56,15 @@ class Assets:
     high: np.ndarray
     groups: tuple[Group, ...]
     amount: Given
+    max_sale: np.ndarray | None = None
+    band: np.ndarray | None = None
+    turnover: float | None = None
+    risk: tuple[str, ...] = ()
+
+    @property
+    def dealing(self) -> bool:
+        """Whether trading has limits of its own."""
+        return any(each is not None for each in (self.max_sale, self.band, self.turnover))
 
     @property
     def cash(self) -> int:
@@ -68,9 +81,11 @@ class Assets:
 class Overlay:
     """Receiver swaps by tenor bucket, each a zero-coupon bond financed at cash; b buckets.
 
-    - `maturity`: [b] whole steps, rising. `notional`: present value of the fixed leg now, money,
-      index [b]. `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of
-      the liability payments that are nearest to the bucket (a hedge ratio).
+    - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
+      receive the growth of prices); the others are of rates.
+    - `maturity`: [b] whole steps, rising among each kind. `notional`: present value of the fixed
+      leg now, money, index [b]. `low`, `high`: [b] limits as a share of `unit`: of assets, or of
+      the value of the liability payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].
     - `cost`: share of the notional traded, index [b].
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
@@ -84,3 +99,4 @@ class Overlay:
     leverage: Given
     cost: Given
     collateral_stress: Given
+    inflation: int = 0

@@ -18,6 +18,7 @@ from .assets import Assets, Overlay
 from .market import Correlation, Credit, Currencies, Curve, Inflation, SuppliedScenarios
 from .people import CashFlows, LeeCarter, Members, Mortality
 from .plan import Liability, Plan, Reconcile
+from .regulation import Regulation
 
 if TYPE_CHECKING:
     from ..market.rates.short_rate import ShortRate
@@ -83,6 +84,7 @@ class PensionCase:
     training: TrainingTable
     evaluation: EvaluationTable
     frontier: Frontier | None = None
+    regulation: Regulation | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

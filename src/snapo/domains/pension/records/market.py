@@ -15,18 +15,22 @@ class Curve:
     - `tenor`: [n] nodes in years, strictly rising, above zero.
     - `rate`: [n], index [n], continuous, unit "1/year", labels "10y". Quote "zero": zero rates,
       linear between nodes, flat before the first. Quote "forward": the forward rate of the
-      interval that ends at the node, constant in it.
+      interval that ends at the node, constant in it. Quote "swap": rates of par swaps that pay
+      once a year, tenors in whole years.
     - `extrapolation`: beyond the last node "flat-forward" keeps the last forward rate;
-      "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node)).
-    - `ultimate`: forward rate far out, index []; used with "ultimate" only.
+      "ultimate" moves the forward rate to `ultimate` by exp(-speed * (years beyond the node));
+      "smith-wilson" is that method for all terms, with `speed`, or where it is None with the
+      least one at which forward rates have come to `ultimate` at `convergence` years.
+    - `ultimate`: forward rate far out, continuous, index []; not used with "flat-forward".
     """
 
     tenor: np.ndarray
     rate: Given
-    quote: Literal["zero", "forward"]
-    extrapolation: Literal["flat-forward", "ultimate"]
+    quote: Literal["zero", "forward", "swap"]
+    extrapolation: Literal["flat-forward", "ultimate", "smith-wilson"]
     ultimate: Given
-    speed: float = 0.1
+    speed: float | None = 0.1
+    convergence: float = 60.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +78,7 @@ class Currencies:
 
     - `volatility`, `premium` (over the difference of rates; under "P" only), `hedge_ratio` (0 to
       1, the share of the exposure that is hedged), `hedge_cost` (share of the hedged amount per
-      year): index [X].
+      year): index [X]. `emerging`: [X] whether its market is an emerging one.
     """
 
     names: tuple[str, ...]
@@ -82,6 +86,7 @@ class Currencies:
     premium: Given
     hedge_ratio: Given
     hedge_cost: Given
+    emerging: tuple[bool, ...] = ()
 
 
 @dataclass(frozen=True, eq=False)

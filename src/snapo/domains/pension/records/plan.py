@@ -12,16 +12,17 @@ from snapo.case.given import Given
 class Indexation:
     """Increases of all pensions, accrued and in payment, once a year in calendar month `month`.
 
-    "none"; "full": price growth since the last time; "capped": the same within `floor` and
+    "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
+    "full": price growth since the last time; "capped": the same within `floor` and
     `cap` (per year); "conditional": the capped one times a ramp, 0 at `lower_ratio` and 1 at
     `upper_ratio` of the policy ratio, the mean funding ratio of the last `averaging` months
     (1 to 12). Cuts: where the policy ratio lies below `required_ratio`, pensions are cut by
     (1 - ratio / required_ratio) / `cut_years`; no cuts where `cut_years` is 0.
 
-    `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`: index [].
+    `cap`, `floor`, `lower_ratio`, `upper_ratio`, `required_ratio`, `rate`: index [].
     """
 
-    kind: Literal["none", "full", "capped", "conditional"]
+    kind: Literal["none", "fixed", "full", "capped", "conditional"]
     month: int
     averaging: int
     cap: Given
@@ -30,6 +31,7 @@ class Indexation:
     upper_ratio: Given
     required_ratio: Given
     cut_years: int
+    rate: Given | None = None
 
 
 @dataclass(frozen=True, eq=False)

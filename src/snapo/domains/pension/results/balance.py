@@ -18,6 +18,7 @@ from ..records.market import Curve
 from .figures.reconcile import Figures
 
 BASIS_POINT = 1e-4
+LINKED = "index-linked"
 
 
 def held_now(case: PensionCase) -> np.ndarray:
@@ -41,23 +42,50 @@ def ladder(
     """Change of value for +1 bp at each node of the curve: assets, swaps, liabilities [nodes].
 
     Classes with a shock of their own count as insensitive to the curve; break-evens are held.
+    `real_assets`, `real_liability`: the part of what pays the price index, so of real rates.
     """
-    curve = case.curve
-    held = slopes(curve, given, lambda moved: log_prices(case, moved))
-    assets = BASIS_POINT * held_now(case) @ held
+    linked = np.array([each.kind == LINKED for each in case.assets.classes])
+    prices = case.liability.future_indexation == "full"
+    liability = np.asarray(figure.key_rate)
+    return _ladder(case, case.curve, given, notional, liability) | {
+        "real_assets": _by_node(case, case.curve, given, linked),
+        "real_liability": liability * prices,
+    }
+
+
+def inflation_ladder(
+    case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
+) -> dict[str, Any]:
+    """IE01: the same for +1 bp at each node of the break-evens, nominal rates held."""
+    liability = np.asarray(figure.key_inflation)
+    return _ladder(case, case.inflation.break_even, given, notional, liability)
+
+
+def _ladder(
+    case: PensionCase,
+    curve: Curve,
+    given: dict[str, Any],
+    notional: np.ndarray,
+    liability: np.ndarray,
+) -> dict[str, Any]:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
         bonds = slopes(curve, given, lambda moved: swap_log_prices(case, moved))
         swaps = BASIS_POINT * notional @ bonds
-    liability = np.asarray(figure.key_rate)
     return {
         "label": list(curve.rate.labels),
         "tenor": curve.tenor,
         "quote": curve.quote,
-        "assets": assets,
+        "assets": _by_node(case, curve, given, np.ones(len(case.assets.classes))),
         "swaps": swaps,
         "liability": liability,
     }
+
+
+def _by_node(case: PensionCase, curve: Curve, given: dict, counted: np.ndarray) -> np.ndarray:
+    """[nodes]: change of value for +1 bp of the classes that are `counted` [n]."""
+    held = slopes(curve, given, lambda moved: log_prices(case, moved))
+    return BASIS_POINT * (counted * held_now(case)) @ held
 
 
 def trades(case: PensionCase, weights: np.ndarray, places: np.ndarray, values: np.ndarray) -> Any:
@@ -89,18 +117,20 @@ def trades(case: PensionCase, weights: np.ndarray, places: np.ndarray, values: n
 def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> dict[str, Any] | None:
     """How far rates may move until eligible assets are used up as collateral, in basis points.
 
-    `direction` is "rise", or "fall" where swaps in sum pay the fixed rate; `headroom` is None
-    where they do not move with rates at all.
+    With swaps of inflation, break-evens fall by as much at the same time. `direction` is "rise",
+    or "fall" where swaps in sum pay the fixed rate; `headroom` is None where they do not move with
+    rates at all.
     """
     if case.overlay is None:
         return None
     amount = float(case.assets.amount.used())
     eligible = amount * sum(w * each.eligible for w, each in zip(weights, case.assets.classes))
-    exposure = float(np.sum(notional * case.overlay.maturity * case.step))
+    years = case.overlay.maturity * case.step
+    exposure, rates = float(np.sum(notional * years)), case.buckets - case.overlay.inflation
     stress = float(case.overlay.collateral_stress.used())
     return {
         "eligible": eligible,
-        "pv01": BASIS_POINT * exposure,
+        "pv01": BASIS_POINT * float(np.sum((notional * years)[:rates])),
         "headroom": eligible / abs(exposure) / BASIS_POINT if exposure else None,
         "direction": "fall" if exposure < 0 else "rise",
         "required": stress / BASIS_POINT,

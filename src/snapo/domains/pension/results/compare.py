@@ -17,6 +17,7 @@ from snapo.solver.train import begin, train
 from snapo.study.study import Setup, StudyRun, Tell
 
 from ..policies.classical import ConstantMix, followers
+from ..policies.present_mix import present_mixes
 from .setup import case_in
 
 AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
@@ -49,7 +50,8 @@ def work(run: StudyRun) -> dict[str, Any]:
     Paired: on the same fresh paths; a positive difference is the learned policy's lead, and its
     standard error comes from the differences path by path. The classical policies take as many
     steps of training as the network did, those that follow the funding ratio on top of the
-    constant mix from which they start; of each the best along the way is kept.
+    constant mix from which they start; of each the best along the way is kept. The present mix,
+    rebalanced at every step and yearly, is held as it is: it may leave the bounds.
     """
     return {"policies": compare(run.setup, run.solution, run.tell)}
 
@@ -72,6 +74,9 @@ def compare(setup: Setup, solution: Solution, tell: Tell) -> list[dict[str, Any]
     for key, (name, start) in followers(case, mix, reached(problem, totals)).items():
         tell(f"tuning {name.lower()}")
         measure(key, name, tuned(setup, start))
+    for key, (name, policy) in present_mixes(case).items():
+        tell(f"holding {name.lower()}")
+        measure(key, name, policy)
     return found
 
 

@@ -4,12 +4,16 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
+import jax
 import numpy as np
 
+from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 from snapo.study.study import StudyRun
 
+from ..fund.dealing import dealt
 from ..records.case import PensionCase
+from ..regulation.stand import recovery, stand
 from .setup import case_of
 
 PATHS = 4096
@@ -31,6 +35,9 @@ def work(run: StudyRun) -> dict[str, Any]:
         "first_decision": first_decision(record),
         "recorded_paths": record.action.shape[1],
     }
+    if record.case.regulation is not None:
+        asked = stand(record.case, plain(run.setup.problem.inputs)).required_ratio
+        found["recovery"] = recovery(record.case, record.funding, asked)
     years = found["by_year"]
     columns = {"year": years["years"], "underfunded": years["underfunded"]}
     columns |= {f"funding_{name}": values for name, values in years["funding"].items()}
@@ -40,7 +47,8 @@ def work(run: StudyRun) -> dict[str, Any]:
 
 @dataclass(frozen=True, eq=False)
 class Record:
-    """Recorded paths: `action` [T, N, A], `funding` [T + 1, N], outputs {name: [T, N]}."""
+    """Recorded paths: `action` [T, N, A] with the weights that limits of trading allowed, `funding`
+    [T + 1, N], outputs {name: [T, N]}."""
 
     case: PensionCase
     action: np.ndarray
@@ -54,10 +62,15 @@ class Record:
         problem, bound = setup.problem, setup.engines.evaluate.bind(setup.problem)
         source, actions, outputs, last = problem.sources.evaluation, [], [], []
         paths = source.available(min(PATHS, setup.evaluation.paths))
+        limited = case_of(run).assets.dealing
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
-            rolled = bound.values(policy, draws, Exact(), record=("action", "outputs"))
-            actions.append(np.asarray(rolled.record["action"]))
+            record = ("action", "outputs", *(("state",) * limited))
+            rolled = bound.values(policy, draws, Exact(), record=record)
+            action = np.asarray(rolled.record["action"])
+            if limited:
+                action = _traded(case_of(run), action, rolled.record["state"].weights)
+            actions.append(action)
             outputs.append({k: np.asarray(v) for k, v in rolled.record["outputs"].items()})
             last.append(np.asarray(rolled.totals["funding_ratio"]))
         found = {k: np.concatenate([each[k] for each in outputs], 1) for k in outputs[0]}
@@ -78,6 +91,20 @@ class Record:
         return self.action[:, :, len(self.case.assets.classes) :]
 
 
+def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
+    """The actions [T, N, A] with weights as traded, from those `held` [T, N, n] before."""
+    count = len(case.assets.classes)
+    wanted = action[:, :, :count].astype(np.float64)
+    wanted[:, :, case.assets.cash] += 1 - wanted.sum(2)
+    with jax.enable_x64(True):
+
+        def one(wanted, held):
+            return dealt(case.assets, case.step, wanted, held, Exact())
+
+        weights = jax.jit(jax.vmap(jax.vmap(one)))(wanted, np.asarray(held, np.float64))
+    return np.concatenate([np.asarray(weights), action[:, :, count:]], 2)
+
+
 def by_year(record: Record) -> dict[str, Any]:
     """Fans at the ends of years: funding ratio, contributions, indexation; and probabilities."""
     case = record.case
@@ -94,6 +121,9 @@ def by_year(record: Record) -> dict[str, Any]:
     for name, output in (("contribution", "contribution"), ("benefit", "benefit")):
         found[name] = _fan(_yearly(record.outputs[output], each))
     granted = _yearly(record.outputs["granted"] - record.outputs["cut"], each)
+    if case.plan.indexation.rate is not None:
+        # Fixed increases are part of the payments, and are not granted on top.
+        granted = granted + float(case.plan.indexation.rate.used())
     found["indexation"] = _fan(granted)
     found["cumulated"] = _fan(np.cumprod(1 + granted, 0))
     return found

@@ -160,7 +160,8 @@ def rivals(run: PensionRun) -> Section:
     ]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
-        " same bounds. The lead is paired path by path; the error is one standard error of it."
+        " same bounds; the present mix is held as it is, untuned. The lead is paired path by path;"
+        " the error is one standard error of it."
     )
     table = Table(head, body, "", 1, strong=frozenset([0]))
     return Section("policies", title, short, [table, Text(caption, True), _cloud(run, rows, unit)])

@@ -12,8 +12,9 @@ CAVEAT = (
     "First-order effects of the usual moves, decisions held, one adjoint pass for each output over"
     " the same paths. Points are hundredths of the funding ratio or of probability; money is that"
     " share of today's liability, and for contributions their present value itself. The probability"
-    " moves with the paths that end within about 2 points of full funding. A utility as objective"
-    " is in units of its own. Every number: outputs.csv."
+    " is the exact share of paths; its effects are those of a logistic step of width 2 points, the"
+    " mean of 1 / (1 + exp((F - 1) / 0.02)). A utility as objective is in units of its own. Every"
+    " number: outputs.csv."
 )
 
 

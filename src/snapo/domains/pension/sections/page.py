@@ -4,7 +4,7 @@ from snapo.report.quantity import long_date, number
 from snapo.report.sections.bound import bound
 from snapo.study.domain import Report
 
-from . import decisions, evidence, frontier, outcome, outputs, reconciliation, risk
+from . import decisions, evidence, frontier, ladder, outcome, outputs, reconciliation, risk
 from .run import PensionRun
 
 SECTIONS = (
@@ -21,7 +21,7 @@ SECTIONS = (
     decisions.policy,
     outputs.outputs,
     risk.sensitivities,
-    risk.ladder,
+    ladder.ladder,
     decisions.limits,
     reconciliation.stress,
     evidence.history,

@@ -8,6 +8,7 @@ from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Sect
 from snapo.report.quantity import finite, number, percent, plus_minus, power
 
 from .evidence import checks
+from .regulation import regulation
 from .run import PensionRun, points, share
 
 NAMES = {"liability": "Liability today", "duration": "Duration of the liability"}
@@ -104,10 +105,12 @@ def reconciliation(run: PensionRun) -> Section:
                 ("Convexity", number(data.get("convexity"), 1), "years², of a parallel shift"),
                 ("Duration of assets", number(data.get("asset_duration"), 2), "years, with swaps"),
                 ("Hedge ratio", percent(data.get("hedge_ratio"), 0), "of a parallel shift"),
+                ("Inflation hedge", _hedged(data), "of a rise of all break-evens"),
                 ("Inflation +1 bp", run.large(data.get("inflation01"), 3, True), "change of L"),
             ]
         )
     )
+    blocks += regulation(run)
     if tests := run.get("market_consistency"):
         blocks.append(_consistency(run, tests))
     if durations := data.get("key_rate_durations"):
@@ -116,6 +119,11 @@ def reconciliation(run: PensionRun) -> Section:
     if flow:
         blocks.append(_cash_flow(run, np.asarray(flow, np.float64)))
     return Section("reconciliation", title, short, blocks)
+
+
+def _hedged(data: dict) -> str:
+    ratio = data.get("inflation_hedge_ratio")
+    return "none due" if ratio is None else percent(ratio, 0)
 
 
 def _line(each: dict) -> tuple:

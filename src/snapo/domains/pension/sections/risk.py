@@ -1,8 +1,6 @@
-"""Sensitivities: the tornado, key rates of the strategy and of the balance sheet, all others."""
+"""Sensitivities: the tornado, key rates of the strategy, all others."""
 
-import numpy as np
-
-from snapo.report.bands import Bars, Swing, grouped, tornado
+from snapo.report.bands import Swing, tornado
 from snapo.report.charts import BLOCK_INTERVAL
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
@@ -12,8 +10,6 @@ from .run import PensionRun
 from .words import name_of
 
 CURVE = "curve"  # the group of inputs that are nodes of a curve
-EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
-BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
 HELD = (
     "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
     " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
@@ -123,65 +119,3 @@ def _definitions(families: list[dict]) -> Table:
         (name_of(each["input"]), f"+ {each['move']}: {each.get('words', '')}") for each in families
     ]
     return Table([("Input", ""), ("The move", "")], rows, "Definitions", 2)
-
-
-def ladder(run: PensionRun) -> Section:
-    """Key-rate ladder of assets, swaps and liabilities today, with hedge ratios by bucket."""
-    title, short = "Key-rate ladder and hedge ratios today", "Hedge ratios"
-    now = run.get("ladder")
-    tenor = run.numbers("ladder.tenor")
-    if not now or tenor is None:
-        text = "The key-rate ladder is not in this run."
-        return Section("ladder", title, short, [Missing(text)])
-    place = np.digitize(tenor, EDGES)
-
-    def bucketed(path: str) -> np.ndarray:
-        values = run.numbers(path)
-        values = np.zeros(len(tenor)) if values is None else np.nan_to_num(values)
-        return np.bincount(place, values, len(BUCKET_NAMES))
-
-    names = ("assets", "swaps", "liability")
-    before = {name: bucketed(f"ladder.{name}") for name in names}
-    after = {name: bucketed(f"ladder_after.{name}") for name in names}
-    used = np.flatnonzero(np.abs(before["liability"]) + np.abs(before["assets"]) > 0)
-    labels = [BUCKET_NAMES[i] for i in used]
-    scale, unit = run.size(*before.values(), *after.values())
-    series = [
-        Bars("Assets, policy", after["assets"][used] / scale, "inject"),
-        Bars("Swaps, policy", after["swaps"][used] / scale, "withdraw"),
-        Bars("Liability", before["liability"][used] / scale, "main"),
-    ]
-    alt = "Change of value for a rise of 1 bp by tenor bucket, of assets, swaps and liability."
-    svg = draw("ladder", alt, lambda axes: grouped(axes, labels, series, f"{unit} per bp"), 230)
-    caption = (
-        "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
-        " gain: the hedge ratio is the assets' and swaps' change over the liability's."
-    )
-    table = _hedge(before, after, used, labels, scale, unit)
-    return Section("ladder", title, short, [Chart(svg, caption), table])
-
-
-def _hedge(before: dict, after: dict, used, labels, scale: float, unit: str) -> Table:
-    def line(name: str, i) -> tuple[str, ...]:
-        parts = [float(np.sum(each[key][i])) for each, key in _columns(before, after)]
-        liability = parts[4]
-        ratios = [_ratio(parts[0] + parts[1], liability), _ratio(parts[2] + parts[3], liability)]
-        shown = [number(each / scale, 3, True) for each in parts]
-        return (name, shown[4], shown[0], shown[1], ratios[0], shown[2], shown[3], ratios[1])
-
-    rows = [line(label, [i]) for label, i in zip(labels, used)]
-    rows.append(line("All", used))
-    head = [("Tenor", ""), ("Liability", unit), ("Assets now", unit), ("Swaps now", unit)]
-    head += [("Hedge ratio", "%"), ("Assets, policy", unit), ("Swaps, policy", unit)]
-    head.append(("Hedge ratio", "%"))
-    text = "Change for +1 bp, and hedge ratios: now, and after today's trades"
-    return Table(head, rows, text, 1, strong=frozenset([len(rows) - 1]))
-
-
-def _columns(before: dict, after: dict):
-    keys = ("assets", "swaps")
-    return [(each, key) for each in (before, after) for key in keys] + [(before, "liability")]
-
-
-def _ratio(part: float, whole: float) -> str:
-    return number(100 * part / whole, 0) if abs(whole) > 0 else ""

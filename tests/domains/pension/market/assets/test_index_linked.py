@@ -23,13 +23,16 @@ from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.asset_class import log_prices
 from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.index_linked import IndexLinked
+from snapo.domains.pension.market.assets.swaps import swap_log_prices
 from snapo.domains.pension.market.curve import log_bond
 from snapo.domains.pension.market.dynamics import move
 from snapo.domains.pension.market.factors import factors, moments, real, shape, slope
 from snapo.domains.pension.market.shocks import covariance
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
-from snapo.domains.pension.results.balance import held_now, slopes
+from snapo.domains.pension.results.balance import held_now, inflation_ladder, ladder, slopes
+from snapo.domains.pension.results.figures.human import human
+from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 
@@ -206,3 +209,47 @@ def test_its_derivatives_are_those_of_differences(measure):
                 assert exact == pytest.approx(central, rel=1e-6, abs=1e-15 / h), name
                 checked += 1
     assert checked >= 10
+
+
+@pytest.mark.prove
+def test_a_swap_of_inflation_earns_the_index_linked_bond_less_the_nominal_one():
+    """On every path and under both measures, and today it moves with break-evens alone."""
+    for measure in ("P", "Q"):
+        one = with_linked(measure)
+        assert one.overlay is not None
+        overlay = replace(
+            one.overlay, maturity=np.array([MONTHS, MONTHS]), inflation=1
+        )  # of rates, and of inflation
+        one = replace(one, overlay=overlay)
+        after = moved(one, 0, draws(one, 16))
+        nominal, swap = np.exp(after.swaps[:, 0]), np.expm1(after.swaps[:, 1])
+        linked = after.gross[:, 4] / np.exp(after.cash)
+        assert swap == pytest.approx(linked - nominal, abs=1e-14)
+    inputs = plain(pension_inputs(one))
+    by_rate = slopes(one.curve, inputs, lambda given_: swap_log_prices(one, given_))
+    assert np.abs(by_rate[1]).max() == 0
+    assert by_rate[0].sum() == pytest.approx(-MONTHS * one.step)
+    by_price = slopes(one.inflation.break_even, inputs, lambda g: swap_log_prices(one, g))
+    assert by_price[1].sum() == pytest.approx(MONTHS * one.step)
+    assert np.abs(by_price[0]).max() == 0
+
+
+@pytest.mark.prove
+def test_the_ladders_of_a_matched_index_linked_fund_cancel_at_every_node():
+    """PV01 and IE01 of assets less liability, and the hedge ratios are one."""
+    one = single(True, plan=plan(indexation="full"))
+    inputs = plain(pension_inputs(one))
+    found = figures(one, inputs)
+    scaled = replace(one, assets=replace(one.assets, amount=given("assets", found.liability)))
+    inputs = plain(pension_inputs(scaled))
+    none = np.zeros(0)
+    for made in (ladder, inflation_ladder):
+        rows = made(scaled, inputs, found, none)
+        assert rows["assets"] - rows["liability"] == pytest.approx(0.0, abs=1e-9)
+        assert np.abs(rows["assets"]).max() > 0.01
+    rates = ladder(scaled, inputs, found, none)
+    assert rates["real_assets"] == pytest.approx(rates["assets"])
+    assert rates["real_liability"] == pytest.approx(rates["liability"])
+    seen = human(scaled, inputs, found)
+    assert seen.hedge_ratio == pytest.approx(1.0, abs=1e-9)
+    assert seen.inflation_hedge_ratio == pytest.approx(1.0, abs=1e-9)

@@ -17,6 +17,7 @@ USUAL = Human(
     duration=18.7,
     asset_duration=6.4,
     hedge_ratio=0.36,
+    inflation_hedge_ratio=None,
     rate={1: 0.021, 10: 0.024, 30: 0.024},
     rate_volatility={1: 0.008, 10: 0.007, 30: 0.005},
     returns={"Cash": 0.02, "Equity": 0.054},

@@ -15,6 +15,7 @@ from ...market.dynamics import market_schedule, move
 from ...market.shocks import reach, slots
 from ...market.state import without_empty
 from ...records.case import PensionCase
+from ...records.market import Curve
 from .reconcile import BASIS_POINT, Figures
 
 TENORS = (1, 10, 30)  # years at which rates are told
@@ -27,6 +28,7 @@ class Human(NamedTuple):
     - `duration`: of the liability; `asset_duration`: of assets with swaps over assets; years, of a
       parallel shift of the curve. `hedge_ratio`: the change of assets and swaps over that of the
       liability for that shift; None where the liability does not follow the curve.
+      `inflation_hedge_ratio`: the same for a rise of all break-evens, nominal rates held.
     - `rate`, `rate_volatility`: continuous zero rates, and the standard deviation of their change
       in a year at the pace of today; by `TENORS`. `rate_volatility` is empty under supplied
       scenarios.
@@ -40,6 +42,7 @@ class Human(NamedTuple):
     duration: float
     asset_duration: float
     hedge_ratio: float | None
+    inflation_hedge_ratio: float | None
     rate: dict[int, float]
     rate_volatility: dict[int, float]
     returns: dict[str, float]
@@ -50,11 +53,13 @@ def human(case: PensionCase, inputs: dict[str, Any], found: Figures) -> Human:
     assets, liability = float(case.assets.amount.used()), found.liability
     with jax.enable_x64(True):
         given = {name: jnp.asarray(values, jnp.float64) for name, values in inputs.items()}
-        held = _parallel(case, given)
+        held = _parallel(case, given, case.curve)
+        linked = _parallel(case, given, case.inflation.break_even)
         rates = np.asarray(-log_bond(case.curve, given, np.array(TENORS))) / TENORS
         volatility = {} if case.scenarios is not None else _rate_volatility(case, given)
         grown = _supplied(case) if case.scenarios is not None else _median(case, given)
     owed = float(np.sum(found.key_rate)) / BASIS_POINT
+    promised = found.inflation01 / BASIS_POINT
     return Human(
         assets=assets,
         liability=liability,
@@ -62,16 +67,16 @@ def human(case: PensionCase, inputs: dict[str, Any], found: Figures) -> Human:
         duration=found.duration,
         asset_duration=-held / assets,
         hedge_ratio=held / owed if owed else None,
+        inflation_hedge_ratio=linked / promised if promised else None,
         rate=dict(zip(TENORS, rates.tolist())),
         rate_volatility=volatility,
         returns=dict(zip((each.name for each in case.assets.classes), grown.tolist())),
     )
 
 
-def _parallel(case: PensionCase, given: dict[str, Any]) -> float:
-    """d (assets and swaps today) / d parallel shift of the curve, money."""
-    name = case.curve.rate.name
-    quotes = jnp.asarray(case.curve.rate.values)
+def _parallel(case: PensionCase, given: dict[str, Any], curve: Curve) -> float:
+    """d (assets and swaps today) / d shift of all quotes of `curve`, money."""
+    name, quotes = curve.rate.name, jnp.asarray(curve.rate.values)
 
     def worth(shift):
         moved = given | {name: quotes + shift}

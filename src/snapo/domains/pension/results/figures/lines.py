@@ -8,6 +8,7 @@ from snapo.problem.inputs import plain
 
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
+from ...regulation.stand import stand
 from .human import Human, human
 from .monthly import against_months
 from .plausible import remarks
@@ -52,6 +53,7 @@ def lines(case: PensionCase) -> list[str]:
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
         *_human(case, found.human),
+        *_regulation(case),
         *(_line(case, line) for line in found.lines),
         *(f"note: {each}" for each in found.remarks),
     ]
@@ -68,12 +70,26 @@ def _human(case: PensionCase, found: Human) -> list[str]:
     lengths = [f"liability {found.duration:.1f} years", f"assets {found.asset_duration:.1f} years"]
     if found.hedge_ratio is not None:
         lengths.append(f"hedge ratio {found.hedge_ratio:.0%}")
+    if found.inflation_hedge_ratio is not None:
+        lengths.append(f"of inflation {found.inflation_hedge_ratio:.0%}")
     told = [", ".join(size), f"duration: {', '.join(lengths)}", f"rates: {_by_tenor(found.rate)}"]
     if found.rate_volatility:
         told.append(f"volatility of rates, a year: {_by_tenor(found.rate_volatility)}")
     grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())
     told.append(f"returns a year, without shocks: {grown}")
     return told
+
+
+def _regulation(case: PensionCase) -> list[str]:
+    """The fund before its regulator; nothing where the case names none."""
+    if case.regulation is None:
+        return []
+    found = stand(case, plain(pension_inputs(case)))
+    return [
+        f"required own funds {readable(found.required, case.currency)}: required funding ratio"
+        f" {found.required_ratio:.1%}, minimum {found.minimum_ratio:.1%}, policy ratio"
+        f" {found.policy_ratio:.1%} (rules from {case.regulation.rules.since})"
+    ]
 
 
 def _by_tenor(values: dict[int, float]) -> str:

@@ -24,7 +24,8 @@ class Figures(NamedTuple):
     - `liability`: value now on the case's basis, money. `duration`: years, minus d ln L / d rate
       for a parallel shift of continuous rates; `convexity`: years squared.
     - `key_rate`: [n] change of the liability, money, for +1 bp at each node of the nominal curve;
-      `inflation01`: for +1 bp on all break-evens. 0 where the basis does not use that curve.
+      `key_inflation` [k] the same of break-evens, `inflation01` their sum. 0 where the basis does
+      not use that curve.
     - `cash_flow`: [S] expected payments of accrued rights by step, money, before indexation.
     """
 
@@ -32,6 +33,7 @@ class Figures(NamedTuple):
     duration: float
     convexity: float
     key_rate: np.ndarray
+    key_inflation: np.ndarray
     inflation01: float
     cash_flow: np.ndarray
 
@@ -52,8 +54,8 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     case = replace(case, scenarios=None)
     held = _with_curves(case, inputs)
     with jax.enable_x64(True):
-        flow, discount = map(np.asarray, _payments(case, held))
-        slopes = jax.grad(lambda given: jnp.dot(*_payments(case, given)))(held)
+        flow, discount = map(np.asarray, payments(case, held))
+        slopes = jax.grad(lambda given: jnp.dot(*payments(case, given)))(held)
         slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
@@ -65,6 +67,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
         duration=float(value @ years) / scale,
         convexity=float(value @ years**2) / scale,
         key_rate=BASIS_POINT * slopes[case.curve.rate.name],
+        key_inflation=BASIS_POINT * slopes[prices],
         inflation01=BASIS_POINT * float(slopes[prices].sum()),
         cash_flow=flow[: horizon(case) - case.steps],
     )
@@ -90,7 +93,7 @@ def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = Non
     return lines
 
 
-def _payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
+def payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
     """Expected payments by step [N] and their discount factors."""
     log_bond = basis_log_bond(case, inputs)
     flow = project(case, inputs, log_bond).accrued

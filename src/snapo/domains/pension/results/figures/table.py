@@ -4,9 +4,12 @@ from typing import Any
 
 import numpy as np
 
+from snapo.problem.inputs import plain
 from snapo.study.study import StudyRun
 
 from ...records.case import PensionCase
+from ...records.inputs import pension_inputs
+from ...regulation.stand import stand
 from ..setup import case_of
 from .lines import examine
 from .reconcile import BASIS_POINT, Figures
@@ -31,11 +34,17 @@ def work(run: StudyRun) -> dict[str, Any]:
         "inflation01": found.inflation01,
         "asset_duration": seen.asset_duration,
         "hedge_ratio": seen.hedge_ratio,
+        "inflation_hedge_ratio": seen.inflation_hedge_ratio,
         "rate_volatility": seen.rate_volatility,
         "returns": seen.returns,
         "key_rate_durations": _key_rate_durations(case, found),
         "cash_flow": flow[:whole].reshape(-1, each).sum(1),
     }
+    if case.regulation is not None:
+        asked = stand(case, plain(pension_inputs(case)))
+        rules = case.regulation.rules
+        told = asked._asdict() | {"losses": asked.losses._asdict()}
+        table["regulation"] = told | {"since": rules.since, "source": rules.source}
     return {"reconciliation": table, "liability": found.liability, "funding": seen.funding}
 
 

@@ -1,0 +1,77 @@
+"""What K outputs cost: one adjoint pass for K cotangents against K passes, in value passes.
+
+    python -m benchmarks.pension_outputs [--paths 1024] [--rounds 15]
+
+The small pension example over two years, native engine in float64, decisions recorded and held, as
+the sensitivities of several outputs need them. In one process and alternately; medians.
+"""
+
+import argparse
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+import numpy as np
+
+from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.read.case import read_case
+from snapo.domains.pension.results.outputs import ASKED
+from snapo.domains.pension.results.setup import make_setup
+from snapo.problem.smooth import Exact
+
+
+def bound(folder: Path, paths: int):
+    """The engine, its scenarios, recorded actions, and the weights of each output."""
+    template = Path(str(DOMAIN.templates["small"]))
+    for file in template.iterdir():
+        (folder / file.name).write_text(file.read_text().replace("years = 10 ", "years = 2 "))
+    setup = make_setup(read_case(folder), "native")
+    problem, policy = setup.problem, setup.policy
+    engine = setup.engines.evaluate.bind(problem)
+    draws = problem.sources.evaluation.draws(np.arange(paths), problem.simulator)
+    rolled = engine.values(policy, draws, Exact(), record=("action",))
+    totals = {name: np.asarray(total) for name, total in rolled.totals.items()}
+    weights = [problem.objective.weights(totals)]
+    weights += [goal.weights(totals) for _, _, _, goal in ASKED]
+    return engine, policy, draws, rolled.record["action"], weights
+
+
+def together(weights: list[dict], count: int) -> dict[str, np.ndarray]:
+    """{output: [count, N]} of the first of them."""
+    names = {name for each in weights[:count] for name in each}
+    size = len(next(iter(weights[0].values())))
+    return {n: np.stack([w.get(n, np.zeros(size)) for w in weights[:count]]) for n in names}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--paths", type=int, default=1024)
+    parser.add_argument("--rounds", type=int, default=15)
+    given = parser.parse_args()
+    with tempfile.TemporaryDirectory() as folder:
+        engine, policy, draws, actions, weights = bound(Path(folder), given.paths)
+
+    def pull(count: int):
+        options = {"actions": actions, "wrt": ("schedule",)}
+        return engine.adjoint(None, draws, Exact(), together(weights, count), **options)
+
+    counts = range(1, len(weights) + 1)
+    work = {"value": lambda: engine.values(policy, draws, Exact())}
+    work |= {f"K = {k}": (lambda k=k: pull(k)) for k in counts}
+    spent: dict[str, list[float]] = {name: [] for name in work}
+    for done in range(given.rounds + 1):
+        for name, run in work.items():
+            start = time.perf_counter()
+            np.asarray(next(iter(run().totals.values())))
+            if done:  # the first compiles
+                spent[name].append(time.perf_counter() - start)
+    value = statistics.median(spent["value"])
+    print(f"{given.paths} paths, value pass {1e3 * value:.1f} ms")
+    for k in counts:
+        median = statistics.median(spent[f"K = {k}"])
+        print(f"K = {k}: {median / value:.2f} value passes; asked for {1 + 0.6 * k:.1f}")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Limits of trading: how far one step may move the weights towards those of the policy.
+
+In this order: a class within its `band` of the wanted weight is not traded; of a class with a
+`max_sale` no more is sold than that share of the holding per year (0: nothing); purchases shrink
+together until no less cash is left than wanted; all trades shrink together to the turnover of a
+step, where turnover is half the sum of all changes of weights, per year.
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.smooth import Constraints
+
+from ..records.assets import Assets
+
+NEAR = 0.001  # of a weight, over which corners are rounded while training
+NONE = 1e-12  # of the assets: fewer purchases than this are none
+
+
+def dealt(
+    assets: Assets, step: float, wanted: Array, now: Array, smooth: Constraints
+) -> Float[Array, " n"]:
+    """The weights after trading, from those `now` [n] towards those `wanted` [n]; both add up to
+    1, and so do the result's."""
+    cash, count = assets.cash, len(assets.classes)
+    is_cash = np.arange(count) == cash
+    move = jnp.where(is_cash, 0.0, wanted - now)
+    if assets.band is not None:
+        band = jnp.asarray(assets.band, move.dtype)
+        far = smooth.indicator(jnp.abs(move) - band, NEAR)
+        move = jnp.where(assets.band > 0, far * move, move)
+    if assets.max_sale is not None:
+        limited = np.isfinite(assets.max_sale)
+        most = jnp.asarray(np.where(limited, assets.max_sale, 0.0) * step, move.dtype) * now
+        move = jnp.where(limited, smooth.maximum(move, -most, NEAR), move)
+    bought = jnp.sum(jnp.maximum(move, 0.0))
+    free = now[cash] - wanted[cash] - jnp.sum(jnp.minimum(move, 0.0))
+    paid = smooth.clip(free, 0.0, bought, NEAR)
+    move = jnp.where(move > 0, move * paid / jnp.where(bought > NONE, bought, 1.0), move)
+    if assets.turnover is not None:
+        most = assets.turnover * step
+        turned = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2
+        move = move * most / smooth.maximum(turned, most, NEAR)
+    return now + move - jnp.where(is_cash, jnp.sum(move), 0.0)

@@ -1,0 +1,109 @@
+"""The Smith-Wilson curve: it meets every quote, and its forward rates go to an ultimate one.
+
+With w the ultimate forward rate (continuous), H the heart of Wilson's function and u the m dates
+of the quotes' cash flows, a bond that pays 1 at t costs
+
+    P(t) = exp(-w t) (1 + H(t, u) Q b),   H(t, u) = (a (t + u) + exp(-a (t + u)) - a |t - u|
+                                                     - exp(-a |t - u|)) / 2
+
+Each quote is an instrument of price 1 whose cash flows, times exp(-w u), are a column of Q [m, n];
+b solves Q' H Q b = 1 - Q' 1. The speed a is given, or the least from 0.05 to 1 at which the forward
+rate at the convergence point T is within one basis point of w:
+
+    |f(T) - w| = a / |1 - k exp(a T)|,   k = (1 + a u' Q b) / (sinh(a u)' Q b)
+
+EIOPA, Technical documentation of the methodology to derive EIOPA's risk-free interest rate term
+structures, 12 September 2019, sections 7 and 8 (a rounded up to six decimals there, here not).
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.market import Curve
+
+LEAST, MOST = 0.05, 1.0  # of the speed
+NEAR = 1e-4  # the distance of the forward rate at the convergence point
+# The speed is looked for in 95 parts of its range, then in 95 of the part where it lies, and so on.
+SHARES, ROUNDS = np.linspace(0.0, 1.0, 96), 5
+
+
+class Fit(NamedTuple):
+    """A fitted curve: `dates` [m] of the cash flows, `weights` Q b [m], `speed` a."""
+
+    dates: np.ndarray
+    weights: Array
+    speed: Array
+
+
+def log_bond(
+    curve: Curve, rate: Array, ultimate: Array, years: np.ndarray
+) -> Float[Array, " times"]:
+    """ln P(0, t) at times `years` [times] >= 0; derivatives follow a speed that was found."""
+    found = fit(curve, rate, ultimate)
+    added = heart(years, found.dates, found.speed) @ found.weights
+    return jnp.log1p(added) - ultimate * years
+
+
+def fit(curve: Curve, rate: Array, ultimate: Array) -> Fit:
+    """The weights that meet the quotes `rate` [n]."""
+    dates, flows = cash_flows(curve, rate)
+    own = jnp.exp(-ultimate * dates)[:, None] * flows.T
+    if curve.speed is not None:
+        speed = jnp.asarray(curve.speed)
+    else:
+        speed = _found_speed(dates, own, curve.convergence)
+    return Fit(dates, _weights(dates, own, speed), speed)
+
+
+def cash_flows(curve: Curve, rate: Array) -> tuple[np.ndarray, Float[Array, "n m"]]:
+    """Dates [m] and payments of n instruments of price 1: zero-coupon bonds, or par bonds that
+    pay the swap rate every year."""
+    if curve.quote == "zero":
+        return curve.tenor, jnp.diag(jnp.exp(rate * curve.tenor))
+    dates = np.arange(1.0, curve.tenor[-1] + 0.5)
+    coupon, last = dates <= curve.tenor[:, None], dates == curve.tenor[:, None]
+    return dates, rate[:, None] * coupon + last
+
+
+def heart(times: np.ndarray, dates: np.ndarray, speed: Array) -> Float[Array, "times m"]:
+    """H(t, u)."""
+    total, apart = times[:, None] + dates, np.abs(times[:, None] - dates)
+    return (speed * (total - apart) + jnp.exp(-speed * total) - jnp.exp(-speed * apart)) / 2
+
+
+def distance(dates: np.ndarray, own: Array, speed: Array, convergence: float) -> Array:
+    """ln of |f(T) - w| over the one that is asked for; 0 or less where it is met."""
+    weights = _weights(dates, own, speed)
+    k = (1 + speed * dates @ weights) / (jnp.sinh(speed * dates) @ weights)
+    gap = speed / jnp.abs(1 - k * jnp.exp(speed * convergence))
+    return jnp.log(gap / NEAR)
+
+
+def _weights(dates: np.ndarray, own: Array, speed: Array) -> Float[Array, " m"]:
+    matrix = own.T @ heart(dates, dates, speed) @ own
+    return own @ jnp.linalg.solve(matrix, 1 - own.sum(0))
+
+
+def _found_speed(dates: np.ndarray, own: Array, convergence: float) -> Array:
+    """The least speed that converges, with its derivative by the implicit function theorem."""
+    held = jax.lax.stop_gradient(own)
+
+    def missed(speed, own=held):
+        return distance(dates, own, speed, convergence)
+
+    def closer(_, place):
+        low, width = place
+        grid = low + width * SHARES
+        first = jnp.argmax(jax.vmap(missed)(grid) <= 0)
+        return jnp.maximum(grid[first] - width * SHARES[1], LEAST), width * SHARES[1]
+
+    start = jnp.asarray(LEAST), jnp.asarray(MOST - LEAST)
+    low, width = jax.lax.fori_loop(0, ROUNDS, closer, start)
+    speed = low + width / 2
+    # One step of Newton's method leaves no error, and its derivative is that of the root.
+    moved = speed - missed(speed, own) / jax.lax.stop_gradient(jax.grad(missed)(speed))
+    return jnp.where(missed(jnp.asarray(LEAST)) > 0, moved, LEAST)

@@ -1,0 +1,46 @@
+"""A regulator's rules as resolved data: the state of the law at the valuation date."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+RISKS = ("developed", "emerging", "unlisted", "unlisted-property", "commodity", "none")
+MARKETS = ("developed", "emerging")
+
+
+@dataclass(frozen=True, eq=False)
+class Rules:
+    """One state of the law; see the comments in `regulation/dutch_ftk.toml`.
+
+    - `since`: the day from which it holds. `term` [k] years with the `factors` {"rise", "fall",
+      "real_rise", "real_fall": [k]} of annual zero rates.
+    - `falls`, `currencies`, `spreads`, `correlations`: by name, shares and rates as fractions.
+    """
+
+    since: str
+    source: str
+    averaging_months: int
+    recovery_years: float
+    minimum: float
+    term: np.ndarray
+    factors: Mapping[str, np.ndarray]
+    falls: Mapping[str, float]
+    currencies: Mapping[str, float]
+    spreads: Mapping[str, float]
+    correlations: Mapping[str, float]
+
+
+@dataclass(frozen=True, eq=False)
+class Regulation:
+    """The rules of a case, and what they ask for beside its balance sheet.
+
+    - `ratios`: funding ratios at the ends of the last months, the newest last; without any, the
+      policy ratio is today's. `insurance_risk` (S6) share of the liability, `active_risk` (S10)
+      share of the assets.
+    """
+
+    rules: Rules
+    ratios: tuple[float, ...]
+    insurance_risk: float
+    active_risk: float

@@ -1,0 +1,85 @@
+"""Reads `[regulation]`, and the file of rules that it names: the state of the law at the date."""
+
+import datetime
+import tomllib
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from ..read.cells import Place
+from ..read.tables import RegulationTable
+from ..records.regulation import MARKETS, RISKS, Regulation, Rules
+
+OWN = {"dutch-ftk": "dutch_ftk.toml"}  # rules that come with the package
+FACTORS = ("rise", "fall", "real_rise", "real_fall")
+RATINGS = ("AAA", "AA", "A", "BBB", "other")
+CORRELATIONS = (
+    "rates_equity", "rates_credit", "equity_credit", "equity", "currencies_developed",
+    "currencies_emerging", "currencies",
+)  # fmt: skip
+
+
+def read_regulation(
+    section: Place, table: RegulationTable | None, day: datetime.date
+) -> Regulation | None:
+    """The rules in force on `day`; None without the table.
+
+    **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
+    """
+    if table is None:
+        return None
+    rules = _in_force(section, table.rules, day)
+    if len(table.policy_ratios) > rules.averaging_months:
+        what = f"the policy ratio is that of {rules.averaging_months} months: give no more"
+        raise section.error("policy_ratios", len(table.policy_ratios), what)
+    ratios = tuple(table.policy_ratios)
+    return Regulation(rules, ratios, table.insurance_risk, table.active_risk)
+
+
+def _in_force(section: Place, name: str, day: datetime.date) -> Rules:
+    try:
+        if name in OWN:
+            text = (files(__package__ or "") / OWN[name]).read_text(encoding="utf-8")
+        else:
+            text = (section.file.parent / name).read_text(encoding="utf-8")
+        versions = tomllib.loads(text)["version"]
+        known = [(each["from"], each) for each in versions if each["from"] <= day]
+    except FileNotFoundError:
+        what = f"there is no such file, nor rules of this name ({', '.join(OWN)})"
+        raise section.error("rules", name, what) from None
+    except (tomllib.TOMLDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        what = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
+        raise section.error("rules", name, what) from None
+    if not known:
+        raise section.error("rules", name, f"no version holds on {day}")
+    try:
+        return _rules(max(known, key=lambda pair: pair[0])[1])
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"its version for {day} lacks a number or has one that cannot be read: {error}"
+        raise section.error("rules", name, what) from None
+
+
+def _rules(data: dict[str, Any]) -> Rules:
+    rates = data["rates"]
+    term = np.array(rates["term"], float)
+    factors = {name: np.array(rates[name], float) for name in FACTORS}
+    if any(each.shape != term.shape for each in factors.values()) or np.any(np.diff(term) <= 0):
+        raise ValueError("rates: one factor for each term, and terms that rise, are needed")
+
+    def numbers(name: str, keys: tuple[str, ...]) -> dict[str, float]:
+        return {key: float(data[name][key]) for key in keys}
+
+    return Rules(
+        since=data["from"].isoformat(),
+        source=str(data["source"]),
+        averaging_months=int(data["averaging_months"]),
+        recovery_years=float(data["recovery_years"]),
+        minimum=float(data["minimum"]),
+        term=term,
+        factors=factors,
+        falls=numbers("falls", RISKS[:-1]),
+        currencies=numbers("currencies", MARKETS),
+        spreads=numbers("spreads", RATINGS),
+        correlations=numbers("correlations", CORRELATIONS),
+    )

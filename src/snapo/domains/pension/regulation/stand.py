@@ -1,0 +1,179 @@
+"""A fund's stand before its regulator: required own funds, policy ratio, and the way to recover."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from ..market.curve import log_bond
+from ..people.liability import paid_at
+from ..records.case import PensionCase
+from ..records.regulation import Regulation
+from ..results.figures.reconcile import payments
+from .required import Losses, currency_loss, equity_loss, moved_discount, total
+
+ROUNDS = 200  # of the standard model on the assets that its last result asks for
+CLOSE = 1e-12  # of the liability
+
+
+class Stand(NamedTuple):
+    """`losses` on the assets that are required; `required` own funds, money, `minimum` own funds;
+    `required_ratio`, `minimum_ratio`, and `policy_ratio`, over the liability."""
+
+    losses: Losses
+    required: float
+    minimum: float
+    required_ratio: float
+    minimum_ratio: float
+    policy_ratio: float
+
+
+class Shocked(NamedTuple):
+    """Changes under one move of rates: of the liability, money, and of each class and swap per unit
+    held, [n] and [b]."""
+
+    liability: float
+    classes: np.ndarray
+    swaps: np.ndarray
+
+
+def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
+    """The standard model with the present mix on invested assets of liability plus required funds,
+    until both agree (annex 3, article 2); swaps keep their share of the assets."""
+    regulation = known(case)
+    moves = [shocked(case, inputs, name) for name in ("rise", "fall")]
+    liability, assets = _liability(case, inputs), float(case.assets.amount.used())
+    required = 0.0
+    for _ in range(ROUNDS):
+        losses = losses_on(case, moves, assets, liability)
+        required, before = total(regulation.rules, losses), required
+        assets = liability + required
+        if abs(required - before) <= CLOSE * liability:
+            break
+    ratios = regulation.ratios or (float(case.assets.amount.used()) / liability,)
+    minimum = regulation.rules.minimum * liability
+    return Stand(
+        losses=losses_on(case, moves, assets, liability),
+        required=required,
+        minimum=minimum,
+        required_ratio=1 + required / liability,
+        minimum_ratio=1 + regulation.rules.minimum,
+        policy_ratio=float(np.mean(ratios)),
+    )
+
+
+def known(case: PensionCase) -> Regulation:
+    """The regulation of a case that has one."""
+    assert case.regulation is not None
+    return case.regulation
+
+
+def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability: float) -> Losses:
+    """Losses by risk with all `assets`, money, in the present mix."""
+    regulation = known(case)
+    rules, held = regulation.rules, assets * case.assets.weight.used()
+    notional = np.zeros(0)
+    if case.overlay is not None:
+        notional = case.overlay.notional.used() * assets / float(case.assets.amount.used())
+    rates = [
+        move.liability - float(held @ move.classes) - float(notional @ move.swaps) for move in moves
+    ]
+    groups: dict[str, float] = {}
+    for each, word in zip(held, case.assets.risk):
+        groups[word] = groups.get(word, 0.0) + float(each)
+    return Losses(
+        rates=max(*rates, 0.0),
+        equity=equity_loss(rules, groups),
+        currencies=currency_loss(rules, _unhedged(case, held), case.currencies.emerging),
+        commodities=rules.falls["commodity"] * groups.get("commodity", 0.0),
+        credit=_credit(case, held),
+        insurance=regulation.insurance_risk * liability,
+        active=regulation.active_risk * assets,
+        falling=rates[1] >= rates[0],
+    )
+
+
+def shocked(case: PensionCase, inputs: dict[str, Any], name: str) -> Shocked:
+    """Everything revalued at once, each payment at the factor of its own term."""
+    rules = known(case).rules
+    with jax.enable_x64(True):
+        flow, discount = map(np.asarray, payments(case, inputs))
+    years = paid_at(case, np.arange(len(flow))) * case.step
+    after = discount
+    if case.liability.basis != "fixed":
+        after = moved_discount(rules, name, years, discount)
+
+    def change(maturity: np.ndarray, real: bool) -> np.ndarray:
+        """[k] relative change of zero-coupon bonds."""
+        term = np.asarray(maturity, float) * case.step
+        with jax.enable_x64(True):
+            price = np.asarray(log_bond(case.curve, inputs, term))
+            if real:
+                price = price - np.asarray(log_bond(case.inflation.break_even, inputs, term))
+        now = np.exp(price)
+        return moved_discount(rules, f"real_{name}" if real else name, term, now) / now - 1
+
+    maturity = np.array([getattr(each, "maturity", 0) or 0 for each in case.assets.classes])
+    linked = np.array([each.kind == "index-linked" for each in case.assets.classes])
+    classes = np.where(linked, change(maturity, True), change(maturity, False))
+    swaps = np.zeros(0)
+    if case.overlay is not None:
+        first = case.buckets - case.overlay.inflation
+        swaps = change(case.overlay.maturity, False)
+        swaps[first:] = change(case.overlay.maturity[first:], True) - swaps[first:]
+    return Shocked(float(flow @ (after - discount)), classes * (maturity > 0), swaps)
+
+
+def _liability(case: PensionCase, inputs: dict[str, Any]) -> float:
+    with jax.enable_x64(True):
+        flow, discount = map(np.asarray, payments(case, inputs))
+    return float(flow @ discount)
+
+
+def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
+    """[X] net exposure to each currency, money."""
+    hedged = case.currencies.hedge_ratio
+    share = 1 - (hedged.used() if hedged.values.size else np.zeros(len(case.currencies.names)))
+    exposed = np.zeros(len(case.currencies.names))
+    for each, one in zip(held, case.assets.classes):
+        if one.currency >= 0:
+            exposed[one.currency] += each * share[one.currency]
+    return exposed.tolist()
+
+
+def _credit(case: PensionCase, held: np.ndarray) -> float:
+    """S5: bonds with a rating lose the rise of its spread over their maturity."""
+    rules, lost = known(case).rules, 0.0
+    for each, one in zip(held, case.assets.classes):
+        rating = getattr(one, "rating", -1)
+        if one.kind == "credit" and rating >= 0:
+            name = case.credit.names[rating]
+            rise = rules.spreads.get(name, rules.spreads["other"])
+            years = getattr(one, "maturity", 0) * case.step
+            lost += float(each) * -np.expm1(-rise * years)
+    return lost
+
+
+def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> dict[str, Any]:
+    """ "years" up to the end of the recovery period or of the horizon, and at each the `share` of
+    paths whose policy ratio is at least the required one of today, and its `median`.
+
+    **Arguments:**
+
+    - `funding`: [T + 1, N] funding ratios; months before time 0 are the regulation's `ratios`.
+    """
+    regulation, each = known(case), round(1 / case.step)
+    months = max(1, round(regulation.rules.averaging_months * each / 12))
+    before = np.array(regulation.ratios[-months:] or (funding[0, 0],))
+    last = min(round(regulation.rules.recovery_years), (len(funding) - 1) // each)
+    past = np.repeat(before[:, None], funding.shape[1], 1)
+    # The newest of the last months is today's, at which the paths begin.
+    whole = np.concatenate([past[:-1], funding])
+    ends = (np.arange(last + 1) * each) + len(past) - 1
+    policy = np.array([whole[max(end - months + 1, 0) : end + 1].mean(0) for end in ends])
+    return {
+        "years": list(range(last + 1)),
+        "share": (policy >= required_ratio).mean(1),
+        "median": np.median(policy, 1),
+        "allowed": regulation.rules.recovery_years,
+    }
