@@ -28,6 +28,74 @@ def template(**changes) -> PharmaCase:
     return resolve(TEMPLATE, copy.deepcopy({k: v for k, v in data.items() if v is not None}))
 
 
+def feed(name: str, volume: str, concentration: str, *more: str) -> str:
+    """`[feeds.NAME]`, at 313.15 K in a solvent of 880 kg/m3."""
+    rows = (
+        f"[feeds.{name}]",
+        f'volume = "{volume}"',
+        'temperature = "313.15 K"',
+        f"concentration = {{ {concentration} }}",
+        'solvent = "880 kg/m^3"',
+        *more,
+    )
+    return "\n".join(rows) + "\n"
+
+
+def connections(*pairs: tuple[str, str]) -> str:
+    """`[[connections]]`, each from one port to another."""
+    return "".join(f'[[connections]]\nfrom = "{a}"\nto = "{b}"\n' for a, b in pairs)
+
+
+def parameter(name: str, of: str, reach: list[str], normal: list[str]) -> str:
+    """`[[parameters]]`"""
+    rows = (
+        "[[parameters]]",
+        f'name = "{name}"',
+        f'of = "{of}"',
+        f"range = {reach}",
+        f"normal = {normal}",
+        'source = "constructed"',
+    )
+    return "\n".join(rows) + "\n"
+
+
+def attribute(name: str, measure: str, unit: str, *limits: str) -> str:
+    """`[[attributes]]`"""
+    rows = ("[[attributes]]", f'name = "{name}"', f'measure = "{measure}"', f'unit = "{unit}"')
+    cited = ('citation = "constructed"',) if limits else ()
+    return "\n".join((*rows, *limits, *cited)) + "\n"
+
+
+# A -> B for an hour: at 0.26 1/s explicit steps on 320 pieces are not stable.
+FAST = (
+    """kind = "pharma"
+[species]
+A = { molar_mass = "100 g/mol" }
+B = { molar_mass = "100 g/mol" }
+[[reactions]]
+name = "r"
+equation = "A -> B"
+prefactor = "0.26 1/s"
+activation = "0 J/mol"
+[units.reactor]
+type = "reactor"
+duration = "1 h"
+temperature = "313.15 K"
+"""
+    + feed("charge", "60 L", 'A = "1 mol/L"')
+    + connections(("charge", "reactor.feed"))
+    + parameter("k", "kinetics.prefactor", ["0.01 1/s", "0.3 1/s"], ["0.015 1/s", "0.27 1/s"])
+    + parameter("t", "reactor.duration", ["30 min", "90 min"], ["55 min", "65 min"])
+    + attribute("A left", "reactor.concentration.A", "mol/L", 'high = "0.5 mol/L"')
+)
+
+
+def fast(constant: float = 0.26, **numerics) -> PharmaCase:
+    """`FAST` with this rate constant in 1/s and these `[numerics]`."""
+    data = tomllib.loads(FAST.replace("0.26 1/s", f"{constant} 1/s"))
+    return resolve(Path("case.toml"), data | {"numerics": numerics})
+
+
 class Batch(NamedTuple):
     values: np.ndarray
     jacobian: np.ndarray | None

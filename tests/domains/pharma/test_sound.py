@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import CASE, TEMPLATE
+from tests.domains.pharma.pharma_cases import CASE, FAST, TEMPLATE, fast
 from tests.domains.pharma.process_cases import cake_filter, flagship, number
 
 from snapo.cli.main import main
@@ -16,58 +16,14 @@ from snapo.domains.pharma.quality.limits import Limits
 from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.results.checks import status
 
-FIRST_ORDER = """kind = "pharma"
-[species]
-A = { molar_mass = "100 g/mol" }
-B = { molar_mass = "100 g/mol" }
-[[reactions]]
-name = "r"
-equation = "A -> B"
-prefactor = "0.26 1/s"
-activation = "0 J/mol"
-[feeds.charge]
-volume = "60 L"
-temperature = "313.15 K"
-concentration = { A = "1 mol/L" }
-solvent = "887.6 kg/m^3"
-[units.reactor]
-type = "reactor"
-duration = "1 h"
-temperature = "313.15 K"
-[[connections]]
-from = "charge"
-to = "reactor.feed"
-[[parameters]]
-name = "t"
-of = "reactor.duration"
-range = ["30 min", "90 min"]
-normal = ["55 min", "65 min"]
-source = "made up"
-[[attributes]]
-name = "A left"
-measure = "reactor.concentration.A"
-unit = "mol/L"
-high = "0.5 mol/L"
-citation = "made up"
-[numerics]
-method = "mesh"
-refine = false
-[evaluation]
-paths = 64
-"""
-
-
-def first_order(rate: float, **numerics):
-    data = tomllib.loads(FIRST_ORDER)
-    data["reactions"][0]["prefactor"] = f"{rate} 1/s"
-    data["numerics"] |= numerics
-    return resolve(TEMPLATE, data)
+FIXED = {"method": "mesh", "refine": False}
 
 
 @pytest.mark.prove
 def test_an_unstable_integration_fails_the_command(tmp_path, capsys):
     """A -> B at 0.26 1/s for an hour on 320 steps: 9.6e28 mol/L, or a zero that nothing warrants."""
-    (tmp_path / "case.toml").write_text(FIRST_ORDER, encoding="utf-8")
+    numerics = '[numerics]\nmethod = "mesh"\nrefine = false\n'
+    (tmp_path / "case.toml").write_text(FAST + numerics, encoding="utf-8")
     out = tmp_path / "run"
     assert main(["solve", str(tmp_path), "--out", str(out), "--json"]) == 1
     found = json.loads(capsys.readouterr().out)
@@ -79,7 +35,7 @@ def test_an_unstable_integration_fails_the_command(tmp_path, capsys):
 @pytest.mark.prove
 @pytest.mark.parametrize(("rate", "good"), [(0.26, False), (0.2476, False), (0.02, True)])
 def test_steps_that_are_too_long_are_told_from_good_ones(rate, good):
-    run = Process(first_order(rate)).run()
+    run = Process(fast(rate, **FIXED)).run()
     assert (run.status == "ok") == good, run.status
     if good:
         assert run.measures["reactor.concentration.A"] == pytest.approx(np.exp(-72), abs=1e-12)

@@ -12,6 +12,7 @@ from .sections import (
     sensitivity,
     space,
     units,
+    validation,
     verification,
 )
 from .sections.run import Run
@@ -32,6 +33,7 @@ SECTIONS = (
     space.capability,
     optimum.optimum,
     learning.estimation,
+    validation.validation,
     learning.closed_loop,
     assumptions.assumptions,
 )

@@ -15,7 +15,7 @@ from snapo.study.study import Part, Study, StudyRun
 from .control.parts import ClosedLoop
 from .flowsheet.case import PharmaCase
 from .flowsheet.process import Process
-from .flowsheet.progress import told
+from .progress import told
 from .quality.sampling import on_steps, sampler
 from .read.fitted import COLUMNS as FITTED_COLUMNS
 from .results import batch, derivatives, quality

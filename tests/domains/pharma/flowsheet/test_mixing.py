@@ -4,14 +4,22 @@ import tomllib
 
 import numpy as np
 import pytest
-from tests.domains.pharma.pharma_cases import CASE, TEMPLATE
+from tests.domains.pharma.pharma_cases import (
+    CASE,
+    TEMPLATE,
+    attribute,
+    connections,
+    feed,
+    parameter,
+)
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import resolve
 
-TWO_FEEDS = """kind = "pharma"
+TWO_FEEDS = (
+    """kind = "pharma"
 [species]
 A = { molar_mass = "100 g/mol" }
 B = { molar_mass = "50 g/mol" }
@@ -21,18 +29,6 @@ name = "r"
 equation = "A + B -> C"
 prefactor = "2e-3 L/mol/s"
 activation = "0 J/mol"
-[feeds.one]
-volume = "60 L"
-temperature = "313.15 K"
-concentration = { A = "1 mol/L" }
-solvent = "800 kg/m^3"
-duration = "10 h"
-[feeds.two]
-volume = "30 L"
-temperature = "313.15 K"
-concentration = { B = "2 mol/L" }
-solvent = "800 kg/m^3"
-duration = "10 h"
 [units.mix]
 type = "tank"
 inlets = ["a", "b"]
@@ -42,30 +38,15 @@ kind = "stirred"
 volume = "9 L"
 duration = "10 h"
 temperature = "313.15 K"
-[[connections]]
-from = "one"
-to = "mix.a"
-[[connections]]
-from = "two"
-to = "mix.b"
-[[connections]]
-from = "mix.product"
-to = "reactor.feed"
-[[parameters]]
-name = "V"
-of = "reactor.volume"
-range = ["5 L", "30 L"]
-normal = ["8 L", "10 L"]
-source = "made up"
-[[attributes]]
-name = "product"
-measure = "reactor.concentration.C"
-unit = "mol/L"
-low = "0.01 mol/L"
-citation = "made up"
 [numerics]
 refine = false
 """
+    + feed("one", "60 L", 'A = "1 mol/L"', 'duration = "10 h"')
+    + feed("two", "30 L", 'B = "2 mol/L"', 'duration = "10 h"')
+    + connections(("one", "mix.a"), ("two", "mix.b"), ("mix.product", "reactor.feed"))
+    + parameter("V", "reactor.volume", ["5 L", "30 L"], ["8 L", "10 L"])
+    + attribute("product", "reactor.concentration.C", "mol/L", 'low = "0.01 mol/L"')
+)
 
 
 def two_feeds(**durations):

@@ -1,11 +1,10 @@
 """Stiff units: chosen by measured stiffness, the same in both engines, refused with unit and time."""
 
-import tomllib
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from tests.domains.pharma.pharma_cases import fast
 from tests.domains.pharma.process_cases import (
     attribute,
     batch_reactor,
@@ -21,56 +20,14 @@ from tests.domains.pharma.process_cases import (
 from snapo.domains.pharma.derivatives.jacobian import matrix
 from snapo.domains.pharma.flowsheet.network import fastest_rate
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.time import integrate
-
-FAST = """
-kind = "pharma"
-[species]
-A = { molar_mass = "100 g/mol" }
-B = { molar_mass = "100 g/mol" }
-[[reactions]]
-name = "main"
-equation = "A -> B"
-prefactor = "0.26 1/s"
-activation = "0 J/mol"
-[feeds.charge]
-volume = "60 L"
-temperature = "313.15 K"
-concentration = { A = "1 mol/L" }
-solvent = "887.6 kg/m^3"
-[units.reactor]
-type = "reactor"
-duration = "3600 s"
-temperature = "313.15 K"
-[[connections]]
-from = "charge"
-to = "reactor.feed"
-[[parameters]]
-name = "k"
-of = "kinetics.prefactor"
-range = ["0.01 1/s", "0.3 1/s"]
-normal = ["0.05 1/s", "0.27 1/s"]
-source = "constructed"
-[[attributes]]
-name = "A left"
-measure = "reactor.concentration.A"
-unit = "mol/L"
-high = "0.001 mol/L"
-citation = "constructed"
-"""
-
-
-def fast(constant="0.26 1/s", **numerics):
-    data = tomllib.loads(FAST.replace("0.26 1/s", constant))
-    return resolve(Path("case.toml"), data | {"numerics": numerics})
 
 
 @pytest.mark.prove
 @pytest.mark.parametrize("constant", [0.26, 0.2476])
 def test_a_fast_reaction_by_default(constant):
     """c = exp(-k t): explicit steps gave 9.6e28 and 1.10 mol/L, with status "ok"."""
-    process = Process(fast(f"{constant} 1/s"))
+    process = Process(fast(constant))
     assert len(process.case.numerics.held["reactor"]) < 100
     run = process.run()
     assert run.status == "ok" and run.errors["reactor"] < 1e-8
@@ -83,7 +40,7 @@ def test_a_fast_reaction_by_default(constant):
 
 def test_slow_reactions_take_explicit_steps():
     """By the bound alone: nothing is compiled, and the mesh is the one that it was."""
-    process = Process(fast("0.1 1/s"))
+    process = Process(fast(0.1))
     assert not process.case.numerics.held
     assert not Process(fast(method="mesh")).case.numerics.held
 

@@ -1,11 +1,15 @@
 """Estimation against closed forms."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from scipy.stats import t as student
 from tests.domains.pharma.pharma_cases import FirstOrder, template
 
 from snapo.domains.pharma.quality import estimation
 from snapo.domains.pharma.quality.records import Estimation, Experiment
+from snapo.domains.pharma.quality.validation import validate
 
 
 def closed_form(which, low, high, logarithm, noise=0.0, seed=0, temperatures=(313.15, 303.15)):
@@ -57,3 +61,39 @@ def test_intervals_cover():
         found = estimation.fit(process, asked)
         held += bool(found.low[0] <= 2.654e4 <= found.high[0])
     assert abs(held / 200 - 0.95) <= 3 * np.sqrt(0.95 * 0.05 / 200)
+
+
+@pytest.mark.prove
+def test_a_batch_held_out_is_predicted_with_its_interval():
+    """By hand: c = 0.33 exp(-k a t), so d c / d ln k = -c k a t, and the variance of ln k is one over
+    the sum of their squares over those of the errors. Then a batch that the model does not describe."""
+    process, asked = closed_form((PREFACTOR,), (1e3,), (1e6,), (True,), 1e-3, 3)
+    fresh = closed_form((PREFACTOR,), (1e3,), (1e6,), (True,), 1e-3, 4, (308.15, 318.15))[1]
+    good, other = fresh.experiments
+    wrong = replace(other, name="wrong", value=other.value + 0.01)
+    asked = replace(asked, held_out=(good, wrong))
+    found = estimation.fit(process, asked)
+    checked = validate(process, asked, found)
+    assert checked is not None
+
+    def model(experiment):
+        rate = found.values[0] * np.exp(-4e4 / 8.314 / experiment.settings[0][2]) * 0.33
+        c = 0.33 * np.exp(-rate * experiment.time)
+        return c, -c * rate * experiment.time
+
+    slopes = np.concatenate([model(each)[1] for each in asked.experiments])
+    variance = 1e-6 / (slopes @ slopes)
+    c, slope = (np.concatenate(each) for each in zip(model(good), model(wrong)))
+    np.testing.assert_allclose(checked.predicted, c, rtol=1e-10)
+    np.testing.assert_allclose(checked.deviation, np.abs(slope) * np.sqrt(variance), rtol=1e-6)
+    half = student.ppf(0.975, 17) * np.sqrt(slope**2 * variance + 1e-6)
+    np.testing.assert_allclose(checked.half, half, rtol=1e-6)
+    off = good.value - c[:9]
+    # (D + v s s^T)^-1 by Sherman and Morrison.
+    weighted = slope[:9] @ off / 1e-6
+    size = off @ off / 1e-6 - variance * weighted**2 / (1 + variance * slope[:9] @ slope[:9] / 1e-6)
+    first, second = checked.batches
+    assert first.chi2 == pytest.approx(size, rel=1e-6) and first.tail > 0.01
+    assert first.inside >= 8 and second.inside <= 1 and second.tail < 1e-6
+    assert checked.coverage == (first.inside + second.inside) / 18
+    assert validate(process, replace(asked, held_out=()), found) is None

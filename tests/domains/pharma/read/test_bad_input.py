@@ -105,7 +105,8 @@ MISTAKES = {
         'share = 0.9\n[[connections]]\nfrom = "charge"\nto = "mix.fresh"\n[[connections]]\n'
         'from = "mix.product"\nto = "split.feed"\n[[connections]]\nfrom = "split.back"\n'
         'to = "mix.back"\n[[connections]]\nfrom = "split.on"\nto = "reactor.feed"',
-        "connections: material flows in a loop, split -> mix -> split; a flowsheet may not.",
+        "connections: a batch reaches the loop mix -> split, which is solved at its steady state: "
+        "every feed of it needs a duration, and its units take flows.",
     ),
     "unconnected port": (
         LAST, "",

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.domains.pharma.pharma_cases import TEMPLATE
+from tests.domains.pharma.pharma_cases import TEMPLATE, attribute, connections, feed, parameter
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
@@ -14,17 +14,12 @@ from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import resolve
 
-CASE = """
+CASE = (
+    """
 kind = "pharma"
 [species]
 P = { molar_mass = "150 g/mol" }
 Q = { molar_mass = "50 g/mol" }
-[feeds.charge]
-volume = "120 L"
-temperature = "313 K"
-concentration = { P = "0.2 mol/L", Q = "0.05 mol/L" }
-solvent = "880 kg/m^3"
-duration = "4 h"
 [units.cold]
 type = "msmpr"
 solute = "P"
@@ -60,43 +55,21 @@ porosity = 0.4
 saturation = 0.2
 wash_ratio = 2
 efficiency = 0.9
-[[connections]]
-from = "charge"
-to = "cold.feed"
-[[connections]]
-from = "cold.slurry"
-to = "mill.slurry"
-[[connections]]
-from = "mill.slurry"
-to = "filter.slurry"
 [numerics]
 method = "mesh"
 steps = 64
-[[parameters]]
-name = "V"
-of = "cold.volume"
-range = ["20 L", "60 L"]
-normal = ["28 L", "32 L"]
-source = "constructed"
-[[parameters]]
-name = "T"
-of = "cold.temperature"
-range = ["275 K", "290 K"]
-normal = ["282 K", "285 K"]
-source = "constructed"
-[[parameters]]
-name = "k"
-of = "cold.growth"
-range = ["0.1 um/s", "0.4 um/s"]
-normal = ["0.15 um/s", "0.25 um/s"]
-source = "constructed"
-[[parameters]]
-name = "B"
-of = "cold.nucleation"
-range = ["1e5 1/m^3/s", "1e7 1/m^3/s"]
-normal = ["9e5 1/m^3/s", "2e6 1/m^3/s"]
-source = "constructed"
 """
+    + feed("charge", "120 L", 'P = "0.2 mol/L", Q = "0.05 mol/L"', 'duration = "4 h"')
+    + connections(
+        ("charge", "cold.feed"), ("cold.slurry", "mill.slurry"), ("mill.slurry", "filter.slurry")
+    )
+    + parameter("V", "cold.volume", ["20 L", "60 L"], ["28 L", "32 L"])
+    + parameter("T", "cold.temperature", ["275 K", "290 K"], ["282 K", "285 K"])
+    + parameter("k", "cold.growth", ["0.1 um/s", "0.4 um/s"], ["0.15 um/s", "0.25 um/s"])
+    + parameter(
+        "B", "cold.nucleation", ["1e5 1/m^3/s", "1e7 1/m^3/s"], ["9e5 1/m^3/s", "2e6 1/m^3/s"]
+    )
+)
 MEASURES = ("d43", "crystals", "supersaturation", "growth", "nucleation")
 
 
@@ -105,8 +78,8 @@ UNITS = ("um", "kg/m^3", "1", "um/s", "1/m^3/s")
 
 def with_attributes(text):
     """A case with an attribute for each of `MEASURES`."""
-    table = '[[attributes]]\nname = "{0}"\nmeasure = "cold.{0}"\nunit = "{1}"\n'
-    return text + "".join(table.format(*each) for each in zip(MEASURES, UNITS))
+    rows = [attribute(each, f"cold.{each}", unit) for each, unit in zip(MEASURES, UNITS)]
+    return text + "".join(rows)
 
 
 def process(**keys):

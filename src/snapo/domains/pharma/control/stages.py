@@ -20,8 +20,9 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.feed import feed
-from ..flowsheet.flow import asked, crystal_sizes, sources, yields
+from ..flowsheet.flow import asked, crystal_sizes, sources, through, yields
 from ..flowsheet.ledger import Finish
+from ..flowsheet.order import groups
 from ..flowsheet.possible import least
 from ..flowsheet.stream import Stream, blank, flat, unflat
 from ..quality.records import Distribution
@@ -240,15 +241,12 @@ class Stage(Simulator):
         found |= {name: unflat(each, blank(species, sizes[name])) for name, each in made.items()}
         measures = {}
         over_time = timed(case.units)
-        for unit in case.units:
-            ready = all(name in found for name in fed[unit.name])
-            if unit in over_time or not ready:
-                continue
-            given = tuple(found[name] for name in fed[unit.name])
-            finish = unit.operate(case.network, case.numerics, given, inputs).finish
-            measures |= {f"{unit.name}.{name}": each for name, each in finish.measures.items()}
-            for port, stream in zip(unit.outlets, finish.outlets):
-                found[f"{unit.name}.{port}"] = stream
+        for group in groups(case.units, case.connections):
+            inside = {f"{unit.name}.{port}" for unit in group.units for port in unit.outlets}
+            needed = {name for unit in group.units for name in fed[unit.name]} - inside
+            if group.units[0] not in over_time and needed <= set(found):
+                flowed = through(case, group, found, inputs)
+                found, measures = flowed.streams, measures | flowed.measures
         return found, measures
 
     def problem(self, inputs, made) -> Dynamics:

@@ -50,8 +50,8 @@ def split(case: PharmaCase, blocks: Local, raw: np.ndarray) -> Split:
 
 
 def _paths(units: dict[str, Block], attribute: Attribute, parameter: Parameter) -> Iterator[Path]:
-    end, _, measure = attribute.measure.partition(".")
-    row = units[end].measures.index(measure)
+    end = next(name for name, each in units.items() if attribute.measure in each.measures)
+    row = units[end].measures.index(attribute.measure)
     entry: Entry = (parameter.input, parameter.entry)
     scale = attribute.scale * parameter.scale
     for start, block in units.items():

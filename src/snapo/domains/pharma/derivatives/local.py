@@ -7,14 +7,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..flowsheet.feed import Feed, feed
-from ..flowsheet.flow import leaving, sources, yields
+from ..flowsheet.flow import leaving, sources, through, yields
+from ..flowsheet.order import Group, groups
 from ..flowsheet.process import Process
 from ..flowsheet.stream import Stream, flat, unflat
 from ..given import Entry, every_given
-from ..units.operation import Unit
 from .mode import of_method
 
-# From inlet streams and inputs to outlet streams and {measure without the unit's name}.
+# From inlet streams and inputs to outlet streams and {measure with the unit's name}.
 Run = Callable[[tuple[Stream, ...], dict[str, Any]], tuple[tuple[Stream, ...], dict[str, Any]]]
 
 
@@ -23,10 +23,12 @@ class Block(NamedTuple):
 
     K is the length of the longest stream as a vector, M the number of measures, E of `entries`.
 
+    A loop is one unit here, called by its units in words.
+
     - `inlets`, `outlets`: names of the streams ("unit.outlet", or a feed's name), in order.
     - `stream`: [outlets, K, inlets, K]; `measure`: [M, inlets, K].
     - `stream_by_entry`: [outlets, K, E]; `measure_by_entry`: [M, E]; `measures`: [M] names
-      without the unit's; `entries`: [E] (input, position) that the unit reads.
+      with the unit's; `entries`: [E] (input, position) that the unit reads.
     """
 
     inlets: tuple[str, ...]
@@ -42,8 +44,8 @@ class Block(NamedTuple):
 class Local(NamedTuple):
     """{unit: Block}, in the order of the flow, feeds first (units without inlets).
 
-    The block "process" has the measures "yield.PRODUCT.KEY" that the case's attributes name; its
-    inlets are all streams that leave the flowsheet and all feeds.
+    The block "process" has the measures "process.yield.PRODUCT.KEY" that the case's attributes
+    name; its inlets are all streams that leave the flowsheet and all feeds.
     """
 
     units: dict[str, Block]
@@ -60,10 +62,15 @@ def local(process: Process, inputs=None) -> Local:
 
     for each in case.feeds:
         block(each.name, (), (each.name,), _entries(process, each, False), _of_feed(each))
-    for unit in case.units:
-        out = tuple(f"{unit.name}.{port}" for port in unit.outlets)
-        entries = _entries(process, unit, unit.reacts)
-        block(unit.name, fed[unit.name], out, entries, _of_unit(process, unit))
+    for group in groups(case.units, case.connections):
+        made = [f"{unit.name}.{port}" for unit in group.units for port in unit.outlets]
+        fed_with = dict.fromkeys(name for unit in group.units for name in fed[unit.name])
+        into = tuple(name for name in fed_with if name not in made)
+        out = tuple(name for name in made if name not in fed_with)
+        reacts = any(unit.reacts for unit in group.units)
+        entries = _entries(process, group.units, reacts)
+        name = group.loop or group.units[0].name
+        block(name, into, out, entries, _of_group(process, group, into, out))
     names = (*leaving(case), *(each.name for each in case.feeds))
     block("process", names, (), (), _of_process(process, names))
     return Local(blocks)
@@ -73,19 +80,17 @@ def _of_feed(record: Feed) -> Run:
     return lambda streams, inputs: ((feed(record, inputs),), {})
 
 
-def _of_unit(process: Process, unit: Unit) -> Run:
+def _of_group(process: Process, group: Group, into: tuple[str, ...], out: tuple[str, ...]) -> Run:
     def run(streams, inputs):
-        case = process.case
-        finish = unit.operate(case.network, case.numerics, streams, inputs).finish
-        return finish.outlets, finish.measures
+        found = through(process.case, group, dict(zip(into, streams)), inputs)
+        return tuple(found.streams[name] for name in out), found.measures
 
     return run
 
 
 def _of_process(process: Process, names: tuple[str, ...]) -> Run:
     def run(streams, inputs):
-        found = yields(process.case, dict(zip(names, streams)))
-        return (), {name.removeprefix("process."): each for name, each in found.items()}
+        return (), yields(process.case, dict(zip(names, streams)))
 
     return run
 

@@ -31,6 +31,11 @@ class Connection:
     target: str
     inlet: str
 
+    @property
+    def stream(self) -> str:
+        """The name of what flows: "unit.outlet", or that of a feed."""
+        return f"{self.source}.{self.outlet}" if self.outlet else self.source
+
 
 @dataclass(frozen=True, eq=False)
 class PharmaCase:

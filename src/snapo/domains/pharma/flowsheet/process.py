@@ -15,12 +15,13 @@ from snapo.engine import Unsupported
 
 from ..derivatives.mode import of_method
 from ..given import Entry
+from ..progress import say
 from .case import PharmaCase
-from .flow import Flow, flow
+from .flow import Flow, entry_words, flow
 from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
-from .progress import say
+from .recycle import Closed
 from .stiffness import with_stiff_steps
 from .stream import Stream
 
@@ -36,6 +37,7 @@ class Run(NamedTuple):
     - `status`: "ok"; "unit: did not converge at t s", with the error estimate of a held step that
       it refuses; "unit: the steps are too long …"; or which measure has a value that cannot be.
     - `errors`: {unit on held steps: the largest error estimate of a step, relative}.
+    - `loops`: {units of a loop, in words: (relative change in one more turn, rounds of Newton)}.
     """
 
     streams: dict[str, Stream]
@@ -44,6 +46,7 @@ class Run(NamedTuple):
     trajectories: dict[str, dict[str, np.ndarray]]
     status: str
     errors: dict[str, float]
+    loops: dict[str, tuple[float, int]]
 
 
 class Batch(NamedTuple):
@@ -111,7 +114,7 @@ class Process:
     def run(self, inputs=None) -> Run:
         """One batch with all streams, measures and trajectories."""
         found = self.compiled("run", lambda: self._everything)(self.given(inputs))
-        streams, measures, attributes, trajectories, times = found
+        streams, measures, attributes, trajectories, times, loops = found
         measured = {name: float(each) for name, each in measures.items()}
         held = {name: each[3] for name, each in times.items() if each[3] is not None}
         return Run(
@@ -119,11 +122,26 @@ class Process:
             measured,
             {name: float(each) for name, each in zip(self.names, attributes)},
             trajectories,
-            _status({unit.name: times[unit.name] for unit in self.case.units})
+            self._open(loops)
+            or _status({unit.name: times[unit.name] for unit in self.case.units})
             or impossible(self.case, measured)
             or "ok",
             {name: float(error) for name, error in held.items()},
+            {name: (float(each.change), int(each.rounds)) for name, each in loops.items()},
         )
+
+    def _open(self, loops: dict[str, Closed]) -> str:
+        """The first loop without a steady state, in words; "" where all have one."""
+        for name, each in loops.items():
+            if not each.good:
+                words = entry_words(self.case, name)[int(each.worst)]
+                size = f"by {each.change:.2g} of itself"
+                size = size if np.isfinite(each.change) else "without end"
+                return (
+                    f"the loop {name} has not come to a steady state after {each.rounds} rounds: "
+                    f"{words} changes most, {size} in a turn; is there an outlet for it?"
+                )
+        return ""
 
     def _everything(self, inputs):
         found = self.flow(inputs, record=True)
@@ -136,7 +154,7 @@ class Process:
                 rows = jax.vmap(lambda y, c, states=states: states(y, *c))
                 trajectories[name] = {"time": track.time} | rows(track.state, track.controls)
         attributes = self.of_measures(found.measures)
-        return found.streams, found.measures, attributes, trajectories, times
+        return found.streams, found.measures, attributes, trajectories, times, found.loops
 
     def shifted(self, changes, entries: Sequence[Entry], inputs) -> dict:
         """`inputs` with `entries` REPLACED by `changes` [E]; plain JAX, to be traced."""

@@ -5,6 +5,7 @@ standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Esti
 intervals take Student's t with n - p degrees of freedom, which is a little wide.
 """
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import jax
@@ -14,7 +15,7 @@ from scipy.optimize import least_squares
 from scipy.stats import t as student
 
 from ..derivatives.sensitivities import entry_name
-from .records import Estimation
+from .records import Estimation, Experiment
 
 if TYPE_CHECKING:
     from ..flowsheet.process import Process
@@ -52,24 +53,21 @@ class Fit(NamedTuple):
 
 def fit(process: "Process", estimation: Estimation) -> Fit:
     """Least squares from the case's own numbers, within the bounds."""
-    model = _model(process, estimation)
+    model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
-    low, high = (_variables(np.array(x), log) for x in (estimation.low, estimation.high))
+    low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
     start = np.array([
         process.inputs[name][entry] for name, entry in zip(estimation.inputs, estimation.entries)
     ])  # fmt: skip
     error = np.concatenate([each.error for each in estimation.experiments])
     measured = np.concatenate([each.value for each in estimation.experiments])
 
-    def numbers(x):
-        return jnp.where(log, jnp.exp(jnp.where(log, x, 0.0)), x)
-
-    residual = jax.jit(lambda x: (model(numbers(x)) - measured) / error)
+    residual = jax.jit(lambda x: (model(numbers_of(x, log)) - measured) / error)
     slope = jax.jit(jax.jacfwd(residual))
     with jax.enable_x64(True):
         found = least_squares(
             lambda x: np.asarray(residual(x)),
-            _variables(start, log),
+            variables_of(start, log),
             jac=lambda x: np.asarray(slope(x)),  # pyright: ignore[reportArgumentType]
             bounds=(low, high),
             x_scale=high - low,
@@ -86,17 +84,23 @@ def fit(process: "Process", estimation: Estimation) -> Fit:
     return _with_intervals(found, values, measured, fitted, log, high - low, names, estimation)
 
 
-def _variables(values: np.ndarray, log: np.ndarray) -> np.ndarray:
+def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
+    """[P] the fitted variables of numbers: their logarithm where `log`."""
     return np.where(log, np.log(np.where(log, values, 1.0)), values)
 
 
-def _model(process: "Process", estimation: Estimation):
+def numbers_of(variables, log: np.ndarray):
+    """[P] the numbers of fitted variables; plain JAX."""
+    return jnp.where(log, jnp.exp(jnp.where(log, variables, 0.0)), variables)
+
+
+def model_of(process: "Process", estimation: Estimation, experiments: Sequence[Experiment]):
     """[P] fitted numbers -> [n] the model's values of the measurements, by experiment."""
     fitted = tuple(zip(estimation.inputs, estimation.entries))
 
     def run(numbers):
         found = []
-        for experiment in estimation.experiments:
+        for experiment in experiments:
             changed = tuple((name, entry) for name, entry, _ in experiment.settings)
             given = jnp.array([value for *_, value in experiment.settings])
             inputs = {name: jnp.asarray(value) for name, value in process.inputs.items()}

@@ -135,6 +135,7 @@ class Estimation:
     - `inputs`, `entries`: [P] the fitted numbers; `logarithm`: [P] fitted as their logarithm.
     - `low`, `high`: [P] bounds in the domain's unit.
     - `level`: of the confidence intervals. `units`, `scales`: [P] the owner's, as of a `Parameter`.
+    - `held_out`: experiments that are predicted, and not fitted to.
     """
 
     inputs: tuple[str, ...]
@@ -146,3 +147,4 @@ class Estimation:
     level: float
     units: tuple[str, ...] = ()
     scales: tuple[tuple[float, float], ...] = ()
+    held_out: tuple[Experiment, ...] = ()

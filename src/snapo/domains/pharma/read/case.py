@@ -13,7 +13,7 @@ from ..given import every_given
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import read_units
-from .connections import in_order, read_connections
+from .connections import ordered, read_connections
 from .control import read_control, read_design_space, read_goal
 from .entries import Numbers
 from .estimation import read_estimation
@@ -61,7 +61,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
     feeds = read_feeds(file, top.feeds, network.species, notes)
     units = read_units(file, top.units, network.species, notes)
     connections = read_connections(file, top.connections, feeds, units)
-    units = in_order(file, units, connections)
+    units = ordered(file, units, connections)
     numbers = Numbers(
         {given.name: given for given in every_given((network, feeds, units))}, network
     )
@@ -151,6 +151,8 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
         table.max_steps,
         table.refine,
         stiff=STIFF[table.method],
+        loop_tolerance=table.loop_tolerance,
+        loop_rounds=table.loop_rounds,
     )
     if "tolerance" in table.model_fields_set:
         found = replace(found, stiff_tolerance=table.tolerance)

@@ -1,4 +1,4 @@
-"""The graph of a flowsheet: every inlet fed once, no outlet used twice, no loop, a known order."""
+"""The graph of a flowsheet: every inlet fed once, no outlet used twice, a known order."""
 
 from collections.abc import Sequence
 
@@ -8,7 +8,8 @@ from snapo.case.table import Section, parse
 from ..flowsheet.case import Connection
 from ..flowsheet.feed import Feed
 from ..flowsheet.grid import NO_CRYSTALS, Sizes
-from ..units.operation import Inlet, Unit
+from ..flowsheet.order import groups, in_order, settled
+from ..units.operation import Inlet, Instant, Unit
 from .numbers import suggest
 from .tables import ConnectionTable
 
@@ -58,52 +59,32 @@ def _check_fed(
         raise CaseError(str(file), "connections", None, what)
 
 
-def in_order(file, units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Unit, ...]:
-    """The units in the order in which material flows.
+def ordered(file, units: Sequence[Unit], connections: Sequence[Connection]) -> tuple[Unit, ...]:
+    """The units in the order in which material flows, those of a loop one after the other.
 
-    **Raises:** `CaseError` that names the units of a loop.
+    **Raises:** `CaseError` that names the units of a loop which cannot be at a steady state, or a
+    unit that is fed with crystals it does not take.
     """
-    by_name = {unit.name: unit for unit in units}
-    before = {
-        name: [c.source for c in connections if c.target == name and c.source in by_name]
-        for name in by_name
-    }
-    found: list[str] = []
-    while len(found) < len(by_name):
-        ready = [name for name in by_name if name not in found and set(before[name]) <= set(found)]
-        if not ready:
-            cycle = _cycle(before, found)
-            what = f"material flows in a loop, {' -> '.join(cycle)}; a flowsheet may not"
-            raise CaseError(str(file), "connections", None, what)
-        found += ready
-    ordered = tuple(by_name[name] for name in found)
-    _check_crystals(file, ordered, connections)
-    return ordered
-
-
-def _cycle(before: dict[str, list[str]], found: list[str]) -> list[str]:
-    """A loop among the units that never become ready, in the direction of flow."""
-    left = [name for name in before if name not in found]
-    path = [left[0]]
-    while True:
-        source = next(name for name in before[path[-1]] if name in left)
-        if source in path:
-            loop = path[path.index(source) :]
-            return [source, *reversed(loop)]
-        path.append(source)
+    found = in_order(units, connections)
+    for group in groups(found, connections):
+        for unit in group.units if group.torn else ():
+            if not isinstance(unit, Instant):
+                what = (
+                    f"{unit.name} runs over time and stands in a loop, {group.loop}; a loop is "
+                    "solved at its steady state, of units that are at theirs all the time"
+                )
+                raise CaseError(str(file), "connections", None, what)
+    _check_crystals(file, found, connections)
+    return found
 
 
 def _check_crystals(file, units: Sequence[Unit], connections: Sequence[Connection]) -> None:
     """Some units take liquids alone, and some need crystals, or need them counted by size."""
-    made: dict[tuple[str, str], Sizes] = {}
+    fed: dict[tuple[str, str], Sizes] = {(c.source, ""): NO_CRYSTALS for c in connections}
+    _, into = settled(units, connections, fed, NO_CRYSTALS, lambda unit, sizes: unit.sizes(sizes))
     for unit in units:
-        fed = {c.inlet: (c.source, c.outlet) for c in connections if c.target == unit.name}
-        # What no unit made comes from a feed, which brings no crystals.
-        sizes = tuple(made.get(fed[inlet.name], NO_CRYSTALS) for inlet in unit.inlets)
-        for inlet, found in zip(unit.inlets, sizes):
+        for inlet, found in zip(unit.inlets, into[unit.name]):
             _check_inlet(file, unit, inlet, found)
-        for port, size in zip(unit.outlets, unit.sizes(sizes)):
-            made[unit.name, port] = size
 
 
 def _check_inlet(file, unit: Unit, inlet: Inlet, found: Sizes) -> None:

@@ -59,14 +59,19 @@ def read_estimation(
         _experiment(file, each, i, numbers, known, notes)
         for i, each in enumerate(table.experiments)
     )
-    measured = sum(len(each.time) for each in experiments)
+    apart = [bool(each.get("held_out", False)) for each in table.experiments]
+    fitted, held_out = (
+        tuple(each for each, out in zip(experiments, apart) if out == wanted)
+        for wanted in (False, True)
+    )
+    measured = sum(len(each.time) for each in fitted)
     if measured <= len(which):
         section = Section(file, "estimation", notes)
         what = f"{measured} measurements are too few to fit {len(which)} numbers"
         raise section.error("experiments", None, what)
     return Estimation(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(logarithms),
-        tuple(lows), tuple(highs), experiments, table.level, tuple(own), tuple(scales),
+        tuple(lows), tuple(highs), fitted, table.level, tuple(own), tuple(scales), held_out,
     )  # fmt: skip
 
 

@@ -189,6 +189,7 @@ class ExperimentTable(Table):
     settings: dict[str, Any] = Field(
         {}, description='numbers that differ, such as { "charge.temperature" = "303 K" }'
     )
+    held_out: bool = Field(False, description="true or false")
 
 
 class EstimationTable(Table):
@@ -215,6 +216,12 @@ class NumericsTable(Table):
     )
     max_steps: Annotated[int, Field(ge=1)] = Field(20_000, description="a whole number, 1 or more")
     refine: bool = Field(True, description="true or false")
+    loop_tolerance: Annotated[float, Field(gt=0, lt=0.1)] = Field(
+        1e-10, description="a number above 0, such as 1e-10"
+    )
+    loop_rounds: Annotated[int, Field(ge=1, le=1000)] = Field(
+        50, description="a whole number, 1 or more"
+    )
 
 
 class ReportTable(Table):

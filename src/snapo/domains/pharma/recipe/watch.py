@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from ..flowsheet.progress import say
+from ..progress import say
 
 if TYPE_CHECKING:
     from .optimum import Traced

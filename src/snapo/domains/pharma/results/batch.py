@@ -21,6 +21,10 @@ def one_batch(case: PharmaCase, run: Run) -> dict[str, Any]:
     return {
         "status": run.status,
         "errors": dict(run.errors),
+        "loops": [
+            {"loop": name, "change": change, "rounds": rounds}
+            for name, (change, rounds) in run.loops.items()
+        ],
         "attributes": dict(zip([each.name for each in case.attributes], values)),
         "holds": limits.hold(values),
         "distance": np.where(np.isfinite(room), room, np.nan),

@@ -4,12 +4,13 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
+from scipy.stats import chi2
 
 from ..derivatives import sensitivities
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
 from ..given import every_given
-from ..quality import design_space, estimation, ranges
+from ..quality import design_space, estimation, ranges, validation
 from ..quality.capability import capability
 from ..quality.criticality import DRAWS, criticality
 from ..read.entries import Numbers
@@ -90,8 +91,13 @@ def estimation_rows(process: Process) -> dict[str, Any]:
         f"{key}_own": (np.asarray(x) - scales[:, 1]) / scales[:, 0]
         for key, x in (("measured", found.measured), ("fitted", found.fitted))
     }
+    checked = validation.validate(process, given, found)
+    seen = None
+    if checked is not None:
+        seen = checked._asdict() | {"batches": [each._asdict() for each in checked.batches]}
     return {
         **found._asdict(), **own, "start": start, "level": given.level,
+        "validation": seen, "tail": float(chi2.sf(found.chi2, max(found.freedom, 1))),
         "units": list(given.units), "scales": [list(each) for each in given.scales],
         "state": [state for each in given.experiments for state in each.state],
         "state_unit": [unit for each in given.experiments for unit in each.units],

@@ -164,6 +164,14 @@ def binding(axes: Axes, found: dict[str, Any], which: np.ndarray, names, attribu
     legend_above(axes)
 
 
+def residuals(axes: Axes, shares: np.ndarray) -> None:
+    """Points in their order, with the band from -1 to 1."""
+    axes.axhspan(-1, 1, color=LIGHT["inject-soft"], linewidth=0)
+    axes.plot(np.arange(1, len(shares) + 1), shares, "o", color=LIGHT["main"], markersize=4)
+    axes.set_xlabel("Measurement")
+    number_axis(axes.yaxis, 6)
+
+
 def agreement(axes: Axes, measured: np.ndarray, fitted: np.ndarray, unit: str) -> None:
     """Fitted over measured, with the line on which both agree."""
     ends = [min(measured.min(), fitted.min()), max(measured.max(), fitted.max())]

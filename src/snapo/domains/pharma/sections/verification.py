@@ -9,7 +9,7 @@ from .run import Run
 
 def verification(run: Run) -> Section:
     """Every check that this very run was put to."""
-    blocks: list[Block] = [_balances(run), *_convergence(run), _certificate(run)]
+    blocks: list[Block] = [_balances(run), *_loops(run), *_convergence(run), _certificate(run)]
     closure = finite(run.get("attribution.closure"))
     if closure is not None:
         blocks.append(
@@ -45,6 +45,18 @@ def _balances(run: Run) -> Table | Missing:
         "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
     )
     return Table(head, body, caption, 3)
+
+
+def _loops(run: Run) -> list[Block]:
+    return [
+        Text(
+            f"The loop {each['loop']} is at its steady state: one more turn changes its torn "
+            f"streams by {power(each['change'])} of themselves, after {each['rounds']} rounds of "
+            "Newton's method."
+        )
+        for each in run.get("run.loops", [])
+        if each["change"] is not None
+    ]
 
 
 def _convergence(run: Run) -> list[Block]:

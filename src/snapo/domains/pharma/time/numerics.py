@@ -21,6 +21,8 @@ class Numerics:
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
       which explicit steps are "measured" to be too long, or "all". `stiff_tolerance`: of the choice
       of their steps at the nominal inputs.
+    - `loop_tolerance`: most relative change of a torn stream in one more turn around its loop;
+      `loop_rounds`: of Newton's method, after which the run's status names the loop.
     - `held`: {unit: shares of its duration at which those steps begin and end}.
     """
 
@@ -32,6 +34,8 @@ class Numerics:
     along: bool = False
     stiff: Literal["none", "measured", "all"] = "none"
     stiff_tolerance: float = 1e-8
+    loop_tolerance: float = 1e-10
+    loop_rounds: int = 50
     held: Mapping[str, np.ndarray] = field(default_factory=dict, hash=False)
 
     def finer(self) -> "Numerics":

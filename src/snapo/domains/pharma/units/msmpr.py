@@ -1,18 +1,21 @@
 """Continuous crystalliser at steady state, mixed suspension and mixed product removal (MSMPR).
 
 Randolph and Larson, Theory of Particulate Processes (1971): with growth G that does not depend on
-size and residence time tau the crystals are n = n0 exp(-L / (G tau)) by number, n0 = B / G, so that
-mu_k = k! n0 (G tau)^(k + 1), and the suspension holds M_T = 6 rho kv n0 (G tau)^4. Growth is
-G = growth S^growth_order, nucleation B = nucleation (G / G_r)^i (M_T / M_r)^j at a reference, and
-the mass balance M_T = c_in - c closes it: one equation for S = (c - c*) / c*.
+size and residence time tau the crystals obey G n' = (n_in - n) / tau with n(0) = B / G. Its moments
+are mu_0 = mu_0,in + B tau and mu_k = mu_k,in + k G tau mu_(k-1); of a clear feed it is
+n = n0 exp(-L / (G tau)), so that mu_k = k! n0 (G tau)^(k + 1). Growth is G = growth S^growth_order,
+nucleation B = nucleation (G / G_r)^i (M_T / M_r)^j at a reference, the suspension holds
+M_T = rho kv mu_3, and the mass balance M_T = M_T,in + c_in - c closes it: one equation for
+S = (c - c*) / c*.
 
 That is solved by bisection without derivatives; two Newton steps then carry them, which is the
-implicit function theorem. With j below 1 there is one steady state with crystals, with j = 1 none
-where nuclei are washed out faster than they form: the outlet is then the feed.
+implicit function theorem. With j below 1, or crystals in the feed, there is one steady state with
+crystals; of a clear feed with j = 1 none where nuclei are washed out faster than they form: the
+outlet is then the feed. Crystals in a feed below saturation would dissolve, which this does not
+follow: the outlet is then no number.
 """
 
 from dataclasses import dataclass
-from math import factorial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -24,9 +27,9 @@ from pydantic import Field
 from snapo.case.given import Given
 from snapo.case.table import Table
 
-from ..flowsheet.grid import Grid
+from ..flowsheet.grid import NO_CRYSTALS, Grid
 from ..flowsheet.ledger import Finish, ledger
-from ..flowsheet.stream import MOMENTS
+from ..flowsheet.stream import MOMENTS, Stream
 from ..given import fixed, use
 from ..read.fields import Text, number, quantity
 from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
@@ -133,7 +136,8 @@ class Msmpr(Instant):
 
     @property
     def inlets(self):
-        return (Inlet("feed", "refused", lasting=True),)
+        grid = None if self.edges is None else Grid.of(self.edges)
+        return (Inlet("feed", "allowed", grid=grid, lasting=True),)
 
     @property
     def outlets(self):
@@ -152,7 +156,8 @@ class Msmpr(Instant):
 
     def equations(self):
         return [
-            "n = n₀ exp(−L/(G τ)), n₀ = B/G; M_T = 6 ρ kᵥ n₀ (G τ)⁴ = c_in − c",
+            "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) of a clear feed",
+            "M_T = ρ kᵥ μ₃ = M_T,in + c_in − c",
             "G = g S^a; B = B_r (G/G_r)^i (M_T/M_r)^j",
             f"solubility c*: {self.solubility.kind} in temperature",
         ]
@@ -164,10 +169,12 @@ class Msmpr(Instant):
         saturated = solubility(self.solubility, inputs, temperature)
         entering = feed.concentration()[solute] * mass
         residence = use(inputs, self.volume) * feed.duration / feed.volume
-        found = self.steady(entering, saturated, residence, inputs)
-        per_volume = self.moments(found, residence)
-        left = entering - found.crystals
-        grown = found.crystals * feed.volume / mass  # kmol
+        fed = feed.moments / feed.volume
+        found = self.steady(entering, saturated, residence, fed, inputs)
+        per_volume = self.moments(found, residence, fed)
+        change = found.crystals - use(inputs, self.density) * use(inputs, self.shape) * fed[3]
+        left = entering - change
+        grown = change * feed.volume / mass  # kmol
         slurry = feed.replace(
             species=feed.species.at[solute].add(-grown),
             solid=feed.solid.at[solute].add(grown),
@@ -175,7 +182,7 @@ class Msmpr(Instant):
             moments=per_volume * feed.volume,
             density=use(inputs, self.density),
             shape=use(inputs, self.shape),
-            numbers=self.counted(found, per_volume, residence) * feed.volume,
+            numbers=self.counted(found, per_volume, residence, feed) * feed.volume,
             grid=self.sizes((feed.grid,))[0],
         )
         measures = {
@@ -188,15 +195,15 @@ class Msmpr(Instant):
         } | mean_sizes(per_volume)
         return Finish((slurry,), measures, ledger(len(network.species)))
 
-    def steady(self, entering, saturated, residence, inputs: dict[str, Any]) -> Steady:
-        """`entering` and `saturated` kg/m3, `residence` s."""
-        excess = entering - saturated
+    def steady(self, entering, saturated, residence, fed, inputs: dict[str, Any]) -> Steady:
+        """`entering`, dissolved, and `saturated` kg/m3, `residence` s, moments `fed` per m3."""
+        excess, weight = entering - saturated, use(inputs, self.density) * use(inputs, self.shape)
         above = excess > 0
         most = jnp.where(above, excess, saturated) / saturated  # supersaturation of the feed
 
         def rates(level) -> tuple[Array, Array, Array]:
             growth = use(inputs, self.growth) * level ** use(inputs, self.growth_order)
-            crystals = (most - level) * saturated
+            crystals = weight * fed[3] + (most - level) * saturated
             faster = growth / use(inputs, self.reference_growth)
             denser = crystals / use(inputs, self.reference_suspension)
             born = use(inputs, self.nucleation) * faster ** use(inputs, self.growth_power)
@@ -205,39 +212,57 @@ class Msmpr(Instant):
         def gap(level):
             """The logarithm of the crystals that grow over those of the mass balance; it rises."""
             growth, born, crystals = rates(level)
-            weight = 6 * use(inputs, self.density) * use(inputs, self.shape)
-            return jnp.log(weight * born * growth**3 * residence**4) - jnp.log(crystals)
+            grown = self.moments(Steady(level, growth, born, crystals), residence, fed)[3]
+            return jnp.log(weight * grown) - jnp.log(crystals)
 
         low, high = most * EDGE, most * (1 - EDGE)
         grows = above & (jax.lax.stop_gradient(gap(high)) > 0)
         level = jnp.where(grows, _root(gap, low, high), most / 2)
         growth, born, crystals = rates(level)
-        none = jnp.zeros(())
+        none = jnp.where((excess < 0) & (fed[3] > 0), jnp.nan, 0.0)  # what would dissolve
         return Steady(
             jnp.where(grows, level, excess / saturated),
             jnp.where(grows, growth, none),
             jnp.where(grows, born, none),
-            jnp.where(grows, crystals, none),
+            jnp.where(grows, crystals, weight * fed[3] + none),
         )
 
-    def moments(self, found: Steady, residence) -> Float[Array, " 6"]:
-        """mu_k = k! n0 (G tau)^(k + 1) = k! B tau (G tau)^k, m^k/m3."""
-        scale = found.growth * residence
-        first = found.nucleation * residence
-        return jnp.stack([factorial(k) * first * scale**k for k in range(MOMENTS)])
+    def moments(self, found: Steady, residence, fed) -> Float[Array, " 6"]:
+        """mu_0 = mu_0,in + B tau, mu_k = mu_k,in + k G tau mu_(k-1), m^k/m3."""
+        moments = [fed[0] + found.nucleation * residence]
+        for k in range(1, MOMENTS):
+            moments.append(fed[k] + k * found.growth * residence * moments[-1])
+        return jnp.stack(moments)
 
-    def counted(self, found: Steady, moments, residence) -> Float[Array, " N"]:
-        """Crystals in each cell per m3, with the third moment of all of them."""
+    def counted(self, found: Steady, moments, residence, feed: Stream) -> Float[Array, " N"]:
+        """Crystals in each cell per m3, with the third moment of all of them.
+
+        Nuclei fall off as exp(-L / (G tau)); those fed are as many at all sizes of their cell, of
+        which a share exp(-x) stays over x of L / (G tau), in that cell and in those after it.
+        """
         if self.edges is None:
             return jnp.zeros(0)
         scale = found.growth * residence
         some = scale > 0
         edges = fixed(self.edges) / jnp.where(some, scale, 1.0)
         # Cells far out hold few crystals: no difference of two numbers that are nearly 1.
-        share = jnp.exp(-edges[:-1]) * -jnp.expm1(-jnp.diff(edges))
-        numbers = found.nucleation * residence * share
+        width = jnp.diff(edges)
+        lost = -jnp.expm1(-width)
+        numbers = found.nucleation * residence * jnp.exp(-edges[:-1]) * lost
+        if feed.grid != NO_CRYSTALS:
+            fed = feed.numbers / feed.volume
+
+            def cell(before, here):
+                """`before`: the density by number at the cell's lower edge, per size / (G tau)."""
+                new, wide, out = here
+                after = before + (new / wide - before) * out
+                return after, new + before - after
+
+            _, grown = jax.lax.scan(cell, jnp.zeros(()), (fed, width, lost))
+            numbers = jnp.where(some, numbers + grown, fed)
         volume = SIZE**3 * jnp.sum(fixed(cell_powers(self.edges / SIZE)[3]) * numbers)
-        return jnp.where(some, numbers * moments[3] / jnp.where(some, volume, 1.0), 0.0)
+        held = volume > 0
+        return jnp.where(held, numbers * moments[3] / jnp.where(held, volume, 1.0), 0.0)
 
 
 def _root(gap, low, high) -> Array:

@@ -18,6 +18,7 @@ from .operation import Unit
 from .reactor import Reactor
 from .splitter import Splitter
 from .tank import Tank
+from .thickener import Thickener
 from .tray_dryer import TrayDryer
 from .wet_mill import WetMill
 
@@ -32,6 +33,7 @@ OPERATIONS = (
     Dissolution,
     Tank,
     Splitter,
+    Thickener,
 )
 
 SAID = ("type", "variant", "title", "table", "reacts", "symbols", "assumptions")

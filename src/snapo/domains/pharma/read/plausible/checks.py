@@ -9,7 +9,7 @@ from snapo.case.error import CaseError
 from ...control.stages import staged
 from ...flowsheet.case import Connection, PharmaCase
 from ...flowsheet.feed import Feed
-from ...flowsheet.order import ancestors
+from ...flowsheet.order import ancestors, groups, settled
 from ...quality.draws import process_entries
 from ...time.profile import Profile
 from ...units.operation import Unit, timed
@@ -74,6 +74,14 @@ def check_amounts(
     """Continuous units need a feed with a duration; a dose adds up to its feed."""
     by_name = {feed.name: feed for feed in feeds}
     lasting = _lasting(feeds, units, connections)
+    for group in groups(units, connections):
+        flows = [lasting[unit.name, port.name] for unit in group.units for port in unit.inlets]
+        if group.torn and not all(flows):
+            what = (
+                f"a batch reaches the loop {group.loop}, which is solved at its steady state: "
+                "every feed of it needs a duration, and its units take flows"
+            )
+            raise CaseError(str(file), "connections", None, what)
     for unit in units:
         fed = {c.inlet: by_name.get(c.source) for c in connections if c.target == unit.name}
         for inlet in unit.inlets:
@@ -97,15 +105,13 @@ def check_amounts(
 
 def _lasting(feeds, units, connections) -> dict[tuple[str, str], bool]:
     """{(unit, inlet): whether what comes is a flow over a time}; units in the order of flow."""
-    made: dict[tuple[str, str], bool] = {(f.name, ""): f.duration is not None for f in feeds}
-    found: dict[tuple[str, str], bool] = {}
-    for unit in units:
-        source = {c.inlet: (c.source, c.outlet) for c in connections if c.target == unit.name}
-        for inlet in unit.inlets:
-            found[unit.name, inlet.name] = made[source[inlet.name]]
-        out = unit.lasts(tuple(found[unit.name, inlet.name] for inlet in unit.inlets))
-        made |= {(unit.name, port): each for port, each in zip(unit.outlets, out)}
-    return found
+    fed = {(f.name, ""): f.duration is not None for f in feeds}
+    _, into = settled(units, connections, fed, True, lambda unit, lasting: unit.lasts(lasting))
+    return {
+        (unit.name, inlet.name): lasts
+        for unit in units
+        for inlet, lasts in zip(unit.inlets, into[unit.name])
+    }
 
 
 def _uneven(unit: Unit, fed) -> list[str]:

@@ -1,0 +1,162 @@
+"""A loop of the flowsheet at its steady state: by tearing, with the implicit function theorem.
+
+Some streams of the loop are guessed, the units make them again, and the guess x has to be what
+comes back: g(x) = x. Newton's method solves that, with the whole matrix of g; where a step of it
+does not come nearer, shorter ones are tried, and the substitution of x by g(x), which is always
+possible. The search carries no derivatives. Two more steps with the matrix held do: with M the
+matrix of x - g at the solution, x - M^-1 (x - g(x)) has the derivative M^-1 dg of the implicit
+function theorem, and after the second step second derivatives are exact too.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..time.numerics import Numerics
+from .stream import Stream
+
+# What is guessed; the rest of a stream goes around the loop as it is.
+GUESSED = (
+    "species", "solid", "seed", "solvent", "antisolvent", "volume", "temperature", "moments",
+    "numbers",
+)  # fmt: skip
+TOGETHER = ("species", "solid", "seed")  # scaled by the largest amount among them
+CARRIED = ("duration", "density", "shape")
+SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.02])  # of a Newton step that are tried
+BELOW = -1e-9  # what round-off may take from an amount that is zero
+ROUND_OFF = 1e3  # times the precision: what a change cannot be told from
+
+Turn = Callable[[tuple[Stream, ...], Any], tuple[Stream, ...]]
+
+
+class Closed(NamedTuple):
+    """`change`: of the guess in one more turn, relative; `rounds` that it took; `worst`: which of
+    `labels` changes most; `good`: whether the change is within the tolerance."""
+
+    change: Float[Array, ""]
+    rounds: Float[Array, ""]
+    worst: Float[Array, ""]
+    good: Float[Array, ""]
+
+
+def labels(streams: tuple[Stream, ...], names: tuple[str, ...], species: tuple[str, ...]):
+    """Words for every entry of the guess."""
+    found = []
+    for name, stream in zip(names, streams):
+        for field in GUESSED:
+            size = jnp.size(getattr(stream, field))
+            of = species if field in TOGETHER else [""] if size == 1 else range(size)
+            found += [f"{field} {each}".rstrip() + f" of {name}" for each in of]
+    return found
+
+
+def close(
+    turn: Turn, guess: tuple[Stream, ...], around: Any, numerics: Numerics
+) -> tuple[tuple[Stream, ...], Closed]:
+    """The torn streams, NaN where no steady state was found, and how it went.
+
+    `turn(torn, around)`: the torn streams as the loop makes them; `guess` has their shapes, and
+    the duration of all flows; `around`: everything else, which has derivatives.
+    """
+    first = guess
+    for _ in guess:
+        first = tuple(
+            old.replace(**{name: getattr(new, name) for name in CARRIED})
+            for old, new in zip(guess, turn(first, around))
+        )
+    still = jax.lax.stop_gradient
+    fixed, carried = still(around), still(first)
+    size = _scales(still(turn(carried, fixed)))
+
+    def gap(u: Array, like: tuple[Stream, ...], around) -> Array:
+        return _vector(turn(_streams(u * size, like), around)) / size - u
+
+    def at_rest(u: Array) -> Array:
+        return gap(u, carried, fixed)
+
+    u, slope, found, worst, rounds = _search(at_rest, _vector(carried) / size, numerics)
+    precise = ROUND_OFF * jnp.finfo(u.dtype).eps
+    good = found <= jnp.maximum(numerics.loop_tolerance, precise)
+
+    def polished(u, _):
+        """Its last digits, and the derivatives."""
+        return u - jnp.linalg.solve(slope, gap(u, first, around)), None
+
+    u, slope = still((jnp.where(good, u, jnp.nan), slope))
+    u, _ = jax.lax.scan(polished, u, length=2)
+    return _streams(u * size, first), Closed(found, rounds, worst, good)
+
+
+def _search(gap: Callable[[Array], Array], start: Array, numerics: Numerics):
+    """Where `gap` is zero, from `start`, and its matrix there; the change that is left, its place,
+    and the rounds of Newton's method."""
+
+    def change(u, off):
+        size = jnp.abs(off) / jnp.maximum(1.0, jnp.abs(u))
+        possible = jnp.all(jnp.isfinite(off)) & jnp.all(u > BELOW)
+        return jnp.where(possible, jnp.max(size), jnp.inf), jnp.argmax(size)
+
+    def further(state):
+        *_, left, rounds = state
+        least = jnp.maximum(numerics.loop_tolerance, jnp.finfo(start.dtype).eps)
+        return (left > least) & (rounds < numerics.loop_rounds)
+
+    def better(state):
+        u, off, slope, _, _, rounds = state
+        move = -jnp.linalg.solve(slope, off)
+        tried = jnp.concatenate([u + jnp.asarray(SHARES, u.dtype)[:, None] * move, (u + off)[None]])
+        left, worst = jax.vmap(change)(tried, jax.vmap(gap)(tried))
+        best = jnp.argmin(left)
+        # Without any that is possible substitution goes on, and will not be believed.
+        best = jnp.where(jnp.isfinite(left[best]), best, len(SHARES))
+        u = tried[best]
+        slope, off = jax.jacfwd(lambda at: (gap(at),) * 2, has_aux=True)(u)
+        return u, off, slope, worst[best], left[best], rounds + 1
+
+    # The first round looks at the start itself: without a change all that is tried is there.
+    place = jnp.argmax(start)
+    state = (start, jnp.zeros_like(start), jnp.eye(len(start), dtype=start.dtype), place)
+    infinite, before = jnp.full((), jnp.inf, start.dtype), jnp.full((), -1, place.dtype)
+    u, _, slope, worst, left, rounds = jax.lax.while_loop(
+        further, better, (*state, infinite, before)
+    )
+    return u, slope, left, worst, rounds
+
+
+def _vector(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
+    return jnp.concatenate([jnp.ravel(getattr(s, name)) for s in streams for name in GUESSED])
+
+
+def _streams(vector: Float[Array, " K"], like: tuple[Stream, ...]) -> tuple[Stream, ...]:
+    """The streams that `_vector` made one of, with what is carried as in `like`."""
+    found, start = [], 0
+    for each in like:
+        fields = {}
+        for name in GUESSED:
+            shape = jnp.shape(getattr(each, name))
+            end = start + int(np.prod(shape))
+            fields[name] = vector[start:end].reshape(shape)
+            start = end
+        found.append(each.replace(**fields))
+    return tuple(found)
+
+
+def _scales(streams: tuple[Stream, ...]) -> Float[Array, " K"]:
+    """Of every entry its order of magnitude; 1 where all of its kind are zero."""
+    found = []
+    for each in streams:
+        amount = jnp.max(each.species + each.solid)
+        for name in GUESSED:
+            value = jnp.ravel(getattr(each, name))
+            if name in TOGETHER:
+                size = jnp.broadcast_to(amount, value.shape)
+            elif name == "numbers":
+                size = jnp.broadcast_to(jnp.max(value, initial=0.0), value.shape)
+            else:
+                size = value
+            found.append(jnp.where(size > 0, size, 1.0))
+    return jnp.concatenate(found)
