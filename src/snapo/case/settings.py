@@ -36,7 +36,9 @@ class TrainingTable(Table):
     )
     validation_every: Count = Field(50, description="a number of steps, 1 or more")
     patience: Count | None = Field(None, description="a number of validations, 1 or more")
-    window: Count | None = Field(None, description="a number of days, 1 or more")
+    window: Count | Literal["auto"] = Field(
+        "auto", description='a number of steps, 1 or more, or "auto"'
+    )
     clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
@@ -113,7 +115,7 @@ def read_training(data: Mapping, file: str) -> TrainingTable:
 def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> None:
     """Refuses training on windows for objectives that have no worth of what lies ahead."""
     for kind in kinds:
-        if training.window is not None and kind != "mean":
+        if training.window != "auto" and kind != "mean":
             what = f'windows need an objective of kind "mean", and there is "{kind}"'
             raise CaseError(file, "training.window", training.window, what)
 

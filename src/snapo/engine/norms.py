@@ -1,14 +1,14 @@
 """How large a path's own adjoint is at every step: what shows that a derivative explodes."""
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import ArrayLike
-from jaxtyping import Array
+from jaxtyping import Array, PyTree
 
 from snapo.problem.noise import Draws
 from snapo.problem.policy import Policy
@@ -19,10 +19,20 @@ from .totals import add, zero
 from .xla import Call, Xla
 
 
+class Norms(NamedTuple):
+    """Norms of paths' adjoints at the state before every step, in float32.
+
+    - `whole` [T, N]: of all numbers of the state; `leaves` {name: [T, N]}: of every leaf by itself.
+    """
+
+    whole: np.ndarray
+    leaves: dict[str, np.ndarray]
+
+
 def adjoint_norms(
     problem: Problem, policy: Policy, draws: Draws, smooth: Any, weights: Mapping[str, ArrayLike]
-) -> np.ndarray:
-    """[T, N]: the norm of each path's adjoint at the state before every step, in float32.
+) -> Norms:
+    """How large each path's adjoint is at every step, of the whole state and of its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
     weight: the number that `Clip` bounds. By XLA, as many paths as `draws` has, at once.
@@ -30,24 +40,26 @@ def adjoint_norms(
     engine = Xla("float32")
     given = {name: jnp.asarray(weight, jnp.float32) for name, weight in weights.items()}
     call = engine.call(problem.simulator, policy, problem.schedule, draws, smooth)
-    return np.asarray(_norms(engine, call, given)).T
+    whole, leaves = _norms(engine, call, given)
+    parts = {name: np.asarray(each).T for name, each in leaves.items()}
+    return Norms(np.asarray(whole).T, parts)
 
 
 @eqx.filter_jit
-def _norms(engine: Xla, call: Call, weights: dict[str, Array]) -> Array:
+def _norms(engine: Xla, call: Call, weights: dict[str, Array]):
     return jax.vmap(lambda draws, own: _of_path(engine, call, draws, own), (call.draws.axes(), 0))(
         call.draws, weights
     )
 
 
-def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]) -> Array:
-    """[T] of one path: the derivative by a nudge of the state before every step."""
+def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]):
+    """[T] of one path, and of every leaf: derivatives by a nudge of the state before each step."""
     simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
     initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))
     packing, kinds = Packing(initial, dtype), simulator.totals()
     start = packing.pack(initial)
     if dtype not in packing.kinds:  # a state of whole numbers has no adjoint
-        return jnp.zeros(call.length)
+        return jnp.zeros(call.length), {}
     place = packing.kinds.index(dtype)
 
     def step(carry, x):
@@ -81,4 +93,20 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]) -> Array
     scale = simulator.state_scale(constants)
     if scale is not None:
         slopes = slopes * packing.pack(scale)[place]
-    return jnp.linalg.norm(slopes, axis=1) / jnp.maximum(size, jnp.finfo(dtype).tiny)
+    size = jnp.maximum(size, jnp.finfo(dtype).tiny)
+    leaves = {
+        name: jnp.linalg.norm(slopes[:, first:last], axis=1) / size
+        for name, first, last in _places(initial, dtype)
+    }
+    return jnp.linalg.norm(slopes, axis=1) / size, leaves
+
+
+def _places(state: PyTree, dtype) -> list[tuple[str, int, int]]:
+    """Where each leaf of real numbers lies in the packed state: its name, first and last place."""
+    found, first = [], 0
+    for path, leaf in jax.tree.leaves_with_path(state):
+        if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating):
+            name, size = jax.tree_util.keystr(path, simple=True, separator="."), jnp.size(leaf)
+            found.append((name or "state", first, first + size))
+            first += size
+    return found

@@ -2,7 +2,7 @@
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -49,7 +49,7 @@ class Folder:
       `numbers`, since any key may be missing.
     - `parts`: {name: {"state", "note", "seconds"}} of run.json.
     - `sensitivities`: the lines of sensitivities.csv.
-    - `profile`, `history`: columns of profile.csv and history.csv by name, as text.
+    - `profile`, `history`, `adjoints`: columns of these CSV files by name, as text.
     """
 
     result: dict[str, Any]
@@ -58,6 +58,7 @@ class Folder:
     sensitivities: tuple[Sensitivity, ...]
     profile: dict[str, list[str]]
     history: dict[str, list[str]]
+    adjoints: dict[str, list[str]] = field(default_factory=dict)
 
     @classmethod
     def read(cls, folder: Path):
@@ -93,6 +94,7 @@ class Folder:
             sensitivities,
             columns("profile.csv"),
             columns("history.csv"),
+            columns("adjoints.csv"),
         )
 
     def get(self, path: str, default: Any = None) -> Any:
@@ -105,7 +107,7 @@ class Folder:
         return self.column("profile", column) if found is None and column else found
 
     def column(self, table: str, name: str) -> np.ndarray | None:
-        """A column of numbers of `profile` or `history`; an empty cell is NaN."""
+        """A column of numbers of `profile`, `history` or `adjoints`; an empty cell is NaN."""
         cells = getattr(self, table).get(name)
         return None if cells is None else array([_number(cell) for cell in cells])
 

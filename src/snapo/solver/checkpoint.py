@@ -15,7 +15,9 @@ from jaxtyping import PyTree
 
 from snapo.problem.describe import described, difference
 
-from .train import Progress, Record
+from .learning.growth import Growth
+from .learning.progress import Progress, Record
+from .windows.critic import blank
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
 _TREES = ("policy", "average", "best", "halfway", "recent", "optimiser", "critic")
@@ -25,7 +27,7 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
-PLAIN = ("step", "best_value", "stale", "status", "clip", "since")
+PLAIN = ("step", "best_value", "stale", "status", "clip", "since", "window")
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
@@ -37,6 +39,9 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "status": progress.status,
         "clip": progress.clip,
         "since": progress.since,
+        "window": progress.window,
+        "growth": progress.growth,
+        "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
         "mark": mark,
     }
@@ -48,15 +53,28 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
 
     **Raises:** `CheckpointError` where the file is damaged, or belongs to another policy or run.
     """
+    like = _with_critic(file, like)
     trees, state = load_arrays(file, {name: getattr(like, name) for name in _TREES})
     try:
         if mark and state["mark"] != mark:
             raise CheckpointError(f"{file}: this file belongs to another run.")
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
-    except (KeyError, TypeError, AttributeError):
+        growth = Growth.read(state["growth"])
+    except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    return replace(like, **trees, **plain, history=history)
+    return replace(like, **trees, **plain, history=history, growth=growth)
+
+
+def _with_critic(file: Path, like: Progress) -> Progress:
+    """With a critic where training chose windows, which a beginning does not know."""
+    try:
+        features = _load(file)[1]["header"]["features"]
+    except (KeyError, TypeError):
+        return like  # what is wrong with the file shows where it is read
+    if like.critic is not None or not isinstance(features, int):
+        return like
+    return replace(like, critic=blank(features))
 
 
 def save_arrays(file: Path, tree: PyTree, header: Mapping[str, Any]) -> None:

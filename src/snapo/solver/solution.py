@@ -14,15 +14,16 @@ from snapo.problem.policy import Policy
 from . import checkpoint
 from .files import write_csv, write_text
 from .judge import COLUMNS, Verdict
+from .learning.growth import Growth
+from .learning.progress import Record
 from .sensitivity import Row, Sensitivities
 from .show import html
 from .show.figures import Figures
 from .statistics import Estimate
-from .train import Record
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
-HISTORY, RESULT = "history.csv", "result.json"
+HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
 
 @dataclass(frozen=True)
@@ -41,6 +42,7 @@ class Solution:
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
     - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit) or
       "barely moved" (an untrained rule does as well); empty where the value is no number.
+    - `growth`: adjoints by step and by part of the state, where training measured them.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -66,6 +68,7 @@ class Solution:
     notes: tuple[str, ...] = ()
     convergence: str = ""
     halfway: Policy | None = None
+    growth: Growth | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
 
@@ -126,6 +129,8 @@ class Solution:
             verdicts = (self.sensitivities.verdicts or {}).items()
             write_csv(folder / VERDICTS, COLUMNS, (each.row(name) for name, each in verdicts))
         write_csv(folder / HISTORY, Record._fields, self.history)
+        if self.growth is not None:
+            write_csv(folder / GROWTH, self.growth.columns, self.growth.table())
         policies = {"policy": self.policy, "halfway": self.halfway}
         checkpoint.save_arrays(folder / POLICY, policies, {"versions": dict(self.versions)})
         found = self.sensitivities
@@ -134,6 +139,7 @@ class Solution:
             | self._beside()
             | {
                 "history": self.history,
+                "growth": self.growth,
                 "inputs": {} if found is None else _described(found.inputs),
                 "policy_gradient": None if found is None else found.policy_gradient,
                 "left_out": 0 if found is None else found.dropped,
@@ -170,6 +176,7 @@ class Solution:
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
+        plain["growth"] = Growth.read(header["growth"])
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 
     def _beside(self) -> dict[str, Any]:

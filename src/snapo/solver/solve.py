@@ -174,7 +174,8 @@ def measure(
             min(evaluation.sensitivity_paths, evaluation.paths),
         ),
         "dropped": dropped,
-        "notes": _notes(value, dropped, ruined(objective, exact)) + ended.notes,
+        "notes": _notes(value, dropped, ruined(objective, exact)) + _chosen(progress) + ended.notes,
+        "growth": progress.growth,
         "convergence": ended.word,
         "status": _status(value.value, progress.status),
     }
@@ -198,6 +199,17 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
         told = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
         notes.append(f"Paths left out since they are not finite: {told}.")
     return tuple(notes)
+
+
+def _chosen(progress: Progress) -> tuple[str, ...]:
+    """What training chose since the horizon is chaotic, and why."""
+    if progress.window is None or progress.growth is None:
+        return ()
+    return (
+        f"{progress.growth.words()} From step {progress.growth.step} of the training on it went "
+        f"back through windows of {progress.window} steps with a critic (Training(window=None) "
+        "never does).",
+    )
 
 
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}

@@ -9,148 +9,34 @@ step, so a run that stops goes on bit for bit from its `Progress`.
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
-import equinox as eqx
-import jax
-import jax.numpy as jnp
 import numpy as np
-import optax
-from jaxtyping import Array, PyTree
+from jaxtyping import PyTree
 
 from snapo.engine import Bound, Clip, Engine
-from snapo.problem.policy import Policy, trainable
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
-from .learning import clipping
-from .windows.critic import Learner, learner
-from .windows.window import window_adjoint
+from .learning import clipping, horizon
+from .learning.growth import Growth
+from .learning.optimiser import anew, updater
+from .learning.progress import Progress, Record
+from .learning.progress import begin as begin
+from .learning.settings import Training
+from .learning.settings import whole as whole
+from .windows.critic import Learner, has_worth_ahead, learner
+from .windows.window import UPDATES, sweep, window_adjoint
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 
 
-@dataclass(frozen=True)
-class Training:
-    """How a policy is trained.
-
-    - `steps`, `paths`: updates, and antithetic fresh paths for each.
-    - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
-      decay to zero.
-    - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
-    - `average`: the averaged policy remembers about this share of the steps.
-    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
-      steps; after `patience` validations without a new best the run stops (None: never).
-    - `window`: go back through windows of this many steps, after which a critic tells the worth of
-      all that comes (see `windows`); for means only.
-    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
-      where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
-    - `seed`: of the network's first weights and of all scenarios.
-    """
-
-    steps: int = 240
-    paths: int = 512
-    learning_rate: float = 0.01
-    warmup: int = 20
-    temperature_start: float = 0.02
-    temperature_end: float = 0.005
-    average: float = 0.05
-    validation_paths: int = 4096
-    validation_every: int = 50
-    patience: int | None = None
-    window: int | None = None
-    clip: float | str | None = "auto"
-    seed: int = 0
-
-    def __post_init__(self):
-        for name, least in COUNTS.items():
-            if (value := getattr(self, name)) is not None:
-                whole(f"Training: {name}", value, least)
-        number = isinstance(self.clip, int | float) and self.clip > 0
-        if not number and self.clip not in ("auto", None):
-            raise ValueError(
-                f"Training: clip is {self.clip!r}; allowed is a number above 0, 'auto' or None."
-            )
-
-    def temperature(self, step: int) -> float:
-        """Geometric from start to end, which is reached at three quarters of the steps."""
-        done = min(1.0, step / max(1.0, 0.75 * self.steps))
-        return self.temperature_start * (self.temperature_end / self.temperature_start) ** done
-
-
-COUNTS = {
-    "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
-    "patience": 1, "window": 1,
-}  # fmt: skip
-
-
-def whole(name: str, value: object, least: int) -> None:
-    """Refuses what is no whole number of at least `least`."""
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name} is {value!r}; allowed is a whole number of at least {least}.")
-
-
-class Record(NamedTuple):
-    """One line of the training history; `exact` and `best` as of the last validation."""
-
-    step: int
-    objective: float
-    gradient_norm: float
-    temperature: float
-    bad_paths: int
-    exact: float
-    best: float
-    seconds: float
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Everything that a stopped run needs to go on: the whole state of the loop.
-
-    `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
-    steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
-    `critic`: of training on windows.
-    `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
-    began anew, its gradients having exploded.
-    """
-
-    step: int
-    policy: Policy
-    average: Policy
-    best: Policy
-    halfway: Policy
-    recent: Policy
-    optimiser: PyTree
-    best_value: float
-    stale: int
-    history: tuple[Record, ...]
-    status: str
-    critic: Learner | None = None
-    clip: float | None = None
-    since: int = 0
-
-
 Callback = Callable[[Progress], None]
-
-
-def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
-    """The state before the first step; training on windows needs the problem, for its critic."""
-    moving, _ = trainable(policy)
-    state = _optimiser(training).init(_flat(moving))
-    given = training.clip if isinstance(training.clip, int | float) else None
-    critic = None
-    if training.window is not None:
-        if problem is None:
-            raise ValueError("begin: give the problem too where training has a window.")
-        if training.window < problem.simulator.horizon:
-            critic = learner(problem, training.seed)
-    same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
-    empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
-    return Progress(step=0, **same, optimiser=state, **empty, critic=critic, clip=given)
 
 
 class Loop(NamedTuple):
@@ -160,6 +46,7 @@ class Loop(NamedTuple):
     training: Training
     bound: Bound
     update: Callable
+    update_by_windows: Callable
 
 
 def train(
@@ -174,7 +61,7 @@ def train(
     On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
     of the result is "trained", "stopped early" or "diverged".
     """
-    loop = Loop(problem, training, engine.bind(problem), _updater(training))
+    loop = Loop(problem, training, engine.bind(problem), *_updaters(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -197,6 +84,10 @@ def train(
     return progress
 
 
+def _updaters(training: Training) -> tuple[Callable, Callable]:
+    return updater(training), updater(training, UPDATES)
+
+
 def _due(progress: Progress, training: Training) -> bool:
     """Whether it is time to validate: every so often, and at the end."""
     over = progress.step >= training.steps or progress.status != "training"
@@ -209,34 +100,77 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
-    progress = _clipped(loop, progress, smooth)
-    options: dict = {"wrt": ("policy",)}
-    if progress.clip is not None:
-        options["clip"] = Clip(progress.clip)
-    value, result, bad, critic = _adjoint(loop, progress, draws, smooth, options)
+    progress = _chosen(loop, progress, smooth)
+    if progress.window is None:
+        moved, value, bad = _climbed(loop, progress, draws, smooth)
+    else:
+        moved, value, bad = _climbed_by_windows(loop, progress, draws, smooth, progress.window)
     lost = bad + sum(record.bad_paths for record in progress.history)
     if bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training):
         return replace(progress, status="diverged")
-    policy, average, optimiser, norm = loop.update(
-        progress.policy, progress.average, progress.optimiser, result.policy, np.float32(step)
-    )
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
-    record = Record(step + 1, value, float(norm), temperature, bad, exact, best, seconds)
-    kept = (progress.recent, average) if _marks(step + 1, training.steps) else ()
+    record = Record(
+        step + 1, value, moved.norm, temperature, bad, exact, best, seconds, progress.window or 0
+    )
+    kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
         progress,
         step=step + 1,
-        policy=policy,
-        average=average,
+        policy=moved.policy,
+        average=moved.average,
         halfway=halfway,
         recent=recent,
-        optimiser=optimiser,
+        optimiser=moved.optimiser,
         history=(*progress.history, record),
-        critic=critic,
-        status="training" if np.isfinite(norm) else "diverged",
+        critic=moved.critic,
+        status="training" if np.isfinite(moved.norm) else "diverged",
     )
+
+
+class Moved(NamedTuple):
+    """The part of the progress that a step changes, and the norm of its gradient."""
+
+    policy: Policy
+    average: Policy
+    optimiser: PyTree
+    norm: float = math.nan
+    critic: Learner | None = None
+
+
+def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[Moved, float, int]:
+    """One update over the whole horizon; its objective, and the number of bad paths."""
+    policy, objective = progress.policy, loop.problem.objective
+    options = _options(progress)
+    found = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, objective, **options)
+    value, result, bad = found
+    number = np.float32(progress.step)
+    *moved, norm = loop.update(policy, progress.average, progress.optimiser, result.policy, number)
+    return Moved(*moved, norm=float(norm)), value, bad
+
+
+def _climbed_by_windows(
+    loop: Loop, progress: Progress, draws, smooth, length: int
+) -> tuple[Moved, float, int]:
+    """Updates on several windows of one sweep, whose objective is that of the whole horizon."""
+    assert progress.critic is not None
+    problem, step, bad = loop.problem, progress.step, 0
+    moved = Moved(progress.policy, progress.average, progress.optimiser)
+    swept = sweep(problem, loop.bound, progress.critic, moved.policy, draws, smooth, length, step)
+    for number in range(UPDATES):
+        turn = UPDATES * step + number
+        window = (problem, loop.bound, swept, moved.policy, draws, smooth, length, turn)
+        _, result, lost = window_adjoint(*window, **_options(progress))
+        *after, norm = loop.update_by_windows(*moved[:3], result.policy, np.float32(step))
+        moved, bad = Moved(*after, norm=float(norm), critic=swept.known), max(bad, lost)
+    return moved, swept.objective, bad
+
+
+def _options(progress: Progress) -> dict:
+    """How a step of training differentiates."""
+    clip = {} if progress.clip is None else {"clip": Clip(progress.clip)}
+    return {"wrt": ("policy",), **clip}
 
 
 def most_dropped(training: Training) -> float:
@@ -249,31 +183,45 @@ def _marks(step: int, steps: int) -> bool:
     return step in (steps >> k for k in range(steps.bit_length()))
 
 
-def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
-    """The bound of this step: none until gradients explode, then measured every few steps."""
-    step, norms = progress.step, [record.gradient_norm for record in progress.history]
-    if loop.training.clip != "auto" or progress.critic is not None or not norms:
+def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+    """With the window and the bound of this step: none until gradients are erratic or explode."""
+    norms = [record.gradient_norm for record in progress.history]
+    if progress.window is not None or not norms:
         return progress  # a window is short enough
-    anew = clipping.exploded(norms, progress.since)
-    if not anew and (progress.clip is None or step % clipping.EVERY):
+    training, step = loop.training, progress.step
+    exploded = clipping.exploded(norms, progress.since)
+    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms))
+    may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
+    again = progress.clip is not None and step % clipping.EVERY == 0
+    may_clip = training.clip == "auto" and (exploded or again)
+    if not may_window and not may_clip:
         return progress
-    clip = clipping.bound(loop.problem, progress.policy, smooth, step) or progress.clip
-    progress = replace(progress, clip=clip)
-    if not anew:
+    measured = clipping.measured(loop.problem, progress.policy, smooth, step)
+    if may_window or progress.growth is None:
+        progress = replace(progress, growth=Growth.of(measured, step))
+    if may_window and (length := horizon.window(measured.whole)):
+        return _windowed(loop, progress, length)
+    if not may_clip:
         return progress
-    fresh = _optimiser(loop.training).init(_flat(trainable(progress.policy)[0]))
-    forgotten = clipping.forgotten(progress.optimiser, fresh)
-    return replace(progress, optimiser=forgotten, since=step)
+    progress = replace(progress, clip=clipping.bound(measured.whole) or progress.clip)
+    if not exploded:
+        return progress
+    fresh = anew(training, progress.policy, progress.optimiser, 1)
+    return replace(progress, optimiser=fresh, since=step)
 
 
-def _adjoint(loop: Loop, progress: Progress, draws, smooth, options):
-    """Objective, adjoint and number of bad paths, over the horizon or one window; the critic."""
-    policy, problem, critic = progress.policy, loop.problem, progress.critic
-    if critic is not None and loop.training.window is not None:
-        window = (problem, loop.bound, critic, policy, draws, smooth)
-        return window_adjoint(*window, loop.training.window, progress.step, **options)
-    found = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, problem.objective, **options)
-    return *found, None
+def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
+    """On windows of a length from here on, with a critic that knows nothing yet."""
+    training = loop.training
+    fresh = anew(training, progress.policy, progress.optimiser, UPDATES)
+    return replace(
+        progress,
+        window=length,
+        critic=learner(loop.problem, training.seed),
+        clip=None if training.clip == "auto" else progress.clip,
+        optimiser=fresh,
+        since=progress.step,
+    )
 
 
 def _validate(loop: Loop, progress: Progress) -> Progress:
@@ -304,56 +252,3 @@ def _conclude(loop: Loop, progress: Progress, seconds: float) -> Progress:
     if history:
         history = (*history[:-1], history[-1]._replace(seconds=seconds))
     return replace(progress, status=status, history=history)
-
-
-def _optimiser(training: Training) -> optax.GradientTransformation:
-    # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
-    warmup = min(training.warmup, max(0, training.steps - 1))
-    rate = optax.warmup_cosine_decay_schedule(
-        0.0 if warmup else training.learning_rate,
-        training.learning_rate,
-        warmup,
-        max(1, training.steps),
-    )
-    return optax.adam(rate, eps=1e-16)
-
-
-def _updater(training: Training):
-    """The compiled update: ascend, and move the average along."""
-    optimiser = _optimiser(training)
-    memory = max(1.0, training.average * training.steps)
-
-    @jax.jit
-    def ascend(moving, old, state, gradient, step):
-        change, state = optimiser.update(-gradient, state, moving)
-        moving = optax.apply_updates(moving, change)
-        # A running mean whose memory grows to `memory` steps: early on it forgets the start.
-        share = jnp.maximum(1 / memory, 1 / (1 + step)).astype(old.dtype)
-        return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
-
-    def update(policy, average, state, gradient, step):
-        # What is not trained goes round the compiled part.
-        moving, fixed = trainable(policy)
-        flat = _flat(moving)
-        old, slope = (_flat(trainable(tree)[0]) for tree in (average, gradient))
-        flat, old, state, norm = ascend(flat, old, state, slope.astype(flat.dtype), step)
-        policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (flat, old))
-        return policy, average, state, norm
-
-    return update
-
-
-def _flat(tree: PyTree) -> np.ndarray:
-    """All numbers of a tree as one vector: one array compiles in half the time of many."""
-    leaves = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
-    return np.concatenate([np.zeros(0, np.float32), *leaves])
-
-
-def _shaped(flat: Array, like: PyTree) -> PyTree:
-    """The numbers of a vector in the shapes and types of a tree."""
-    leaves, structure = jax.tree.flatten(like)
-    parts = np.split(np.asarray(flat), np.cumsum([leaf.size for leaf in leaves])[:-1])
-    shaped = [
-        part.reshape(leaf.shape).astype(leaf.dtype, copy=False) for part, leaf in zip(parts, leaves)
-    ]
-    return jax.tree.unflatten(structure, shaped)

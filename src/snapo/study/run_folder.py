@@ -6,6 +6,7 @@ result.json         the headline: value, standard error, references, seconds, st
 case/               a copy of the case
 parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
+adjoints.csv        how adjoints grow by step, where training measured them
 groups.npz          what independent groups of paths are worth, by which runs are compared
 report.html
 """
@@ -24,7 +25,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.whole import changed_files, checksum, is_sealed, sealed
 from snapo.solver.files import write_text
-from snapo.solver.solution import HISTORY, POLICY, SENSITIVITIES, SOLUTION
+from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION
 from snapo.solver.versions import versions
 
 from .study import Part
@@ -32,7 +33,8 @@ from .study import Part
 RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 WRITTEN = (
-    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, "profile.csv"
+    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, GROWTH,
+    "profile.csv",
 )  # fmt: skip
 LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")

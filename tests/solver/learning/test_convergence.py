@@ -80,7 +80,7 @@ def test_adjoint_norms_are_those_of_the_closed_form():
     problem = Problem(simulator, INPUTS, snapo.Mean("value"))
     draws = Pseudo(0).draws(np.arange(8), simulator)
     weights = {"value": np.full(8, 1 / 8)}
-    found = adjoint_norms(problem, Linear(-gain), draws, Exact(), weights)
+    found = adjoint_norms(problem, Linear(-gain), draws, Exact(), weights).whole
     x, closed = np.array([1.0, 0.0]), A - B @ gain
     noise = (
         Xla("float64").bind(problem).values(Linear(-gain), draws, Exact()).state["x"] - closed @ x

@@ -1,16 +1,57 @@
 """Why to believe the number, and how to get it again."""
 
-from .. import evidence
+from dataclasses import replace
+
+import numpy as np
+
+from .. import charts, evidence
+from ..drawing import draw
 from ..folder import Folder
-from ..page import Block, Facts, Missing, Section, Table, Text
+from ..page import Block, Chart, Facts, Missing, Section, Table, Text
 from ..quantity import finite, number, seconds
 from .distribution import words
 from .lacking import lacking
 
+PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and their lines
+
 
 def history(run: Folder) -> Section:
-    """The objective and the gradient norm over the steps of training."""
-    return evidence.history(run, run.unit)
+    """The objective and the gradient norm over the steps of training, and adjoints by step."""
+    found = evidence.history(run, run.unit)
+    return replace(found, blocks=[*found.blocks, *_adjoints(run)])
+
+
+def _adjoints(run: Folder) -> list[Block]:
+    """The norms of adjoints by step and part of the state, where training measured them."""
+    steps = run.column("adjoints", "step")
+    if steps is None or steps.size < 2:
+        return []
+    known = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
+    leaves = [name for name in run.adjoints if name not in ("step", "usual", "largest")]
+    known += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
+    lines = []
+    for place, (name, label, colour) in enumerate(known):
+        values = run.column("adjoints", name)
+        if values is not None and (values > 0).any():
+            style = STYLES[(place - 2) % len(STYLES)] if place > 1 else "-"
+            shown = np.where(values > 0, values, np.nan)
+            lines.append(charts.Line(label, shown, colour, style))
+    if not lines:
+        return []
+
+    def paint(axes, _=None):
+        charts.trace(axes, steps, lines, "log scale", log=True)
+        axes.set_xlabel(str(run.get("step", "step")).capitalize())
+
+    most = float(np.nanmax(lines[-1].values if len(lines) < 2 else lines[1].values))
+    alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(most)}."
+    svg = draw("adjoints", alt, paint, 230)
+    caption = (
+        "Norm of the adjoint before every step, on 64 paths at the moment of training when it was "
+        "last in doubt whether the whole horizon can be differentiated: the parts of the state are "
+        "root mean squares over these paths. All are in adjoints.csv."
+    )
+    return [Chart(svg, caption)]
 
 
 def certificate(run: Folder) -> Section:

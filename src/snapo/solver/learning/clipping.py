@@ -13,9 +13,8 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from jaxtyping import PyTree
 
-from snapo.engine.norms import adjoint_norms
+from snapo.engine.norms import Norms, adjoint_norms
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
@@ -36,18 +35,16 @@ def exploded(norms: Sequence[float], since: int) -> bool:
     return len(own) > 3 and bool(last > APART * np.median(own[:-1]))
 
 
-def bound(problem: Problem, policy: Policy, smooth: Smooth, step: int) -> float | None:
-    """The bound for `engine.Clip` at this policy; None where no path has a finite adjoint."""
-    draws = problem.sources.training.batch(step, PATHS, problem.simulator)
-    size = draws.size
-    weights = dict.fromkeys(problem.objective.outputs, np.full(size, 1 / size))
-    norms = adjoint_norms(problem, policy, draws, smooth, weights)
+def bound(norms: np.ndarray) -> float | None:
+    """The bound for `engine.Clip` from norms [T, N]; None where no path has a finite adjoint."""
     usual = np.where(np.isfinite(norms), norms, np.inf)
     memory = min(len(usual), math.ceil(math.sqrt(len(usual))))
     found = ROOM * float(np.median(usual[-memory:].max(0)))
     return found if 0 < found < np.inf else None
 
 
-def forgotten(optimiser: PyTree, fresh: PyTree) -> PyTree:
-    """The optimiser without what it remembers of gradients; its schedule goes on."""
-    return (fresh[0], *optimiser[1:])
+def measured(problem: Problem, policy: Policy, smooth: Smooth, step: int) -> Norms:
+    """How large the adjoints of a few paths are, for the mean of the objective's outputs."""
+    draws = problem.sources.training.batch(step, PATHS, problem.simulator)
+    weights = dict.fromkeys(problem.objective.outputs, np.full(draws.size, 1 / draws.size))
+    return adjoint_norms(problem, policy, draws, smooth, weights)

@@ -33,6 +33,11 @@ class Critic(eqx.Module):
     shift: Float[Array, ""]
     scale: Float[Array, ""]
 
+    @property
+    def features(self) -> int:
+        """The length of an observation."""
+        return self.network.weights[0].shape[1] - 1
+
     def __call__(self, seen: Float[Array, " features"], left: Float[Array, ""]):
         return self.shift + self.scale * self.network(jnp.append(seen, left))[0]
 
@@ -44,19 +49,30 @@ class Learner(NamedTuple):
     optimiser: PyTree
 
 
+def has_worth_ahead(problem: Problem) -> bool:
+    """Whether the objective is a mean of sums, what lies ahead of a state having a worth."""
+    objective, kinds = problem.objective, problem.simulator.totals()
+    return objective.linear and all(kinds.get(n, "sum") == "sum" for n in objective.outputs)
+
+
 def learner(problem: Problem, seed: int) -> Learner:
     """A critic that knows nothing yet.
 
     **Raises:** `ValueError` where the objective is no mean of sums, which alone has a worth ahead.
     """
-    objective, kinds = problem.objective, problem.simulator.totals()
-    if not objective.linear or any(kinds.get(name, "sum") != "sum" for name in objective.outputs):
+    if not has_worth_ahead(problem):
+        objective = problem.objective
         raise ValueError(
             "Training: window needs an objective that is a mean of outputs summed over the path; "
             f"{type(objective).__name__} of {', '.join(objective.outputs)} has no worth ahead."
         )
+    return blank(problem.features, seed)
+
+
+def blank(features: int, seed: int = 0) -> Learner:
+    """A critic of observations with so many features, whose weights are the first ones."""
     key = jax.random.fold_in(jax.random.key(seed), 1)  # the policy's weights have the key itself
-    network = Network((problem.features + 1, *HIDDEN, 1), key=key, activation=jnp.tanh)
+    network = Network((features + 1, *HIDDEN, 1), key=key, activation=jnp.tanh)
     critic = Critic(network, jnp.zeros(()), jnp.zeros(()))
     return Learner(critic, _ADAM.init(eqx.filter(network, eqx.is_inexact_array)))
 

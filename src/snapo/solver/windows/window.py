@@ -11,7 +11,7 @@ present policy, from the sweep over the whole horizon that gives the windows the
 Only an objective that is a mean of sums has such a value; others are refused.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -24,9 +24,11 @@ from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator, at
 
+from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
 from .critic import Critic, Learner, fitted, worth_ahead
 
+UPDATES = 4  # windows that one sweep over the horizon serves
 AHEAD = "worth ahead"  # the output that a critic adds to a window
 
 
@@ -86,7 +88,15 @@ def starts(horizon: int, length: int) -> np.ndarray:
     )
 
 
-def window_adjoint(
+class Sweep(NamedTuple):
+    """A sweep over the whole horizon: the states of its paths, and the critic that it taught."""
+
+    objective: float
+    states: PyTree
+    known: Learner
+
+
+def sweep(
     problem: Problem,
     bound: Bound,
     known: Learner,
@@ -95,32 +105,48 @@ def window_adjoint(
     smooth: Any,
     length: int,
     step: int,
+) -> Sweep:
+    """The first states of all windows, [T, N] a leaf, and the critic fitted anew."""
+    rolled = bound.values(policy, draws, smooth, record=("state", "outputs"))
+    worth, good = worth_ahead(problem.objective, rolled)
+    states, firsts = rolled.record["state"], starts(problem.simulator.horizon, length)
+    known = fitted(problem, known, states, worth, good, firsts, length, step)
+    totals = {name: total[good] for name, total in float64(rolled.totals).items()}
+    objective = problem.objective.value(totals) if good.any() else float("nan")
+    return Sweep(objective, states, known)
+
+
+def window_adjoint(
+    problem: Problem,
+    bound: Bound,
+    swept: Sweep,
+    policy: PyTree,
+    draws: Draws,
+    smooth: Any,
+    length: int,
+    turn: int,
     **options,
-) -> tuple[float, Adjoint, int, Learner]:
-    """One window's objective and adjoint, the number of bad paths, and the critic, fitted anew.
+) -> tuple[float, Adjoint, int]:
+    """One window's objective and adjoint, and the number of bad paths.
 
     The windows take turns, so that each call goes back through `length` steps only.
     """
     horizon = problem.simulator.horizon
     firsts = starts(horizon, length)
-    rolled = bound.values(policy, draws, smooth, record=("state", "outputs"))
-    worth, good = worth_ahead(problem.objective, rolled)
-    known = fitted(problem, known, rolled.record["state"], worth, good, firsts, length, step)
-    first = int(firsts[_turn(step, firsts.size)])
-    options["start"] = jax.tree.map(lambda leaf: leaf[first], rolled.record["state"])
+    first = int(firsts[_turn(turn, firsts.size)])
+    options["start"] = jax.tree.map(lambda leaf: leaf[first], swept.states)
     if first + length == horizon:
         options["window"], objective = Window(first, length), problem.objective
     else:
-        bound = Bound(bound.engine, *_ending(problem, known.critic, first + length))
+        bound = Bound(bound.engine, *_ending(problem, swept.known.critic, first + length))
         options["window"] = Window(first, length, terminal=True)
         objective = problem.objective + Mean(AHEAD)
-    value, result, bad = adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)
-    return value, result, bad, known
+    return adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)
 
 
-def _turn(step: int, count: int) -> int:
+def _turn(number: int, count: int) -> int:
     """Which window is next: each once a round, in an order that a round's number shuffles."""
-    turn, place = divmod(step, count)
+    turn, place = divmod(number, count)
     return int(np.random.default_rng(turn).permutation(count)[place])
 
 

@@ -1,0 +1,50 @@
+"""When the whole horizon is chaotic, and windows (`solver.windows`) that are not.
+
+On a chaotic horizon adjoints grow a hundredfold and more on their way back, and differently on
+every path, so that a few paths drown all others: the gradient is noise however it is clipped. On a
+plant that is unstable and no more, they grow alike on all paths. It shows in the norms of the first
+gradients, which leap up and down from one step to the next, at no cost; only then the adjoints of a
+few paths are measured. A window is as long as their largest stays near the usual one. No unit
+enters.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+FIRST = 20  # steps of training after which the norms are judged
+ERRATIC = 0.3  # typical change of a norm's logarithm: below .15 on tame problems, above .4 in chaos
+GROWTH = 100.0  # times that the adjoint grows from the last step to where it is largest
+TAILS = 12.0  # largest path to the usual one at a typical step: 6 on regulators, above 20 in chaos
+APART = 10.0  # the same at the first step of a window
+SHORTEST = 5
+
+
+def erratic(norms: Sequence[float]) -> bool:
+    """Whether the norms of successive gradients leap up and down."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        changes = np.abs(np.diff(np.log(np.asarray(norms, float))))
+    return bool(changes.size and np.median(changes) > ERRATIC)
+
+
+def window(norms: np.ndarray) -> int | None:
+    """The length of windows for adjoints of these norms [T, N]; None for the whole horizon."""
+    norms = np.where(np.isfinite(norms), norms, np.finfo(float).max ** 0.25)
+    size = np.sqrt(np.mean(norms**2, axis=1))
+    usual = np.median(norms, axis=1)
+    seen = usual > 0
+    if not seen.any() or not size[-1] * GROWTH < size.max():
+        return None
+    tails = norms.max(1)[seen] / usual[seen]
+    if not np.median(tails) > TAILS:
+        return None
+    return _agreeing(norms)
+
+
+def _agreeing(norms: np.ndarray) -> int | None:
+    """The number of steps from the end after which paths do not agree any more."""
+    back = norms[::-1]
+    usual = np.maximum(np.median(back, axis=1), np.finfo(float).tiny)
+    apart = np.flatnonzero(back.max(1) > APART * usual)
+    length = max(SHORTEST, int(apart[0]) if apart.size else len(back))
+    return length if 2 * length <= len(back) else None

@@ -1,0 +1,96 @@
+"""The step of the optimiser, compiled once: Adam with warm-up and cosine decay, and an average.
+
+On windows several updates are made in each step of training, and their gradients change from one
+window to the next: there the rate follows the steps, not the updates, and Adam's second moment
+forgets after a hundred updates instead of a thousand.
+"""
+
+from typing import Any, Protocol
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, PyTree
+
+from snapo.problem.policy import trainable
+
+WINDOWS_FORGET = 0.99  # of Adam's second moment; 0.999 elsewhere
+
+
+class Plan(Protocol):
+    """The settings of a training that the optimiser reads (see `Training`)."""
+
+    @property
+    def steps(self) -> int: ...
+    @property
+    def learning_rate(self) -> float: ...
+    @property
+    def warmup(self) -> int: ...
+    @property
+    def average(self) -> float: ...
+
+
+def optimiser(plan: Plan, updates: int = 1) -> optax.GradientTransformation:
+    """Adam; with more than one update a step, the rate is that of the step."""
+    # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
+    warmup = min(plan.warmup, max(0, plan.steps - 1))
+    rate = optax.warmup_cosine_decay_schedule(
+        0.0 if warmup else plan.learning_rate,
+        plan.learning_rate,
+        warmup,
+        max(1, plan.steps),
+    )
+    if updates == 1:
+        return optax.adam(rate, eps=1e-16)
+    return optax.adam(lambda count: rate(count / updates), b2=WINDOWS_FORGET, eps=1e-16)
+
+
+def updater(plan: Plan, updates: int = 1):
+    """The compiled update: ascend, and move the average along."""
+    adam = optimiser(plan, updates)
+    memory = max(1.0, plan.average * plan.steps)
+
+    @jax.jit
+    def ascend(moving, old, state, gradient, step):
+        change, state = adam.update(-gradient, state, moving)
+        moving = optax.apply_updates(moving, change)
+        # A running mean whose memory grows to `memory` steps: early on it forgets the start.
+        share = jnp.maximum(1 / memory, 1 / (1 + step)).astype(old.dtype)
+        if updates > 1:
+            share = 1 - (1 - share) ** (1 / updates)
+        return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
+
+    def update(policy, average, state, gradient, step):
+        # What is not trained goes round the compiled part.
+        moving, fixed = trainable(policy)
+        vector = flat(moving)
+        old, slope = (flat(trainable(tree)[0]) for tree in (average, gradient))
+        vector, old, state, norm = ascend(vector, old, state, slope.astype(vector.dtype), step)
+        policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (vector, old))
+        return policy, average, state, norm
+
+    return update
+
+
+def anew(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
+    """An optimiser that remembers no gradient; its schedule goes on where `state` stands."""
+    fresh: Any = optimiser(plan, updates).init(flat(trainable(policy)[0]))
+    return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
+
+
+def flat(tree: PyTree) -> np.ndarray:
+    """All numbers of a tree as one vector: one array compiles in half the time of many."""
+    leaves = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
+    return np.concatenate([np.zeros(0, np.float32), *leaves])
+
+
+def _shaped(vector: Array, like: PyTree) -> PyTree:
+    """The numbers of a vector in the shapes and types of a tree."""
+    leaves, structure = jax.tree.flatten(like)
+    parts = np.split(np.asarray(vector), np.cumsum([leaf.size for leaf in leaves])[:-1])
+    shaped = [
+        part.reshape(leaf.shape).astype(leaf.dtype, copy=False) for part, leaf in zip(parts, leaves)
+    ]
+    return jax.tree.unflatten(structure, shaped)

@@ -1,0 +1,78 @@
+"""The state of a training: all that a stopped run needs to go on."""
+
+from dataclasses import dataclass
+from typing import NamedTuple
+
+from jaxtyping import PyTree
+
+from snapo.problem.policy import Policy, trainable
+from snapo.problem.problem import Problem
+
+from ..windows.critic import Learner, learner
+from ..windows.window import UPDATES
+from .growth import Growth
+from .optimiser import flat, optimiser
+from .settings import Training
+
+
+class Record(NamedTuple):
+    """One line of the training history; `exact` and `best` as of the last validation.
+
+    `window`: the length of the windows that the step went back through; 0: the whole horizon.
+    """
+
+    step: int
+    objective: float
+    gradient_norm: float
+    temperature: float
+    bad_paths: int
+    exact: float
+    best: float
+    seconds: float
+    window: int = 0
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Everything that a stopped run needs to go on: the whole state of the loop.
+
+    `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
+    steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
+    `window`, `critic`: of training on windows, given or chosen.
+    `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
+    began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
+    """
+
+    step: int
+    policy: Policy
+    average: Policy
+    best: Policy
+    halfway: Policy
+    recent: Policy
+    optimiser: PyTree
+    best_value: float
+    stale: int
+    history: tuple[Record, ...]
+    status: str
+    critic: Learner | None = None
+    window: int | None = None
+    clip: float | None = None
+    since: int = 0
+    growth: Growth | None = None
+
+
+def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
+    """The state before the first step; training on windows needs the problem, for its critic."""
+    given = training.clip if isinstance(training.clip, int | float) else None
+    window, critic = None, None
+    if isinstance(training.window, int):
+        if problem is None:
+            raise ValueError("begin: give the problem too where training has a window.")
+        if training.window < problem.simulator.horizon:
+            window, critic = training.window, learner(problem, training.seed)
+    state = optimiser(training, UPDATES if window else 1).init(flat(trainable(policy)[0]))
+    same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
+    empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
+    return Progress(
+        step=0, **same, optimiser=state, **empty, critic=critic, window=window, clip=given
+    )

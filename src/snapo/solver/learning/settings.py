@@ -1,0 +1,71 @@
+"""The settings of a training."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Training:
+    """How a policy is trained.
+
+    - `steps`, `paths`: updates, and antithetic fresh paths for each.
+    - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
+      decay to zero.
+    - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
+    - `average`: the averaged policy remembers about this share of the steps.
+    - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
+      steps; after `patience` validations without a new best the run stops (None: never).
+    - `window`: go back through windows of this many steps, after which a critic tells the worth of
+      all that comes (see `windows`); for means only.
+    - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
+      where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
+    - `seed`: of the network's first weights and of all scenarios.
+    """
+
+    steps: int = 240
+    paths: int = 512
+    learning_rate: float = 0.01
+    warmup: int = 20
+    temperature_start: float = 0.02
+    temperature_end: float = 0.005
+    average: float = 0.05
+    validation_paths: int = 4096
+    validation_every: int = 50
+    patience: int | None = None
+    window: int | str | None = "auto"
+    clip: float | str | None = "auto"
+    seed: int = 0
+
+    def __post_init__(self):
+        for name, least in COUNTS.items():
+            value = getattr(self, name)
+            if value is not None and (name, value) != ("window", "auto"):
+                whole(f"Training: {name}", value, least)
+        if isinstance(self.window, str) and self.window != "auto":
+            raise ValueError(
+                f"Training: window is {self.window!r}; allowed is a number of steps, 'auto' or "
+                "None."
+            )
+        number = isinstance(self.clip, int | float) and self.clip > 0
+        if not number and self.clip not in ("auto", None):
+            raise ValueError(
+                f"Training: clip is {self.clip!r}; allowed is a number above 0, 'auto' or None."
+            )
+
+    def temperature(self, step: int) -> float:
+        """Geometric from start to end, which is reached at three quarters of the steps."""
+        done = min(1.0, step / max(1.0, 0.75 * self.steps))
+        return self.temperature_start * (self.temperature_end / self.temperature_start) ** done
+
+
+COUNTS = {
+    "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
+    "patience": 1, "window": 1,
+}  # fmt: skip
+
+
+def whole(name: str, value: object, least: int) -> None:
+    """Refuses what is no whole number of at least `least`."""
+    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
+        raise ValueError(f"{name} is {value!r}; allowed is a whole number of at least {least}.")

@@ -1,0 +1,106 @@
+"""Windows are chosen where the horizon is chaotic, by adjoints as they are measured, and told."""
+
+from dataclasses import replace
+from statistics import NormalDist
+
+import jax
+import numpy as np
+import pytest
+from tests.solver.twelve import Pendulum, problem
+
+import snapo
+from snapo.engine import Native, Xla
+from snapo.engine.norms import Norms
+from snapo.problem.policy import parameters
+from snapo.solver import checkpoint
+from snapo.solver.learning import horizon
+from snapo.solver.learning.growth import Growth
+from snapo.solver.train import Training, begin, train
+
+NORMALS = np.array([NormalDist().inv_cdf((path + 0.5) / 64) for path in range(64)])
+
+
+def grown(rate, spread, steps=100):
+    """Norms that grow by `rate` a step on their way back, with a spread that grows as well."""
+    back = np.arange(steps)[:, None]
+    return np.exp(rate * back + spread * back * NORMALS)[::-1]
+
+
+def test_gradients_are_erratic_where_they_leap_up_and_down():
+    steady = [1e6, 9e5, 8.5e5, 8e5, 7e5, 6e5]
+    assert not horizon.erratic(steady)
+    assert not horizon.erratic([*steady, 10.0])  # one fall alone is an explosion that is over
+    assert horizon.erratic([2400, 2200, 4700, 970, 1500, 1200, 7100, 560])
+    assert not horizon.erratic([]) and not horizon.erratic([1.0])
+
+
+def test_an_unstable_plant_is_not_chaotic_and_paths_that_grow_apart_are():
+    assert horizon.window(grown(0.1, 0.0)) is None  # e^10, alike on all paths
+    assert horizon.window(grown(0.01, 0.0)) is None
+    assert horizon.window(np.zeros((100, 64))) is None
+    # The largest of 64 normals is 2.42: e^(2.42 x .1 x steps) is more than ten after ten.
+    assert horizon.window(grown(0.1, 0.1)) == 10
+    assert horizon.window(grown(0.05, 0.05)) == 20
+    bad = grown(0.1, 0.1)
+    bad[:50, 3] = np.nan
+    assert horizon.window(bad) is not None
+
+
+def test_a_record_of_adjoints_names_the_step_and_the_state_where_they_explode():
+    whole = np.ones((50, 4))
+    whole[20] = [2.0, 2.0, 3.0, 5000.0]
+    record = Growth.of(Norms(whole, {"level": 0.1 * whole, "price": 0.9 * whole}), 7)
+    words = record.words()
+    assert "step 20 of 50" in words and "'price'" in words and "5e+03-fold" in words
+    assert "no more than usual" in Growth.of(Norms(np.ones((5, 4)), {}), 0).words()
+    assert record.columns == ("step", "usual", "largest", "level", "price")
+    assert record.table()[20] == (20, 2.5, 5000.0, *(record.leaves[n][20] for n in record.leaves))
+
+
+SHORT = Training(steps=24, paths=64, validation_paths=64, validation_every=22, warmup=2)
+
+
+@pytest.fixture(scope="module")
+def swings():
+    """A short training of a pendulum by each engine, with its states at every validation."""
+    found = {}
+    for engine in (Xla(), Native()):
+        of, states = problem(Pendulum), []
+        policy = snapo.MLP(hidden=(8,)).for_problem(of.interface, jax.random.key(0))
+        done = train(of, begin(policy, SHORT, of), SHORT, engine, [states.append])
+        found[engine.__class__.__name__] = of, policy, done, states
+    return found
+
+
+@pytest.mark.prove
+def test_a_pendulum_is_trained_on_windows_by_default_and_both_engines_choose_alike(swings):
+    (_, _, one, _), (_, _, other, _) = swings.values()
+    assert one.window == other.window and one.window in range(5, 31)
+    assert {record.window for record in one.history} == {0, one.window}
+    assert one.growth.step == one.since <= horizon.FIRST
+    assert set(one.growth.leaves) == {"angle", "speed"}
+    np.testing.assert_allclose(one.growth.usual, other.growth.usual, rtol=1e-2)
+    np.testing.assert_allclose(parameters(one.policy), parameters(other.policy), atol=5e-3)
+
+
+@pytest.mark.prove
+def test_a_run_that_chose_windows_resumes_with_the_same_bits(swings, tmp_path):
+    of, policy, whole, states = swings["Xla"]
+    checkpoint.save(states[0], tmp_path / "checkpoint.npz")
+    resumed = checkpoint.load(tmp_path / "checkpoint.npz", begin(policy, SHORT, of))
+    assert resumed.step == 22 and resumed.window == whole.window
+    assert resumed.growth == whole.growth
+    again = train(of, resumed, SHORT, Xla())
+    np.testing.assert_array_equal(parameters(again.policy), parameters(whole.policy))
+
+
+@pytest.mark.prove
+def test_windows_are_not_chosen_where_they_are_not_wanted_or_have_no_worth(swings):
+    of, policy, _, _ = swings["Xla"]
+    plan = replace(SHORT, steps=21)
+    for one, training in (
+        (of, replace(plan, window=None)),
+        (replace(of, objective=snapo.CVaR("value", 0.5)), plan),
+    ):
+        done = train(one, begin(policy, training, one), training, Xla())
+        assert done.window is None and done.critic is None
