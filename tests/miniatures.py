@@ -47,5 +47,10 @@ MINIATURES = {
             ("training.steps=4", "evaluation.paths=256", *LITTLE),
             ("simulator", "Reservoir"),
         ),
+        Miniature(
+            "control",
+            "double-integrator",
+            ("plant.horizon=6", "training.steps=4", "evaluation.paths=256", *LITTLE),
+        ),
     )
 }

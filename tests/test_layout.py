@@ -19,6 +19,7 @@ ORDER = [
     "engine",
     "checker",
     "solver",
+    "gym",
     "case",
     "report",
     "study",

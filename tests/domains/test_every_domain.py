@@ -18,7 +18,16 @@ FREE = {"own": ("inputs", "units")}
 LABELS = {"own": ("week",)}
 
 
-@pytest.fixture(params=sorted(MINIATURES))
+# Kinds whose miniature is not solved in the quick suite: they run the code that the others run.
+SLOW = ("control",)
+
+
+@pytest.fixture(
+    params=[
+        pytest.param(kind, marks=[pytest.mark.prove] if kind in SLOW else [])
+        for kind in sorted(MINIATURES)
+    ]
+)
 def kind(request):
     """Every kind of case that the package brings."""
     return request.param

@@ -107,7 +107,7 @@ class Simulator(eqx.Module):
         return Interface(self.action, probe(self, schedule)[1].shape[0])
 
 
-def at(steps: PyTree, t: int) -> PyTree:
+def at(steps: PyTree, t: Any) -> PyTree:
     """The schedule's step `t` (a view of every leaf)."""
     return jax.tree.map(lambda leaf: leaf[t], steps)
 

@@ -1,0 +1,82 @@
+"""The inputs of a plant: parameters, weights, first state and disturbances, each with its unit."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.inputs import Input
+
+from .plants.plant import Parameter, Plant, Quantity
+
+Inputs = dict[str, dict[str, Any]]
+START_WORDS = {
+    "at": "first {}", "low": "lowest first {}", "high": "highest first {}",
+    "mean": "mean first {}", "deviation": "standard deviation of the first {}",
+}  # fmt: skip
+
+
+def make_inputs(
+    plant: type[Plant],
+    parameters: Mapping[str, Any] | None = None,
+    cost: Mapping[str, Any] | None = None,
+    start: Mapping[str, Mapping[str, Any]] | None = None,
+    noise: Mapping[str, Any] | None = None,
+) -> Inputs:
+    """{"plant", "cost", "start", "noise"} of a plant, its own numbers where none are given.
+
+    - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
+    - `noise`: {state: standard deviation of a step's disturbance}; or a matrix that multiplies
+      normals, or one for every step.
+
+    **Raises:** `KeyError` for a name that the plant does not have.
+    """
+    starts = {name: each.start or {} for name, each in plant.states.items()} | dict(start or {})
+    shaken = noise or {}
+    for given, known in ((starts, plant.states), (shaken, plant.states)):
+        if unknown := set(given) - set(known):
+            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {list(known)}.")
+    if silent := [name for name, each in starts.items() if not each]:
+        raise KeyError(f"{plant.type}: give the start of {', '.join(silent)}.")
+    return {
+        "plant": _each(plant.type, plant.parameters, parameters or {}, "plant"),
+        "cost": _each(plant.type, plant.weights, cost or {}, "cost"),
+        "start": {name: _start(plant.states[name], starts[name]) for name in plant.states},
+        "noise": {name: _noise(plant.states[name], shaken[name]) for name in shaken},
+    }
+
+
+def _each(plant: str, known: Mapping[str, Parameter], given: Mapping[str, Any], group: str):
+    if unknown := set(given) - set(known):
+        raise KeyError(f"{plant}: no {sorted(unknown)}; there are {list(known)}.")
+    missing = [name for name, each in known.items() if each.value is None and name not in given]
+    if missing:
+        raise KeyError(f"{plant}: give {', '.join(missing)}.")
+    values = {name: given.get(name, each.value) for name, each in known.items()}
+    return {
+        name: Input(
+            values[name], each.unit, words=each.words, group=group, move=_move(values[name])
+        )
+        for name, each in known.items()
+        if np.all(np.isfinite(values[name]))
+    }
+
+
+def _start(state: Quantity, given: Mapping[str, Any]) -> dict[str, Input]:
+    return {
+        key: Input(
+            value, state.unit, words=START_WORDS[key].format(state.words), group="start",
+            move=_move(value),
+        )
+        for key, value in given.items()
+    }  # fmt: skip
+
+
+def _noise(state: Quantity, value: Any) -> Input:
+    words = f"standard deviation of a step's disturbance of the {state.words}"
+    return Input(value, state.unit, words=words, group="disturbance", move=_move(value))
+
+
+def _move(value: Any) -> float | None:
+    """Nothing has no hundredth: it moves by a hundredth of the unit."""
+    return 0.01 if not np.any(value) else None

@@ -1,0 +1,1 @@
+"""The plants: a file each, found by `registry`."""

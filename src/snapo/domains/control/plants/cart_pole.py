@@ -1,0 +1,89 @@
+"""Cart and pole: swing the pole up from hanging, and hold it there."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from .integrate import runge_kutta
+from .plant import Parameter, Plant, Quantity
+
+
+class CartPole(Plant):
+    """A uniform rod of length l and mass m on a cart of mass M, pushed by a force u.
+
+    With the angle a from upright and h = m l / 2,
+    (M + m) x'' + h (a'' cos a - a'^2 sin a) = u - friction x',
+    (m l^2 / 3) a'' + h x'' cos a = h g sin a;
+    one step of Runge and Kutta of order 4. Masses and limits are those of Deisenroth and
+    Rasmussen, PILCO (2011). A step costs position^2 + angle 2 (1 - cos a) + speed^2 + spin^2 +
+    force^2, each with its weight.
+    """
+
+    type: ClassVar = "cart-pole"
+    words: ClassVar = "a cart that swings its pole up and holds it"
+    steps: ClassVar = 100
+    portrait: ClassVar = ("angle", "spin")
+    parameters: ClassVar = {
+        "cart": Parameter(0.5, "kg", "mass of the cart"),
+        "pole": Parameter(0.5, "kg", "mass of the pole"),
+        "length": Parameter(0.6, "m", "length of the pole"),
+        "friction": Parameter(0.1, "N s/m", "friction of the cart", False),
+        "gravity": Parameter(9.82, "m/s2", "gravity"),
+        "force": Parameter(10.0, "N", "largest force"),
+        "step": Parameter(0.05, "s", "time step"),
+    }
+    weights: ClassVar = {
+        "position": Parameter(0.5, "1/m2", "weight of the squared position", False),
+        "angle": Parameter(1.0, "1", "weight of 2 (1 - cos angle)", False),
+        "speed": Parameter(0.01, "s2/m2", "weight of the squared speed", False),
+        "spin": Parameter(0.01, "s2/rad2", "weight of the squared spin", False),
+        "force": Parameter(0.001, "1/N2", "weight of the squared force", False),
+    }
+    states: ClassVar = {
+        "position": Quantity("m", "position", {"mean": 0.0, "deviation": 0.1}),
+        "angle": Quantity("rad", "angle from upright", {"mean": np.pi, "deviation": 0.1}, True),
+        "speed": Quantity("m/s", "speed of the cart", {"mean": 0.0, "deviation": 0.1}),
+        "spin": Quantity("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.1}),
+    }
+    actions: ClassVar = {"force": Quantity("N", "force on the cart")}
+
+    def drive(self, p, action):
+        return p["force"] * action
+
+    def move(self, p, state, u, smooth):
+        return runge_kutta(lambda at: slopes(p, at, u[0]), state, p["step"])
+
+    def cost(self, w, p, state, u):
+        return {
+            "position": w["position"] * state["position"] ** 2,
+            "angle": w["angle"] * 2 * (1 - jnp.cos(state["angle"])),
+            "speed": w["speed"] * state["speed"] ** 2,
+            "spin": w["spin"] * state["spin"] ** 2,
+            "force": w["force"] * u[0] ** 2,
+        }
+
+    def features(self, p, state):
+        place = jnp.stack([state["position"], state["speed"] / 2])
+        turn = jnp.stack([jnp.cos(state["angle"]), jnp.sin(state["angle"]), state["spin"] / 5])
+        return jnp.concatenate([place, turn])
+
+    def recover(self, p, features):
+        x, v, cosine, sine, spin = features[:5]
+        angle = jnp.arctan2(sine, cosine)
+        return {"position": x, "angle": angle, "speed": 2 * v, "spin": 5 * spin}
+
+
+def slopes(p, at, force):
+    """The time derivatives of all states."""
+    sine, cosine, mass = jnp.sin(at["angle"]), jnp.cos(at["angle"]), p["pole"]
+    lever, inertia = mass * p["length"] / 2, mass * p["length"] ** 2 / 3
+    total, turn = p["cart"] + mass, lever * p["gravity"] * sine
+    push = force - p["friction"] * at["speed"] + lever * at["spin"] ** 2 * sine
+    determinant = total * inertia - (lever * cosine) ** 2
+    return {
+        "position": at["speed"],
+        "angle": at["spin"],
+        "speed": (inertia * push - lever * cosine * turn) / determinant,
+        "spin": (total * turn - lever * cosine * push) / determinant,
+    }

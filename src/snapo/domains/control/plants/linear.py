@@ -1,0 +1,85 @@
+"""A linear plant with a quadratic cost, its matrices in the case; its actions may have bounds."""
+
+import math
+from typing import ClassVar
+
+import numpy as np
+
+from snapo.problem.actions import Box
+
+from .plant import Parameter, Plant, Quantity
+
+
+class LinearQuadratic(Plant):
+    """x' = A x + B u + G z with z standard normal; a step costs x'Q x + u'R u, the end x'Q_T x.
+
+    Without `limit` the best rule is linear, and value and derivatives are known in closed form:
+    see `riccati.py`. With it, every action lies between -limit and limit.
+    """
+
+    type: ClassVar = "linear-quadratic"
+    words: ClassVar = "a linear plant with a quadratic cost, with or without bounds"
+    steps: ClassVar = 20
+    sees_time: ClassVar = True
+    parameters: ClassVar = {
+        "A": Parameter(None, "1", "from state to state", False),
+        "B": Parameter(None, "1", "from action to state", False),
+        "limit": Parameter(math.inf, "1", "largest size of an action"),
+    }
+    weights: ClassVar = {
+        "Q": Parameter(None, "1", "weights of the state", False),
+        "R": Parameter(None, "1", "weights of the action", False),
+        "Q_T": Parameter(None, "1", "weights of the last state", False),
+    }
+    states: ClassVar = {"x": Quantity("1", "state")}
+    actions: ClassVar = {"u": Quantity("1", "action")}
+
+    @classmethod
+    def faults(cls, values):
+        plant, cost = values["plant"], values["cost"]
+        size = plant["A"].shape[0]
+        actions = plant["B"].shape[-1]
+        shapes = {
+            "plant.A": (plant["A"], (size, size)), "plant.B": (plant["B"], (size, actions)),
+            "cost.Q": (cost["Q"], (size, size)), "cost.Q_T": (cost["Q_T"], (size, size)),
+            "cost.R": (cost["R"], (actions, actions)),
+        }  # fmt: skip
+        for key, (given, shape) in shapes.items():
+            if given.shape != shape:
+                what = f"allowed are {shape[0]} rows of {shape[1]} numbers"
+                yield key, given.tolist(), what
+        for key in ("Q", "Q_T", "R"):
+            given, least = cost[key], 1e-12 if key == "R" else -1e-9
+            what = "allowed is a symmetric matrix without negative eigenvalues"
+            what = "allowed is a symmetric matrix with eigenvalues above 0" if key == "R" else what
+            if not np.allclose(given, given.T) or np.linalg.eigvalsh(given).min() < least:
+                yield f"cost.{key}", given.tolist(), what
+        for key, given in values["start"]["x"].items():
+            if given.shape != (size,):
+                yield f"start.x.{key}", given.tolist(), f"allowed are {size} numbers"
+        for given in values["noise"].values():
+            if given.shape != (size, size):
+                what = f"allowed are {size} numbers, or {size} rows of {size}"
+                yield "noise.x", given.tolist(), what
+
+    def decisions(self, inputs):
+        size = inputs["plant"]["B"].value.shape[1]
+        return Box(size, -1.0, 1.0) if "limit" in inputs["plant"] else Box(size)
+
+    def drive(self, p, action):
+        return p["limit"] * action if "limit" in p else action
+
+    def move(self, p, state, u, smooth):
+        return {"x": p["A"] @ state["x"] + p["B"] @ u}
+
+    def cost(self, w, p, state, u):
+        return {"state": state["x"] @ (w["Q"] @ state["x"]), "action": u @ (w["R"] @ u)}
+
+    def final_cost(self, w, p, state):
+        return {"state": state["x"] @ (w["Q_T"] @ state["x"])}
+
+    def features(self, p, state):
+        return state["x"]
+
+    def recover(self, p, features):
+        return {"x": features[: np.shape(p["A"])[0]]}

@@ -1,0 +1,73 @@
+"""Gymnasium's Pendulum-v1: a rod on a motor too weak to lift it at once."""
+
+from typing import ClassVar
+
+import jax.numpy as jnp
+import numpy as np
+
+from .plant import Parameter, Plant, Quantity, wrapped
+
+
+class Pendulum(Plant):
+    """A rod of length l and mass m, turned by a torque u of at most `torque` (Gymnasium 1.4).
+
+    speed' = clip(speed + (3 g / (2 l) sin(angle) + 3 u / (m l^2)) dt), angle' = angle + speed' dt;
+    the angle is 0 upright. The cost is on the state before the move: angle^2 (between -pi and pi)
+    + 0.1 speed^2 + 0.001 u^2.
+    """
+
+    type: ClassVar = "pendulum"
+    words: ClassVar = "Pendulum-v1: swing up a rod and hold it upright"
+    steps: ClassVar = 200
+    twin: ClassVar = "Pendulum-v1"
+    parameters: ClassVar = {
+        "gravity": Parameter(10.0, "m/s2", "gravity"),
+        "mass": Parameter(1.0, "kg", "mass of the rod"),
+        "length": Parameter(1.0, "m", "length of the rod"),
+        "torque": Parameter(2.0, "N m", "largest torque of the motor"),
+        "max_speed": Parameter(8.0, "rad/s", "largest speed"),
+        "step": Parameter(0.05, "s", "time step"),
+    }
+    weights: ClassVar = {
+        "angle": Parameter(1.0, "1/rad2", "weight of the squared angle", False),
+        "speed": Parameter(0.1, "s2/rad2", "weight of the squared speed", False),
+        "torque": Parameter(0.001, "1/(N m)2", "weight of the squared torque", False),
+    }
+    states: ClassVar = {
+        "angle": Quantity("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),
+        "speed": Quantity("rad/s", "speed of turning", {"low": -1.0, "high": 1.0}),
+    }
+    actions: ClassVar = {"torque": Quantity("N m", "torque of the motor")}
+
+    def drive(self, p, action):
+        return p["torque"] * action
+
+    def move(self, p, state, u, smooth):
+        fall = 1.5 * p["gravity"] / p["length"] * jnp.sin(state["angle"])
+        push = 3 / (p["mass"] * p["length"] ** 2) * u[0]
+        most = p["max_speed"]
+        speed = smooth.clip(state["speed"] + (fall + push) * p["step"], -most, most, scale=most)
+        return {"angle": state["angle"] + speed * p["step"], "speed": speed}
+
+    def cost(self, w, p, state, u):
+        return {
+            "angle": w["angle"] * wrapped(state["angle"]) ** 2,
+            "speed": w["speed"] * state["speed"] ** 2,
+            "torque": w["torque"] * u[0] ** 2,
+        }
+
+    def features(self, p, state):
+        angle = state["angle"]
+        return jnp.stack([jnp.cos(angle), jnp.sin(angle), state["speed"] / p["max_speed"]])
+
+    def recover(self, p, features):
+        angle = jnp.arctan2(features[1], features[0])
+        return {"angle": angle, "speed": features[2] * p["max_speed"]}
+
+    def from_twin(self, p, seen):
+        return seen / np.array([1.0, 1.0, p["max_speed"]])
+
+    def proportional(self, p):
+        # Twice the torque that holds the rod beside its rest; a tenth of it for the speed.
+        hold = p["mass"] * p["gravity"] * p["length"]
+        return {"angle": np.array([hold]), "speed": np.array([hold / 5])}

@@ -1,0 +1,236 @@
+"""What every plant has: states with units, equations of one step, a cost by parts.
+
+A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
+distribution of its first state and its disturbances are inputs, so that each has a sensitivity.
+"""
+
+import abc
+from collections.abc import Iterator, Mapping
+from typing import Any, ClassVar, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Actions, Box
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import Schedule, Simulator
+
+Values = Mapping[str, Any]
+State = dict[str, Array]
+
+
+class Parameter(NamedTuple):
+    """A number of a plant or of its cost: its value where the case is silent (None: it must be
+    given; infinite: there is none), its unit and meaning. `positive`: it must be above 0."""
+
+    value: Any
+    unit: str
+    words: str
+    positive: bool = True
+
+
+class Quantity(NamedTuple):
+    """A state or an action: its unit and meaning.
+
+    - `start`: of a state, its distribution where the case is silent: {"at"}, {"low", "high"} or
+      {"mean", "deviation"}.
+    - `turn`: an angle, unwrapped in the state; its cost and features repeat every 2 pi.
+    """
+
+    unit: str
+    words: str
+    start: Mapping[str, Any] | None = None
+    turn: bool = False
+
+
+STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform; normal
+
+
+class Plant(Simulator):
+    """One path of a controlled plant. A subclass has its description and its equations.
+
+    **Attributes:**
+
+    - `horizon`: steps; `clock`: whether the policy sees the share of the horizon that is left.
+    - `starts`: ((state, keys of its distribution), …), of every state.
+    - `shaken`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
+    """
+
+    type: ClassVar[str]
+    words: ClassVar[str]
+    parameters: ClassVar[Mapping[str, Parameter]]
+    weights: ClassVar[Mapping[str, Parameter]]
+    states: ClassVar[Mapping[str, Quantity]]
+    actions: ClassVar[Mapping[str, Quantity]]
+    steps: ClassVar[int]
+    sees_time: ClassVar[bool] = False
+    portrait: ClassVar[tuple[str, ...]] = ()  # two states to draw; the first two where empty
+    twin: ClassVar[str] = ""  # the environment of Gymnasium with the same numbers
+    rests: ClassVar[bool] = True  # it has a target: a linear rule around it is a rival
+
+    horizon: int = eqx.field(static=True)
+    clock: bool = eqx.field(static=True)
+    starts: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
+    shaken: tuple[str, ...] = eqx.field(static=True)
+    sizes: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    action: Actions
+
+    def __init__(
+        self,
+        inputs: Mapping[str, Values],
+        horizon: int | None = None,
+        clock: bool | None = None,
+    ):
+        """The plant for `inputs` (see `inputs.py`): their shapes and keys alone count."""
+        self.horizon = self.steps if horizon is None else horizon
+        self.clock = self.sees_time if clock is None else clock
+        self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
+        self.shaken = tuple(name for name in self.states if name in inputs["noise"])
+        sizes = {name: np.size(_any(inputs["start"][name])) for name in self.states}
+        self.sizes = tuple(sizes.items())
+        self.action = self.decisions(inputs)
+
+    @classmethod
+    def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+        """What does not fit together in a case: (key, value, allowed). `values`: as the inputs."""
+        for name, start in values["start"].items():
+            if np.size(_any(start)) > 1:
+                what = "this state is one number"
+                yield f"start.{name}", _any(start).tolist(), what
+        for name, given in values["noise"].items():
+            if np.ndim(given):
+                yield f"noise.{name}", given.tolist(), "this state is one number"
+
+    def decisions(self, inputs: Mapping[str, Values]) -> Actions:
+        """The set of actions: a share of each limit, from -1 to 1."""
+        return Box(len(self.actions), -1.0, 1.0)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return sum(dict(self.sizes)[name] for name in self.shaken)
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return sum(dict(self.sizes)[name] for name, keys in self.starts if len(keys) > 1)
+
+    @abc.abstractmethod
+    def drive(self, p: Values, action: Any) -> Any:
+        """The physical action [m] of a decision [m] in the set."""
+
+    @abc.abstractmethod
+    def move(self, p: Values, state: State, u: Float[Array, " m"], smooth) -> State:
+        """The state after one step, without disturbances."""
+
+    @abc.abstractmethod
+    def cost(self, w: Values, p: Values, state: State, u: Float[Array, " m"]) -> State:
+        """The cost of a step by part, on the state before it."""
+
+    def final_cost(self, w: Values, p: Values, state: State) -> State:
+        """The cost of the last state by part."""
+        return {}
+
+    @abc.abstractmethod
+    def features(self, p: Values, state: State) -> Float[Array, " features"]:
+        """The observation, of order one, without the clock."""
+
+    @abc.abstractmethod
+    def recover(self, p: Values, features: Float[Array, " features"]) -> State:
+        """The state that an observation shows; angles between -pi and pi."""
+
+    def target_at(self, p: Values) -> dict[str, np.ndarray]:
+        """The state at which the plant should rest: 0, unless it says otherwise."""
+        shapes = {name: (n,) if n > 1 else () for name, n in self.sizes}
+        return {name: np.zeros(shapes[name]) for name in self.states}
+
+    def rest(self, p: Values) -> np.ndarray:
+        """[m] the physical action that holds the plant at its target."""
+        return np.zeros(self.action.size)
+
+    def proportional(self, p: Values) -> dict[str, np.ndarray]:
+        """{state: [m] gains} of a classical controller u = rest - gains x (state - target)."""
+        return {}
+
+    def hand_rules(self, p: Values) -> dict[str, Policy]:
+        """Classical rules of this plant alone, by name."""
+        return {}
+
+    def from_twin(self, p: Values, seen: np.ndarray) -> np.ndarray:
+        """[N, features] from the twin's observations [N, k]."""
+        raise NotImplementedError(f"{self.type} has no twin in Gymnasium.")
+
+    def to_twin(self, p: Values, action: np.ndarray) -> np.ndarray:
+        """[N, m] the twin's actions from decisions."""
+        return np.asarray(self.drive(p, action), np.float32)
+
+    def prepare(self, inputs: Mapping[str, Values]) -> Schedule:
+        constants = {key: dict(inputs[key]) for key in ("plant", "cost", "start")}
+        steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
+        for name in self.shaken:
+            given = jnp.asarray(inputs["noise"][name])
+            every = given if given.ndim == 3 else given[None]  # a matrix of its own for each step
+            steps[name] = jnp.broadcast_to(every, (self.horizon, *every.shape[1:]))
+        return Schedule(constants, steps)
+
+    def initial(self, constants, noise):
+        state, used, sizes = {}, 0, dict(self.sizes)
+        for name, keys in self.starts:
+            given = constants["start"][name]
+            shape = jnp.shape(_any(given))
+            if keys == ("at",):
+                state[name] = given["at"] + jnp.zeros(shape, noise.dtype)
+                continue
+            z = noise[used : used + sizes[name]].reshape(shape)
+            used += sizes[name]
+            if keys == ("low", "high"):
+                share = 0.5 * (1 + jax.lax.erf(z * np.sqrt(0.5).astype(z.dtype)))
+                state[name] = given["low"] + (given["high"] - given["low"]) * share
+            else:
+                state[name] = given["mean"] + given["deviation"] * z
+        return state
+
+    def observe(self, constants, now, state):
+        seen = self.features(constants["plant"], state)
+        return jnp.append(seen, now["left"]) if self.clock else seen
+
+    def step(self, constants, now, state, action, noise, smooth):
+        p = constants["plant"]
+        u = self.drive(p, action)
+        parts = self.cost(constants["cost"], p, state, u)
+        after = self.move(p, state, u, smooth)
+        return self.disturbed(now, after, noise), outputs(parts)
+
+    def terminal(self, constants, state, smooth):
+        parts = self.final_cost(constants["cost"], constants["plant"], state)
+        return outputs(parts) if parts else {}
+
+    def disturbed(self, now, state: State, noise: Float[Array, " noise"]) -> State:
+        """The state with this step's disturbances: a deviation, or a matrix, times normals."""
+        state, used = dict(state), 0
+        for name in self.shaken:
+            n = dict(self.sizes)[name]
+            z = noise[used : used + n]
+            used += n
+            by = now[name]
+            pushed = by @ z if by.ndim == 2 else by * z.reshape(state[name].shape)
+            state[name] = state[name] + pushed
+        return state
+
+
+def outputs(parts: State) -> State:
+    """The reward, minus all costs, and every cost by its name."""
+    total = sum(parts.values(), jnp.zeros(()))
+    return {"reward": -total, **{f"{name}_cost": value for name, value in parts.items()}}
+
+
+def wrapped(angle: Array) -> Array:
+    """The angle between -pi and pi; its derivative is 1 everywhere."""
+    return angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
+
+
+def _any(given: Values) -> Any:
+    """One of the arrays of a distribution: all have the shape of the state."""
+    found = next(iter(given.values()))
+    return getattr(found, "value", found)

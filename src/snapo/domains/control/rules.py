@@ -1,0 +1,80 @@
+"""Classical rules as rivals of a trained policy: none, proportional, and the linear regulator."""
+
+import equinox as eqx
+import jax
+import jax.flatten_util
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.inputs import Frozen, plain
+from snapo.problem.policy import Constant, Policy
+
+from .plants.plant import Plant, Values
+from .riccati import linearised, riccati
+
+
+class Feedback(Policy):
+    """u = rest - K (state - target), clipped to the plant's limits.
+
+    - `gains`: [T, m, n] with one matrix for each step where the observation shows the time that is
+      left, [1, m, n] otherwise; states in the order of their names, as a vector.
+    - `numbers`: of the plant; `target` [n]; `rest`, `unit` [m]: u = rest + unit x action.
+    """
+
+    plant: Plant
+    numbers: Frozen
+    gains: Frozen
+    target: Frozen
+    middle: Frozen
+    unit: Frozen
+    rest: Frozen
+    clipped: bool = eqx.field(static=True)
+
+    def __init__(self, plant: Plant, p: Values, gains: np.ndarray):
+        zero, one = np.zeros(plant.action.size), np.ones(plant.action.size)
+        middle = np.asarray(plant.drive(p, zero), np.float64)
+        target = jax.flatten_util.ravel_pytree(plant.target_at(p))[0]
+        self.plant, self.numbers, self.gains = plant, Frozen(dict(p)), Frozen(gains)
+        self.target, self.rest = Frozen(np.asarray(target)), Frozen(plant.rest(p))
+        self.middle, self.unit = Frozen(middle), Frozen(np.asarray(plant.drive(p, one)) - middle)
+        self.clipped = bool(np.all(np.isfinite(plant.action.bounds())))
+
+    def __call__(self, observation: Float[Array, " features"], smooth):
+        def number(held: Frozen) -> Array:
+            return jnp.asarray(held.array, observation.dtype)
+
+        p = jax.tree.map(lambda x: jnp.asarray(x, observation.dtype), self.numbers.array)
+        state = self.plant.recover(p, observation)
+        away = jnp.concatenate([jnp.ravel(state[name]) for name in sorted(state)])
+        gains, steps = number(self.gains), self.gains.array.shape[0]
+        at = 0
+        if steps > 1:
+            at = jnp.clip(jnp.round((1 - observation[-1]) * steps).astype(int), 0, steps - 1)
+        u = number(self.rest) - gains[at] @ (away - number(self.target))
+        action = (u - number(self.middle)) / number(self.unit)
+        return jnp.clip(action, -1.0, 1.0) if self.clipped else action
+
+
+def rivals(plant: Plant, inputs) -> dict[str, Policy]:
+    """{name: rule} of all classical rules that the plant has."""
+    values = plain(inputs)
+    p, w = values["plant"], values["cost"]
+    found: dict[str, Policy] = dict(plant.hand_rules(p))
+    if not plant.rests:
+        return {"no action": Constant(np.zeros(plant.action.size, np.float32)), **found}
+    size = sum(n for _, n in plant.sizes)
+    found["no action"] = Feedback(plant, p, np.zeros((1, plant.action.size, size)))
+    if gains := plant.proportional(p):
+        nothing = {name: np.zeros((plant.action.size, n)) for name, n in plant.sizes}
+        each = {name: gains[name][:, None] if name in gains else nothing[name] for name in nothing}
+        rows = np.concatenate([each[name] for name in sorted(each)], axis=1)
+        found["proportional"] = Feedback(plant, p, rows[None])
+    found["linear regulator"] = Feedback(plant, p, regulator(plant, p, w))
+    return found
+
+
+def regulator(plant: Plant, p: Values, w: Values) -> np.ndarray:
+    """Riccati's gains around the target: one for each step, or the first where time is unseen."""
+    gains = riccati(linearised(plant, p, w), plant.horizon).K
+    return gains if plant.clock else gains[:1]

@@ -1,0 +1,82 @@
+"""`[start]` and `[noise]`: the distribution of the first state, and disturbances of every step."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError, nearest
+from snapo.case.table import LARGEST, parse
+
+from .plants.plant import Plant
+from .tables import At, Normal, Uniform
+
+FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
+
+
+def read_starts(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """{state: {"at"}, {"low", "high"} or {"mean", "deviation"}} of the states that are named."""
+    _known(plant, data, name, "start")
+    found = {key: _start(value, name, f"start.{key}") for key, value in data.items()}
+    for key, each in plant.states.items():
+        if each.start is None and key not in found:
+            what = f"this key is missing; it is {FORMS}, or lists of numbers"
+            raise CaseError(name, f"start.{key}", None, what)
+    return found
+
+
+def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """{state: standard deviations of a step's disturbance} of the states that are named.
+
+    Of a state of several numbers: a list, or the rows of a matrix that multiplies normals.
+    """
+    _known(plant, data, name, "noise")
+    found = {}
+    for key, value in data.items():
+        numbers = _numbers(value, name, f"noise.{key}")
+        if numbers.ndim < 2 and np.any(numbers < 0):
+            raise CaseError(name, f"noise.{key}", value, "a standard deviation is at least 0")
+        found[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
+    return found
+
+
+def _known(plant: type[Plant], data: Mapping[str, Any], name: str, table: str) -> None:
+    for key, value in data.items():
+        if key not in plant.states:
+            what = f"the plant has no such state; {nearest(key, plant.states)}"
+            raise CaseError(name, f"{table}.{key}", value, what)
+
+
+def _start(value: Any, name: str, where: str) -> dict[str, Any]:
+    if not isinstance(value, Mapping):
+        raise CaseError(name, where, value, f"allowed is {FORMS}")
+    keys = set(value)
+    table = Normal if keys & {"mean", "deviation"} else At if "at" in keys else Uniform
+    read = parse(table, value, name, where)
+    found = {
+        key: _numbers(getattr(read, key), name, f"{where}.{key}") for key in table.model_fields
+    }
+    if isinstance(read, At):
+        return found
+    first, second = found.values()
+    if first.shape != second.shape:
+        raise CaseError(name, where, dict(value), "both must have the same number of numbers")
+    if isinstance(read, Uniform) and not read.low < read.high:
+        raise CaseError(name, f"{where}.high", read.high, f"allowed is a number above {read.low:g}")
+    if isinstance(read, Normal) and np.any(found["deviation"] <= 0):
+        what = "allowed are numbers above 0; a first state without spread is { at = 1 }"
+        raise CaseError(name, f"{where}.deviation", value["deviation"], what)
+    return found
+
+
+def _numbers(value: Any, name: str, where: str) -> np.ndarray:
+    """A number, a list or a matrix, as float64."""
+    try:
+        found = np.asarray(value)
+    except ValueError:
+        raise CaseError(name, where, value, "all rows must have the same length") from None
+    if found.dtype.kind not in "fi" or found.ndim > 2 or not found.size:
+        raise CaseError(name, where, value, "allowed are numbers, a list or rows of them")
+    if not np.all(np.isfinite(found)) or np.max(np.abs(found)) > LARGEST:
+        raise CaseError(name, where, value, f"allowed are finite numbers of at most {LARGEST:g}")
+    return found.astype(np.float64)

@@ -1,0 +1,100 @@
+"""The TOML tables of a case of control; those of a plant are made from its description."""
+
+import math
+from collections.abc import Mapping
+from typing import Annotated, Any
+
+import pydantic
+from pydantic import Field
+
+from snapo.case.table import TITLE, Table, Title
+
+from .plants.plant import Parameter, Plant
+
+Width = Annotated[int, Field(ge=1, le=4096)]
+Matrix = list[list[float]]
+PositiveOrNone = Annotated[float, Field(gt=0)] | None
+
+
+class CaseTable(Table):
+    """The whole file; the tables in it are read by their own records."""
+
+    kind: str
+    title: Title = Field("", description=TITLE)
+    plant: dict[str, Any] = Field(description="a table, [plant]")
+    cost: dict[str, Any] = Field({}, description="a table, [cost]")
+    start: dict[str, Any] = Field({}, description="a table, [start]")
+    noise: dict[str, Any] = Field({}, description="a table, [noise]")
+    policy: dict[str, Any] = Field({}, description="a table, [policy]")
+    objective: dict[str, Any] = Field({}, description="a table, [objective]")
+    training: dict[str, Any] = Field({}, description="a table, [training]")
+    evaluation: dict[str, Any] = Field({}, description="a table, [evaluation]")
+
+
+class PolicyTable(Table):
+    """`[policy]`: the network."""
+
+    hidden: list[Width] = Field(
+        [32, 32], min_length=1, max_length=8, description="a list of widths, [32, 32]"
+    )
+
+
+class PlantTable(Table):
+    """`[plant]`: what every plant has beside its parameters."""
+
+    type: str
+    horizon: Annotated[int, Field(ge=1, le=100_000)] | None = Field(
+        None, description="a number of steps, 1 to 100,000"
+    )
+    clock: bool | None = Field(
+        None, description="true or false: whether the policy sees the time that is left"
+    )
+
+
+def plant_table(plant: type[Plant]) -> type[PlantTable]:
+    """`[plant]` of one type."""
+    return pydantic.create_model("PlantTable", __base__=PlantTable, **_fields(plant.parameters))
+
+
+def cost_table(plant: type[Plant]) -> type[Table]:
+    """`[cost]` of one type."""
+    return pydantic.create_model("CostTable", __base__=Table, **_fields(plant.weights))
+
+
+def _fields(known: Mapping[str, Parameter]) -> dict[str, Any]:
+    return {name: (_kind(each), _field(each)) for name, each in known.items()}
+
+
+def _kind(each: Parameter) -> Any:
+    if each.value is None:
+        return Matrix
+    return PositiveOrNone if each.positive else float | None
+
+
+def _field(each: Parameter) -> Any:
+    words = f"{each.words}, {each.unit}" if each.unit not in ("", "1") else each.words
+    if each.value is None:
+        return Field(description=f"a list of rows: {each.words}")
+    above = " above 0" if each.positive else ""
+    usual = "none" if math.isinf(each.value) else f"{each.value:g}"
+    return Field(None, description=f"a number{above} ({words}; by default {usual})")
+
+
+class At(Table):
+    """A first state that is known."""
+
+    at: float | list[float] = Field(description="a number, or a list of them")
+
+
+class Uniform(Table):
+    """A first state anywhere between two numbers."""
+
+    low: float = Field(description="a number below high")
+    high: float = Field(description="a number above low")
+
+
+class Normal(Table):
+    """A first state that is normal, its numbers independent."""
+
+    mean: float | list[float] = Field(description="a number, or a list of them")
+    deviation: float | list[float] = Field(description="a number above 0, or a list of them")

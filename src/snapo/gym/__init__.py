@@ -1,0 +1,31 @@
+"""Gymnasium both ways: a simulator as an environment, and a policy in anyone's environment.
+
+    environment = snapo.gym.Environment(problem)          # or VectorEnvironment(problem, 1024)
+    played = snapo.gym.play(snapo.gym.Agent(policy), "Pendulum-v1", starts=2000)
+
+Gymnasium comes with `pip install snapo[gym]`.
+"""
+
+from typing import Any
+
+HOMES = {
+    "Agent": "agent",
+    "Environment": "environment",
+    "Played": "play",
+    "VectorEnvironment": "vector",
+    "play": "play",
+}
+
+
+def __getattr__(name: str) -> Any:
+    if name not in HOMES:
+        raise AttributeError(f"module 'snapo.gym' has no attribute {name!r}")
+    from importlib import import_module
+
+    found = getattr(import_module(f"{__name__}.{HOMES[name]}"), name)
+    globals()[name] = found  # the function `play`, not the module of its name
+    return found
+
+
+def __dir__() -> list[str]:
+    return sorted(HOMES)

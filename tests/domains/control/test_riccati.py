@@ -1,0 +1,115 @@
+"""The linear regulator: published stationary solutions, and case C1 with all its derivatives."""
+
+import numpy as np
+import pytest
+
+import snapo
+from snapo.domains.control.closed_form import optimum, solved
+from snapo.domains.control.inputs import make_inputs
+from snapo.domains.control.plants.linear import LinearQuadratic
+from snapo.domains.control.riccati import Linear, riccati
+from snapo.domains.control.rules import rivals
+from snapo.problem.inputs import named, plain
+
+A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]])
+STEPS = 12
+
+
+def test_the_stationary_double_integrator():
+    """Q = I, R = 1 (shared case C1); 60 steps are as good as infinitely many."""
+    found = riccati(Linear(A, B, np.eye(2), np.eye(1), np.zeros((2, 1)), np.eye(2)), 60)
+    assert np.allclose(found.P[0], [[2.94712, 2.36921], [2.36921, 4.61313]], atol=1e-5)
+    assert np.allclose(found.K[0], [[0.42208, 1.24393]], atol=1e-5)
+
+
+def test_a_scalar_with_the_golden_ratio():
+    """a = b = q = r = 1: P = 1.6180340 solves P^2 = P + 1, and K = 0.6180340."""
+    one = np.eye(1)
+    found = riccati(Linear(one, one, one, one, np.zeros((1, 1)), one), 60)
+    assert found.P[0, 0, 0] == pytest.approx(1.6180340, abs=1e-7)
+    assert found.K[0, 0, 0] == pytest.approx(0.6180340, abs=1e-7)
+
+
+def inputs(**changed):
+    """C1 over 12 steps, with other matrices at every step's disturbance."""
+    shocks = np.random.default_rng(0).normal(0.0, 0.3, (STEPS, 2, 2))
+    given = {"A": A, "B": B, "Q": np.eye(2), "R": np.eye(1), "Q_T": 2 * np.eye(2),
+             "x": np.array([1.0, -0.5]), "G": shocks} | changed  # fmt: skip
+    return make_inputs(
+        LinearQuadratic,
+        {name: given[name] for name in ("A", "B")},
+        {name: given[name] for name in ("Q", "R", "Q_T")},
+        {"x": {"at": given["x"]}},
+        {"x": given["G"]},
+    )
+
+
+def cost(**changed) -> float:
+    """The closed form."""
+    made = inputs(**changed)
+    best = optimum(LinearQuadratic(made, STEPS), plain(made))
+    assert best is not None
+    return -best
+
+
+def moments() -> snapo.Supplied:
+    """Paths whose noise has mean 0 and covariance I exactly, over all steps: the mean of a quadratic
+    over them is its expectation, without any sampling."""
+    size = 2 * STEPS
+    rows = np.sqrt(size) * np.concatenate([np.eye(size), -np.eye(size)])
+    return snapo.Supplied(rows.reshape(-1, STEPS, 2).transpose(1, 0, 2))
+
+
+@pytest.mark.prove
+def test_cost_and_every_derivative_of_c1():
+    made = inputs()
+    plant = LinearQuadratic(made, STEPS)
+    sources = snapo.Sources(moments(), moments(), moments())
+    problem = snapo.Problem(plant, made, snapo.Mean("reward"), sources)
+    rule = rivals(plant, made)["linear regulator"]
+    value, gradient = snapo.value_and_gradient(problem, rule, paths=4 * STEPS)
+    assert -value == pytest.approx(cost(), rel=1e-10)
+    slopes = {name: -slope for name, slope in gradient.inputs.items()}
+    found = solved(plant, plain(made))
+    assert found is not None
+    x0 = np.array([1.0, -0.5])
+    assert np.allclose(slopes["start.x.at"], 2 * found.P[0] @ x0, rtol=1e-6)
+    # By G: 2 P_(t+1) G_t, which is P_(t+1) by the covariance W_t = G_t G_t'.
+    given = named(made)
+    shocks = {each.name: each.input.value for each in given}["noise.x"]
+    by_covariance = slopes["noise.x"] @ np.linalg.inv(shocks) / 2
+    assert np.allclose(by_covariance, found.P[1:], rtol=1e-6, atol=1e-8)
+    for name, group in (("A", "plant"), ("B", "plant"), ("Q", "cost"), ("R", "cost"),
+                        ("Q_T", "cost")):  # fmt: skip
+        slope = slopes[f"{group}.{name}"]
+        base = {each.name: each.input.value for each in given}[f"{group}.{name}"]
+        assert np.allclose(slope, differences(name, base), rtol=1e-6, atol=1e-6), name
+
+
+def differences(name: str, base: np.ndarray) -> np.ndarray:
+    """Central differences of the closed form, in which the best rule follows."""
+    found = np.zeros_like(base)
+    for at in np.ndindex(base.shape):
+        step = np.zeros_like(base)
+        step[at] = 1e-5
+        # The closed form of a matrix that is not symmetric is that of its symmetric part.
+        found[at] = (cost(**{name: base + step}) - cost(**{name: base - step})) / 2e-5
+    return found
+
+
+@pytest.mark.study
+def test_a_trained_network_comes_within_three_thousandths():
+    """Noise and first states of order one; the network sees the time that is left."""
+    made = make_inputs(
+        LinearQuadratic, {"A": A, "B": B}, {"Q": np.eye(2), "R": np.eye(1), "Q_T": np.eye(2)},
+        {"x": {"mean": np.zeros(2), "deviation": np.ones(2)}}, {"x": 0.3 * np.eye(2)},
+    )  # fmt: skip
+    plant = LinearQuadratic(made)
+    training = snapo.Training(steps=800, paths=256, learning_rate=0.02)
+    solution = snapo.solve(
+        plant, made, objective=snapo.Mean("reward"), training=training,
+        evaluation=snapo.Evaluation(paths=65536, sensitivity_paths=0),
+    )  # fmt: skip
+    problem = snapo.Problem(plant, made, snapo.Mean("reward"), snapo.Sources.of(None, 0))
+    best = snapo.evaluate(problem, rivals(plant, made)["linear regulator"], 65536).value
+    assert solution.value > best - 0.003 * abs(best)
