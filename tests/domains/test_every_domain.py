@@ -15,7 +15,7 @@ from snapo.testing.mistakes import refusals, spoilt_files, spoilt_keys
 
 # Tables whose keys, and columns whose entries, are names of the owner's choice.
 FREE = {"own": ("inputs", "units")}
-LABELS = {"own": ("week",)}
+LABELS = {"own": ("week",), "inventory": ("period",)}
 
 
 @pytest.fixture(params=sorted(MINIATURES))
