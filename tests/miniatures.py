@@ -40,6 +40,18 @@ MINIATURES = {
                 *LITTLE,
             ),
         ),
+        Miniature(
+            "inventory",
+            assignments=(
+                "item.lead_time=1",
+                "horizon.periods=6",
+                "horizon.warm_up=2",
+                "report.lead_time=false",
+                "training.steps=4",
+                "evaluation.paths=256",
+                *LITTLE,
+            ),
+        ),
         Miniature("pharma", assignments=("evaluation.paths=128",), texts=reactor),
         Miniature(
             "own",

@@ -31,8 +31,9 @@ SHARES = {
     "pharma template": (7, 200),
     "pharma reactor": (2, 300),
     "own template": (2, 200),
+    "inventory template": (3, 100),
 }
-LABELS = {"own": ("week",)}  # columns of names, where any text is right
+LABELS = {"own": ("week",), "inventory": ("period",)}  # columns of names, where any text is right
 RAW = ("Input should", "Value error", "Traceback", "Errno")  # words of libraries
 
 

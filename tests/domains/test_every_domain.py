@@ -15,7 +15,7 @@ from snapo.testing.mistakes import refusals, spoilt_files, spoilt_keys
 
 # Tables whose keys, and columns whose entries, are names of the owner's choice.
 FREE = {"own": ("inputs", "units")}
-LABELS = {"own": ("week",)}
+LABELS = {"own": ("week",), "inventory": ("period",)}
 
 
 # Kinds whose miniature is not solved in the quick suite: they run the code that the others run.

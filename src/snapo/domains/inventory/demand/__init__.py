@@ -1,0 +1,1 @@
+"""Demand of a period: one kind a file."""

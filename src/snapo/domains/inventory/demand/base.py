@@ -1,0 +1,98 @@
+"""What every kind of demand can do, and the list of all kinds.
+
+Demand of a period is a function of one standard normal and of the demand's parameters, with a
+derivative by them in both simulators. Periods differ by a factor of the mean.
+"""
+
+import abc
+from collections.abc import Mapping
+from typing import Any, ClassVar, Self
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.case.given import Given
+from snapo.case.table import Section, Table
+
+MEAN, DEVIATION = "demand_mean", "demand_deviation"
+
+Parameters = Mapping[str, Any]
+
+
+class Demand(eqx.Module):
+    """Demand of one period, by period.
+
+    **Class attributes:** `kind`, the word in `[demand]`; `table`, its keys; `whole`, whether it
+    comes in whole units.
+    """
+
+    kind: ClassVar[str]
+    table: ClassVar[type[Table]]
+    whole: ClassVar[bool] = False
+
+    @classmethod
+    @abc.abstractmethod
+    def read(cls, section: Section, table: Any, unit: str, most: float) -> Self:
+        """From its table; `unit` of demand in a period, `most` the largest factor of a period."""
+
+    @abc.abstractmethod
+    def given(self) -> tuple[Given, ...]:
+        """Its parameters: differentiable inputs under their names."""
+
+    @abc.abstractmethod
+    def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
+        """The schedule of demand [T, …]: once for all paths."""
+
+    @abc.abstractmethod
+    def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
+        """Demand of the period `now`; `spread`: whole demand spread evenly half a unit around."""
+
+    @abc.abstractmethod
+    def deviation(self, parameters: Parameters, factors: Any) -> Any:
+        """The standard deviation of periods with these factors, shaped like them."""
+
+    @abc.abstractmethod
+    def words(self) -> str:
+        """In a phrase: "Poisson, mean 5"."""
+
+    def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
+        """Of whole demand 0, 1, …, without the last hundred-millionth."""
+        raise NotImplementedError(f"demand {self.kind!r} does not come in whole units.")
+
+    def integral(self) -> bool:
+        """Whether every demand is a whole number."""
+        return self.whole
+
+    def values(self) -> dict[str, float]:
+        """The parameters as the case gives them."""
+        return {each.name: float(each.values[0]) for each in self.given()}
+
+
+KINDS: dict[str, type[Demand]] = {}
+
+
+def register(demand: type[Demand]) -> type[Demand]:
+    """Makes a demand known under its `kind`; one that lacks a part of its behaviour is refused."""
+    missing = sorted(getattr(demand, "__abstractmethods__", ()))
+    missing += [name for name in ("kind", "table") if not hasattr(demand, name)]
+    if missing:
+        raise TypeError(f"demand {demand.__name__} lacks {', '.join(missing)}")
+    if demand.kind in KINDS:
+        raise TypeError(f"demand {demand.__name__}: {demand.kind!r} is known already")
+    KINDS[demand.kind] = demand
+    return demand
+
+
+def mean_given(value: float, unit: str) -> Given:
+    """The mean of a period whose factor is 1."""
+    words = "mean demand of a period"
+    return Given(MEAN, np.array([value]), ("",), unit, np.array(0), group="demand", words=words)
+
+
+def deviation_given(value: float, unit: str) -> Given:
+    """The standard deviation of a period whose factor is 1."""
+    words = "standard deviation of the demand of a period"
+    return Given(
+        DEVIATION, np.array([value]), ("",), unit, np.array(0), group="demand", words=words
+    )

@@ -1,0 +1,80 @@
+"""Demand in whole units: the quantile of its distribution, with a derivative by its parameters.
+
+Demand k is drawn where the uniform number u lies between F(k - 1) and F(k), F being the
+distribution function. A step function has no useful derivative; this one is given
+
+    d demand = - d F(k - 1) / p(k),        p(k) = F(k) - F(k - 1),
+
+with which the derivative of E f(demand) comes out right for every f that is straight between whole
+numbers, if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k - 1)) over
+k, by parts. Costs of an inventory with whole orders are such functions of every demand. For a
+Poisson demand d demand / d mean is k / mean.
+
+Between whole numbers the rule is to differentiate stock upwards and so demand downwards; the
+simulator writes its corners so that they do.
+
+Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
+variance larger by 1/12.
+"""
+
+import abc
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float
+
+from .base import Demand, Parameters
+
+TAIL = 1e-8  # the chance of a demand above those that are counted
+ROOM = 1.1  # the mean may rise by a tenth (a report moves it by a hundredth)
+
+
+class Counts(Demand):
+    """Demand 0, 1, … up to `most`; the last one holds all that lie above.
+
+    - `most`: static, the number of demands above zero that are told apart.
+    """
+
+    whole = True
+    most: int
+
+    @abc.abstractmethod
+    def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
+        """ln of the chance of demand `k`, shaped like both together."""
+
+    def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
+        """`below` [T, K]: F(k - 1); `chance` [T, K]: p(k)."""
+        k = jnp.arange(self.most)
+        chance = jnp.exp(self.logarithms(parameters, factors[:, None], k))
+        upto = jnp.cumsum(chance, 1)
+        rest = jnp.maximum(1 - upto[:, -1:], TAIL / 1000)
+        nothing = jnp.zeros_like(rest)
+        below = jnp.concatenate([nothing, upto], 1)
+        return {"below": below, "chance": jnp.concatenate([chance, rest], 1)}
+
+    def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
+        below, chance = now["below"], now["chance"]
+        uniform = ndtr(normal)
+        k = jnp.sum(uniform >= below[1:]).astype(jnp.int32)
+        # Of value 0, and with the derivative above.
+        start = below[k]
+        moved = (jax.lax.stop_gradient(start) - start) / jax.lax.stop_gradient(chance[k])
+        drawn = k.astype(uniform.dtype) + moved
+        if not spread:
+            return drawn
+        # Where u lies between F(k - 1) and F(k): the quantile function, joined by straight lines.
+        share = jnp.clip((uniform - start) / chance[k], 0.0, 1.0)
+        return drawn + jax.lax.stop_gradient(share - 0.5)
+
+    def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
+        with jax.enable_x64(True):
+            k, given = jnp.arange(self.most), jnp.asarray(float(factor))
+            return np.asarray(jnp.exp(self.logarithms(parameters, given, k)))
+
+
+def most_of(quantile: Any) -> int:
+    """The largest demand that is told apart, of SciPy's quantile function at the largest mean."""
+    return int(np.ceil(quantile(1 - TAIL))) + 1

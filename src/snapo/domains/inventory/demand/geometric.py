@@ -1,0 +1,50 @@
+"""`[demand]` of kind "geometric"."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from pydantic import Field
+from scipy import stats
+
+from snapo.case.table import Section, Table
+
+from .base import MEAN, mean_given, register
+from .counts import ROOM, Counts, most_of
+from .sizes import MEANS, Mean
+
+
+class GeometricTable(Table):
+    """`[demand]` of kind "geometric"."""
+
+    kind: Literal["geometric"]
+    mean: Mean = Field(description=MEANS)
+
+
+@register
+class Geometric(Counts):
+    """p(k) = (1 - q) q^k with q = m / (1 + m), m the mean of the period."""
+
+    kind = "geometric"
+    table = GeometricTable
+    most: int
+    mean: float
+    unit: str
+
+    @classmethod
+    def read(cls, section: Section, table: GeometricTable, unit: str, most: float):
+        mean = ROOM * most * table.mean
+        return cls(most_of(stats.nbinom(1, 1 / (1 + mean)).ppf), table.mean, unit)
+
+    def given(self):
+        return (mean_given(self.mean, self.unit),)
+
+    def logarithms(self, parameters, factor, k):
+        mean = parameters[MEAN] * factor
+        return k * jnp.log(mean) - (k + 1) * jnp.log1p(mean)
+
+    def deviation(self, parameters, factors):
+        mean = parameters[MEAN] * factors
+        return (mean * (1 + mean)) ** 0.5
+
+    def words(self) -> str:
+        return f"geometric, mean {self.mean:g}"

@@ -1,0 +1,50 @@
+"""`[demand]` of kind "normal"."""
+
+from typing import Literal
+
+from pydantic import Field
+
+from snapo.case.table import Positive, Section, Table
+
+from .base import DEVIATION, MEAN, Demand, deviation_given, mean_given, register
+
+
+class NormalTable(Table):
+    """`[demand]` of kind "normal"."""
+
+    kind: Literal["normal"]
+    mean: Positive = Field(description="a number above 0")
+    deviation: Positive = Field(description="a number above 0")
+
+
+@register
+class Normal(Demand):
+    """mean + deviation z. Below zero it is goods that come back; rare from 3 deviations on."""
+
+    kind = "normal"
+    table = NormalTable
+    mean: float
+    spread: float
+    unit: str
+
+    @classmethod
+    def read(cls, section: Section, table: NormalTable, unit: str, most: float):
+        if table.deviation > table.mean:
+            what = f"allowed is at most the mean, {table.mean:g}: demand would often be below 0"
+            raise section.error("deviation", table.deviation, what)
+        return cls(table.mean, table.deviation, unit)
+
+    def given(self):
+        return mean_given(self.mean, self.unit), deviation_given(self.spread, self.unit)
+
+    def prepare(self, parameters, factors):
+        return {"mean": parameters[MEAN] * factors, "deviation": parameters[DEVIATION] * factors}
+
+    def draw(self, now, normal, spread):
+        return now["mean"] + now["deviation"] * normal
+
+    def deviation(self, parameters, factors):
+        return parameters[DEVIATION] * factors
+
+    def words(self) -> str:
+        return f"normal, mean {self.mean:g}, standard deviation {self.spread:g}"

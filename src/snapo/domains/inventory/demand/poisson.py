@@ -1,0 +1,49 @@
+"""`[demand]` of kind "poisson"."""
+
+from typing import Literal
+
+import jax.numpy as jnp
+from jax.scipy.special import gammaln
+from pydantic import Field
+from scipy import stats
+
+from snapo.case.table import Section, Table
+
+from .base import MEAN, mean_given, register
+from .counts import ROOM, Counts, most_of
+from .sizes import MEANS, Mean
+
+
+class PoissonTable(Table):
+    """`[demand]` of kind "poisson"."""
+
+    kind: Literal["poisson"]
+    mean: Mean = Field(description=MEANS)
+
+
+@register
+class Poisson(Counts):
+    """p(k) = e^-m m^k / k!, m the mean of the period."""
+
+    kind = "poisson"
+    table = PoissonTable
+    most: int
+    mean: float
+    unit: str
+
+    @classmethod
+    def read(cls, section: Section, table: PoissonTable, unit: str, most: float):
+        return cls(most_of(stats.poisson(ROOM * most * table.mean).ppf), table.mean, unit)
+
+    def given(self):
+        return (mean_given(self.mean, self.unit),)
+
+    def logarithms(self, parameters, factor, k):
+        mean = parameters[MEAN] * factor
+        return k * jnp.log(mean) - mean - gammaln(k + 1.0)
+
+    def deviation(self, parameters, factors):
+        return (parameters[MEAN] * factors) ** 0.5
+
+    def words(self) -> str:
+        return f"Poisson, mean {self.mean:g}"

@@ -1,0 +1,30 @@
+"""Finds the kinds of demand in this folder, and reads `[demand]` with the one that it names."""
+
+import pkgutil
+from collections.abc import Mapping
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+from snapo.case.table import Section, parse
+
+from .base import KINDS, Demand
+
+for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
+    if _file.name != Path(__file__).stem:
+        import_module(f"{__package__}.{_file.name}")
+
+
+def kinds() -> dict[str, type[Demand]]:
+    """Every known kind of demand under its name in `[demand]`."""
+    return dict(KINDS)
+
+
+def read_demand(section: Section, data: Mapping[str, Any], unit: str, most: float) -> Demand:
+    """The demand of the table `[demand]`; `most`: the largest factor of a period."""
+    kind = data.get("kind")
+    if not isinstance(kind, str) or kind not in KINDS:
+        known = ", ".join(f'"{each}"' for each in sorted(KINDS))
+        raise section.error("kind", kind, f"allowed is one of {known}")
+    table = parse(KINDS[kind].table, data, str(section.file), section.name)
+    return KINDS[kind].read(section, table, unit, most)

@@ -1,0 +1,1 @@
+"""One item: its records, and one path of it."""

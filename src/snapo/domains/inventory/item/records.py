@@ -1,0 +1,107 @@
+"""An inventory case, as it was read."""
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
+from ..demand.base import Demand
+
+
+@dataclass(frozen=True, eq=False)
+class Item:
+    """One item in one place.
+
+    - `lost`: whether demand without stock is lost; otherwise it waits.
+    - `lead`: periods from an order to its arrival.
+    - `whole`: whether orders are whole numbers; `most`: of one order, infinite where not limited.
+    - `holding`, `shortage`, `purchase`, `ordering`: costs by unit held, unit short, unit ordered,
+      order.
+    - `stock`, `coming`: at the start, None where the start is the usual one.
+    """
+
+    lost: bool
+    lead: int
+    whole: bool
+    most: float
+    holding: Given
+    shortage: Given
+    purchase: Given
+    ordering: Given
+    stock: Given | None
+    coming: Given | None
+
+    @property
+    def fixed(self) -> bool:
+        """Whether an order costs something whatever its size."""
+        return bool(self.ordering.values[0] > 0)
+
+    def given(self) -> tuple[Given, ...]:
+        """Its numbers as inputs; a cost of every order only where there is one."""
+        costs = (self.holding, self.shortage, self.purchase)
+        starts = [each for each in (self.stock, self.coming) if each is not None]
+        return (*costs, *([self.ordering] if self.fixed else []), *starts)
+
+    def cost(self, name: str) -> float:
+        """One of its costs as a number."""
+        return float(getattr(self, name).values[0])
+
+
+@dataclass(frozen=True, eq=False)
+class InventoryCase:
+    """What `snapo solve` needs of a case.
+
+    - `currency`, `unit`, `period`: their names, "EUR", "piece", "week".
+    - `periods`: those that count; `warm_up` before them do not; `discount` by period, 1 for the
+      average of a period.
+    - `season`: factors of demand by place in the season.
+    - `other_leads`: whether a run trains a period more and less of lead time too.
+    """
+
+    file: Path
+    notes: tuple[str, ...]
+    title: str
+    currency: str
+    unit: str
+    period: str
+    item: Item
+    periods: int
+    warm_up: int
+    discount: float
+    demand: Demand
+    season: Given
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
+    other_leads: bool = True
+
+    @property
+    def horizon(self) -> int:
+        """All periods."""
+        return self.warm_up + self.periods
+
+    @property
+    def counted(self) -> np.ndarray:
+        """[T] the weight of each period in the averages; they add up to 1."""
+        return (np.arange(self.horizon) >= self.warm_up) / self.periods
+
+    @property
+    def weights(self) -> np.ndarray:
+        """[T] the weight of each period's cost: those of an average, or discount factors."""
+        if self.discount == 1:
+            return self.counted
+        age = np.arange(self.horizon) - self.warm_up
+        return np.where(age >= 0, self.discount ** np.maximum(age, 0), 0.0)
+
+    @property
+    def value_unit(self) -> str:
+        """The unit of the result: money in a period, or of the whole horizon."""
+        return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
+
+    @property
+    def seasonal(self) -> bool:
+        """Whether periods differ."""
+        return len(self.season.values) > 1

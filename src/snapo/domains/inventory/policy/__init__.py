@@ -1,0 +1,1 @@
+"""Rules that order: the trained one, and the classical ones."""

@@ -1,0 +1,69 @@
+"""The trained rule: order up to a level that depends on the stock and on every order on its way.
+
+    order = deviation softplus(gap + first + gain · seen + network(seen))
+
+gap being the base-stock level less the inventory position; all in standard deviations of demand.
+It starts as the base-stock rule. Where an order has a cost of its own, a second number decides
+whether there is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the
+state.
+"""
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Actions, Product
+from snapo.problem.policy import Network, Policy
+
+HEAD = 2  # numbers of the observation before those of the state: the gap, and the unit
+SHARP = 4.0  # of the softplus: an order is 0 from about one deviation below
+TRIGGER = 2.0  # scores of "order" by deviation of the gap
+
+
+class OrderUpTo(Policy):
+    """The head described above, with a network of `hidden` layers.
+
+    - `batch`, `wait`: where it starts, in deviations: S above and s below the base-stock level.
+    """
+
+    network: Network
+    gain: Float[Array, " seen"]
+    first: Float[Array, ""]
+    wait: Float[Array, ""]
+    action: Actions
+
+    def __init__(
+        self,
+        action: Actions,
+        features: int,
+        *,
+        key,
+        batch: float = 0.0,
+        wait: float = 0.0,
+        hidden: tuple[int, ...] = (32, 32),
+    ):
+        seen, outputs = features - HEAD + 1, 2 if isinstance(action, Product) else 1
+        self.network = Network((seen, *hidden, outputs), key=key)
+        self.gain = jnp.zeros(seen, jnp.float32)
+        self.first = jnp.asarray(batch, jnp.float32)
+        self.wait = jnp.asarray(wait, jnp.float32)
+        self.action = action
+
+    def __call__(self, observation, smooth):
+        gap, unit = observation[0], observation[1]
+        seen = jnp.concatenate([gap[None], observation[HEAD:]])
+        found = self.network(seen)
+        raw = gap + self.first + self.gain @ seen + found[0]
+        size = unit * jax.nn.softplus(SHARP * raw) / SHARP
+        if not isinstance(self.action, Product):
+            return within(self.action, size, smooth)
+        score = TRIGGER * (gap - self.wait + found[1])
+        placed = self.action["order"].squash(jnp.stack([jnp.zeros_like(score), score]), smooth)
+        return jnp.concatenate([placed, within(self.action["size"], size, smooth)])
+
+
+def within(action: Actions, size, smooth):
+    """[1] an amount of at least 0, no more than the most that can be ordered, rounded if whole."""
+    most = float(action.bounds()[1][0])
+    cut = smooth.minimum(size, most, scale=most) if most < float("inf") else size
+    return action.settle(cut[None], smooth)

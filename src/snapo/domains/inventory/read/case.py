@@ -1,0 +1,126 @@
+"""Reads an inventory case: a TOML file and the CSVs beside it become an `InventoryCase`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from snapo.case.csv import Mention, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
+from snapo.case.table import Section, parse
+
+from ..demand.registry import read_demand
+from ..item.records import InventoryCase, Item
+from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable, SeasonTable
+
+LONGEST_SEASON = 366
+
+
+def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
+    """The case in the TOML file `file`, whose tables were read already: `data`.
+
+    **Raises:** `CaseError` where a table, a file or a number is wrong.
+    """
+    name, notes = str(file), []
+    top = parse(InventoryTable, data, name, "")
+    table = parse(ItemTable, top.item, name, "item")
+    horizon = parse(HorizonTable, top.horizon, name, "horizon")
+    season = _season(Section(file, "season", notes), top.season)
+    per = f"{table.unit}/{table.period}"
+    most = float(season.values.max())
+    demand = read_demand(Section(file, "demand", notes), top.demand, per, most)
+    item = _item(
+        Section(file, "item", notes),
+        table,
+        demand.whole or (demand.integral() and len(season.values) == 1),
+    )
+    case = InventoryCase(
+        file=file,
+        notes=tuple(notes),
+        title=top.title,
+        currency=table.currency,
+        unit=table.unit,
+        period=table.period,
+        item=item,
+        periods=horizon.periods,
+        warm_up=_warm_up(horizon, item),
+        discount=horizon.discount,
+        demand=demand,
+        season=season,
+        objective=read_objective(top.objective, name),
+        training=read_training(top.training, name),
+        evaluation=read_evaluation(top.evaluation, name),
+        other_leads=parse(ReportTable, top.report, name, "report").lead_time,
+    )
+    check_window(case.training, [case.objective.kind], name)
+    if case.objective.kind == "crra":
+        what = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
+        raise CaseError(name, "objective.kind", "crra", what)
+    return case
+
+
+def _item(section: Section, table: ItemTable, whole: bool) -> Item:
+    arrivals = max(table.lead_time - 1, 0)
+    if table.coming is not None and len(table.coming) != arrivals:
+        what = f"a lead time of {table.lead_time} needs {arrivals} numbers, the next arrival first"
+        raise section.error("coming", table.coming, what)
+    if table.whole and not whole:
+        section.notes.append("Orders are whole numbers, demand is not.")
+    by_unit = f"{table.currency}/{table.unit}"
+    by_period = f"{by_unit}/{table.period}"
+    short = by_unit if table.unmet == "lost" else by_period
+    words = "of a unit of demand that is lost" if table.unmet == "lost" else (
+        "of a unit of demand that waits, each period"
+    )  # fmt: skip
+    labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
+    return Item(
+        lost=table.unmet == "lost",
+        lead=table.lead_time,
+        whole=whole if table.whole is None else table.whole,
+        most=float("inf") if table.most is None else float(table.most),
+        holding=_one("holding_cost", table.holding, by_period, "of a unit held, each period"),
+        shortage=_one("shortage_cost", table.shortage, short, words),
+        purchase=_one("purchase_cost", table.purchase, by_unit, "of a unit ordered"),
+        ordering=_one("order_cost", table.order, table.currency, "of an order of any size"),
+        stock=None
+        if table.stock is None
+        else _start("start_stock", [table.stock], ["now"], table.unit),
+        coming=_start("start_coming", table.coming, labels, table.unit) if table.coming else None,
+    )
+
+
+def _one(name: str, value: float, unit: str, words: str) -> Given:
+    found = np.array([float(value)])
+    return Given(name, found, ("",), unit, np.array(0), group="costs", words=words)
+
+
+def _start(name: str, values: list[float], labels: list[str], unit: str) -> Given:
+    found = np.array(values, np.float64)
+    index = np.arange(len(values))
+    words = "at the start"
+    return Given(name, found, tuple(labels), unit, index, move=1.0, group="start", words=words)
+
+
+def _season(section: Section, data: Mapping[str, Any]) -> Given:
+    """Factors of demand by place in the season; one of 1 where there is none."""
+    words = "demand of a period, relative to the mean"
+    if not data:
+        return Given("season", np.ones(1), ("all",), "1", np.zeros(1, int), words=words)
+    table = parse(SeasonTable, data, str(section.file), "season")
+    rows = read_rows(Mention(section, "file", table.file), ["period", "factor"], [])
+    if len(rows) > LONGEST_SEASON:
+        what = f"there are {len(rows)} periods; allowed are {LONGEST_SEASON} at most"
+        raise CaseError(table.file, "", None, what)
+    found = np.array([row.number("factor", 0.001, 1000) for row in rows])
+    labels = tuple(row.cells["period"] for row in rows)
+    return Given("season", found, labels, "1", np.arange(len(rows)), group="demand", words=words)
+
+
+def _warm_up(table: HorizonTable, item: Item) -> int:
+    """As given; else ten lead times for an average, and none where money is discounted."""
+    if table.warm_up is not None:
+        return table.warm_up
+    return 0 if table.discount < 1 else 10 * (item.lead + 1)

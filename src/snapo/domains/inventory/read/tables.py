@@ -1,0 +1,81 @@
+"""The tables of an inventory case as they stand in the TOML file, each key with its meaning.
+
+The description of a key is the text that an error message quotes as allowed.
+"""
+
+from typing import Annotated, Literal
+
+from pydantic import Field
+
+from snapo.case.table import TITLE, Positive, Table, Title
+
+Name = Annotated[str, Field(min_length=1, max_length=40)]
+NotNegative = Annotated[float, Field(ge=0)]
+
+AMOUNT = "a number of at least 0"
+NAME = "a name of at most 40 characters in quotation marks"
+LONGEST_LEAD = 12
+
+
+class ItemTable(Table):
+    """`[item]`"""
+
+    unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
+    lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
+        description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
+    )
+    holding: Positive = Field(description="a number above 0")
+    shortage: Positive = Field(description="a number above 0")
+    purchase: NotNegative = Field(0.0, description=AMOUNT)
+    order: NotNegative = Field(0.0, description=AMOUNT)
+    whole: bool | None = Field(None, description="true or false")
+    most: Annotated[int, Field(ge=1)] | None = Field(None, description="a whole number, 1 or more")
+    stock: NotNegative | None = Field(None, description=AMOUNT)
+    coming: list[NotNegative] | None = Field(
+        None, description="a list of numbers of at least 0, one for each period of the lead time"
+        " but the last",
+    )  # fmt: skip
+    currency: Name = Field("EUR", description=NAME)
+    unit: Name = Field("piece", description=NAME)
+    period: Name = Field("week", description=NAME)
+
+
+class HorizonTable(Table):
+    """`[horizon]`"""
+
+    periods: Annotated[int, Field(ge=2, le=2000)] = Field(
+        100, description="a whole number, 2 to 2,000"
+    )
+    warm_up: Annotated[int, Field(ge=0, le=2000)] | None = Field(
+        None, description="a whole number, 0 to 2,000"
+    )
+    discount: Annotated[float, Field(gt=0, le=1)] = Field(
+        1.0, description="a number above 0, at most 1"
+    )
+
+
+class SeasonTable(Table):
+    """`[season]`"""
+
+    file: Name = Field(description="the name of a CSV file with columns period,factor")
+
+
+class ReportTable(Table):
+    """`[report]`"""
+
+    lead_time: bool = Field(True, description="true or false")
+
+
+class InventoryTable(Table):
+    """The whole file."""
+
+    kind: Literal["inventory"] = Field(description='"inventory"')
+    title: Title = Field("Inventory", description=TITLE)
+    item: dict = Field(description="the table [item]")
+    demand: dict = Field(description="the table [demand]")
+    season: dict = Field({}, description="the table [season]")
+    horizon: dict = Field({}, description="the table [horizon]")
+    report: dict = Field({}, description="the table [report]")
+    objective: dict = Field({}, description="the table [objective]")
+    training: dict = Field({}, description="the table [training]")
+    evaluation: dict = Field({}, description="the table [evaluation]")

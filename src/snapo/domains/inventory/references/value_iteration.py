@@ -1,0 +1,131 @@
+"""The least average cost of one item with whole demand and whole orders, by value iteration.
+
+Exact up to its tolerance and the two limits given: relative value iteration on the stock and the
+orders on their way, with MacQueen's bounds (1966) around the average cost. Demand is lost or
+delivered later where there is no stock; for the timing see `item.simulator`.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+
+class Costs(NamedTuple):
+    """Of a period: by unit held, by unit short, by unit ordered, and by order."""
+
+    holding: float
+    shortage: float
+    purchase: float = 0.0
+    order: float = 0.0
+
+
+class Optimum(NamedTuple):
+    """The least average cost of a period, between `low` and `high`, and the best orders.
+
+    - `orders`: by stock [0 …] and the orders on their way, the next one to arrive first; of
+      backlogged demand by inventory position, from `first`.
+    """
+
+    low: float
+    high: float
+    orders: np.ndarray
+    first: int = 0
+
+    @property
+    def cost(self) -> float:
+        """The middle of both bounds."""
+        return (self.low + self.high) / 2
+
+
+def lost_sales(
+    chances: Float[np.ndarray, " demands"],
+    mean: float,
+    costs: Costs,
+    lead: int,
+    most_stock: int,
+    most_order: int,
+    tolerance: float = 1e-6,
+) -> Optimum:
+    """Unmet demand is lost; the shortage cost is of every unit lost.
+
+    - `chances`: of demands 0, 1, …; `mean`: of the whole distribution, its tail included.
+    - `lead`: periods from an order to its arrival, 0 or more.
+    - `most_stock`, `most_order`: limits of the grid; they must not bind at the optimum.
+    """
+    moves, idle = _period(chances, mean, costs, most_stock)
+    paid = costs.purchase * np.arange(most_order + 1) + costs.order * (
+        np.arange(most_order + 1) > 0
+    )
+    arrives = np.minimum(
+        np.add.outer(np.arange(most_stock + 1), np.arange(most_order + 1)), most_stock
+    )
+
+    def worth(value: np.ndarray) -> np.ndarray:
+        """[state …, order]: cost from here on, where `value` is that of the next period."""
+        if lead == 0:
+            return (idle + moves @ value)[arrives] + paid
+        after = value[arrives]
+        # [stock left, the next arrival, …, the order]: a lead of 1 adds the order itself.
+        flat = moves @ after.reshape(most_stock + 1, -1)
+        return flat.reshape(after.shape) + idle.reshape(-1, *[1] * (after.ndim - 1)) + paid
+
+    shape = (most_stock + 1, *[most_order + 1] * max(lead - 1, 0))
+    return _iterate(worth, np.zeros(shape), tolerance)
+
+
+def backlogged(
+    chances: Float[np.ndarray, " demands"],
+    mean: float,
+    costs: Costs,
+    lead: int,
+    least: int,
+    most: int,
+    tolerance: float = 1e-6,
+) -> Optimum:
+    """Unmet demand waits; the shortage cost is of every unit that waits, every period.
+
+    The state is the inventory position before the order, `least` to `most`: an order now is felt
+    in the period in which it is on hand, after the demand of the periods until then.
+    """
+    levels = np.arange(least, most + 1)
+    felt = np.array([1.0])
+    for _ in range(lead + 1):
+        felt = np.convolve(felt, chances)
+    demands = np.arange(len(felt))
+    left = np.maximum(np.subtract.outer(levels, demands), 0) @ felt
+    expected = costs.holding * left + costs.shortage * (left - levels + mean * (lead + 1))
+    place = np.clip(np.subtract.outer(levels, np.arange(len(chances))) - least, 0, len(levels) - 1)
+    more = np.subtract.outer(-levels, -levels)  # [from, to]
+    paid = np.where(more >= 0, costs.purchase * more + costs.order * (more > 0), np.inf)
+
+    def worth(value: np.ndarray) -> np.ndarray:
+        return (expected + value[place] @ chances) + paid
+
+    found = _iterate(worth, np.zeros(len(levels)), tolerance)
+    return found._replace(orders=found.orders - np.arange(len(levels)), first=least)
+
+
+def _period(chances, mean: float, costs: Costs, most_stock: int):
+    """[stock, stock left] transitions, and the expected cost [stock] of a period."""
+    moves = np.zeros((most_stock + 1, most_stock + 1))
+    for stock in range(1, most_stock + 1):
+        met = chances[: min(stock, len(chances))]
+        moves[stock, stock - np.arange(len(met))] = met
+    moves[:, 0] += 1 - moves.sum(1)
+    stocks = np.arange(most_stock + 1)
+    left = moves @ stocks
+    return moves, costs.holding * left + costs.shortage * (mean - stocks + left)
+
+
+def _iterate(worth, value: np.ndarray, tolerance: float, most: int = 20_000) -> Optimum:
+    """Relative value iteration until both bounds are within `tolerance`."""
+    for _ in range(most):
+        every = worth(value)
+        after = every.min(-1)
+        change = after - value
+        low, high = float(change.min()), float(change.max())
+        if high - low < tolerance:
+            return Optimum(low, high, every.argmin(-1))
+        value = after - after.flat[0]
+    raise ValueError(f"value iteration: {high - low:g} are left after {most} rounds.")  # pyright: ignore

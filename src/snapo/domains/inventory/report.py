@@ -1,0 +1,32 @@
+"""How an inventory run is told."""
+
+from snapo.report.folder import Folder
+from snapo.report.quantity import number
+from snapo.report.sections.distribution import distribution
+from snapo.report.sections.fans import fans
+from snapo.report.sections.proof import certificate, history, making
+from snapo.report.sections.sensitivities import sensitivities
+from snapo.study.domain import Report
+
+from .sections.rivals import lead_time, rivals
+from .sections.rule import rule
+from .sections.service import service
+
+SECTIONS = (
+    service, rule, rivals, sensitivities, lead_time, distribution, fans, history, certificate,
+    making,
+)  # fmt: skip
+
+
+def about(run: Folder) -> list[tuple[str, str]]:
+    """The lines under the title."""
+    step = str(run.get("step", "period"))
+    lead = f"{number(run.get('lead_time'), 0)} {step}s"
+    unmet = "lost" if run.get("lost") else "delivered later"
+    counted = float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
+    horizon = f"{number(counted, 0)} {step}s after {number(run.get('warm_up'), 0)} of warm-up"
+    return [("Demand", str(run.get("demand", ""))), ("Without stock", f"demand is {unmet}"),
+            ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
+
+
+REPORT = Report("Inventory", Folder, about, SECTIONS)

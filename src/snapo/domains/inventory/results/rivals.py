@@ -1,0 +1,126 @@
+"""The trained rule beside the classical ones, each with its best numbers, on the same paths."""
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
+from snapo.solver import statistics
+from snapo.solver.evaluate import path_totals, worth, worth_of_groups
+from snapo.study.study import Part, Setup, StudyRun
+
+from ..item.records import InventoryCase
+from ..policy.rules import Classical
+from ..setup import case_of, economic_lot
+from .search import search
+
+SEARCH_PATHS = 4096
+BESIDE = 1  # the stream of the scenarios on which rules look for their numbers
+ENDLESS = 1e6  # units of demand: a level or a cap that never binds
+RULES = {
+    "base stock": ("above",),
+    "capped base stock": ("above", "cap"),
+    "constant order": ("cap",),
+    "(s, S)": ("above", "reorder"),
+}
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "rivals": one row per rule, the trained one first: its result, the difference to the
+    trained one with the paired standard error, and its numbers."""
+    setup, case = run.setup, case_of(run.setup)
+    problem, source = setup.problem, setup.problem.sources.evaluation
+    trained = worth_of_groups(problem.objective, run.solution.totals, source)
+    rows = [{"rule": "trained", **_result(trained), "difference": None, "difference_error": None}]
+    best: dict[str, float] = {}
+    for name in RULES:
+        if name == "(s, S)" and not case.item.fixed:
+            continue  # the same as base stock
+        numbers = best_numbers(setup, name, best)
+        best |= numbers if name == "base stock" else {}
+        rule = classical(setup, name, numbers)
+        paths = run.solution.paths["evaluate"]
+        totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
+        found = worth_of_groups(problem.objective, totals, source)
+        paired = statistics.of_shares(found - trained)
+        rows.append(
+            {
+                "rule": name,
+                **_result(found),
+                "difference": paired.value,
+                "difference_error": paired.standard_error,
+                "numbers": _told(case, problem, numbers),
+            }
+        )
+        run.tell(f"{name}: {rows[-1]['value']:,.6g}, {paired.value:+,.3g} to the trained rule")
+    return {"rivals": rows}
+
+
+RIVALS = Part("rivals", work, needs=("training",))
+
+
+def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
+    """One of the rules with its numbers; those that it does not have never bind."""
+    endless = ENDLESS * max(1.0, _mean(case_of(setup)))
+    given = {key: numbers.get(key, endless) for key in ("above", "cap", "reorder")}
+    made = {key: jnp.asarray(value, jnp.float32) for key, value in given.items()}
+    return Classical(**made, action=setup.problem.action)
+
+
+def best_numbers(setup: Setup, name: str, known: dict[str, float]) -> dict[str, float]:
+    """The best numbers of a rule, found on scenarios beside those of the value.
+
+    - `known`: of the base-stock rule, where others may start.
+    """
+    case, keys = case_of(setup), RULES[name]
+    problem = _beside(setup.problem, setup.training.seed)
+    deviation = float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
+    mean, lot = _mean(case), economic_lot(case)
+    first = {"above": known.get("above", lot), "cap": 1.5 * mean, "reorder": 0.0}
+    if name == "constant order":
+        first["cap"] = 0.9 * mean
+    elif name == "(s, S)":
+        first["above"] = max(lot, known.get("above", 0.0))
+
+    def cost(point: Sequence[float]) -> float:
+        if "cap" in keys and point[-1] <= 0:
+            return np.inf
+        rule = classical(setup, name, dict(zip(keys, point)))
+        totals = path_totals(problem, rule, SEARCH_PATHS, engine=setup.engines.evaluate)
+        return -worth(problem.objective, totals)
+
+    least = 1.0 if case.item.whole else deviation / 64
+    start = [first[key] for key in keys]
+    found = search(cost, start, max(least, deviation), least)
+    return dict(zip(keys, found))
+
+
+def _beside(problem: Problem, seed: int) -> Problem:
+    """The same problem on other paths."""
+    old, other = problem.sources, Pseudo(seed, stream=stream(EVALUATE, BESIDE))
+    return replace(problem, sources=Sources(old.training, old.validation, other))
+
+
+def _mean(case: InventoryCase) -> float:
+    return case.demand.values()["demand_mean"] * float(case.season.values.mean())
+
+
+def _result(shares: np.ndarray) -> dict[str, float]:
+    found = statistics.of_shares(shares)
+    return {"value": found.value, "standard_error": found.standard_error}
+
+
+def _told(case: InventoryCase, problem: Problem, numbers: dict[str, float]) -> dict[str, float]:
+    """The numbers as a planner says them: level S, reorder point s, cap."""
+    level, told = float(problem.schedule.steps["level"][case.warm_up]), {}
+    if "above" in numbers:
+        told["level"] = level + numbers["above"]
+    if "reorder" in numbers:
+        told["reorder point"] = level + numbers["reorder"]
+    if "cap" in numbers:
+        told["cap"] = numbers["cap"]
+    return told

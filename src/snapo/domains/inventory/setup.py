@@ -1,0 +1,86 @@
+"""A case made ready to solve: the problem, its policy and its engines."""
+
+import jax
+import numpy as np
+from scipy import stats
+
+from snapo.case.error import CaseError
+from snapo.case.objective import make_objective
+from snapo.engine import Choice, choose
+from snapo.problem.problem import Problem
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.same import same_program
+from snapo.study.study import Setup
+
+from .item.records import InventoryCase
+from .item.simulator import InventorySimulator, inputs_of, safety_factor
+from .policy.order_up_to import OrderUpTo
+
+
+def make_setup(case: InventoryCase, engine: Choice = "auto") -> Setup:
+    """Simulator, scenarios, policy and engines."""
+    training = Training(**case.training.model_dump())
+    evaluation = Evaluation(**case.evaluation.model_dump())
+    simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
+    objective = make_objective(case.objective, "result")
+    sources = evaluation.sources(training.seed)
+    problem = Problem(simulator, inputs_of(case), objective, sources)
+    policy = first_policy(problem, case, training.seed)
+    try:
+        engines = choose(engine, problem, policy)
+    except ValueError as error:
+        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    return Setup(problem, policy, training, evaluation, engines)
+
+
+def moved_setup(setup: Setup, case: InventoryCase) -> Setup:
+    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
+    simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
+    if not same_program(setup.problem, simulator):
+        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
+    values = {name: given.value for name, given in inputs_of(case).items()}
+    return setup._replace(problem=setup.problem.at(values))
+
+
+def first_policy(problem: Problem, case: InventoryCase, seed: int) -> OrderUpTo:
+    """The base-stock rule; where an order has a cost, an (s, S) rule with the economic lot."""
+    key = jax.random.key(seed)
+    batch, wait = first_batch(case) if case.item.fixed else (0.0, 0.0)
+    return OrderUpTo(problem.action, problem.features, key=key, batch=batch, wait=wait)
+
+
+def first_batch(case: InventoryCase) -> tuple[float, float]:
+    """How far S lies above and s below the base-stock level, in standard deviations of demand.
+
+    With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles; an
+    order is placed half a period's demand too late on average. S = s + Q less that half.
+    """
+    item, mean = case.item, _mean(case)
+    deviation = float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
+    lot, half = economic_lot(case), mean / 2
+    held = item.cost("holding") * lot
+    ratio = 1 - held / (item.cost("shortage") * mean + held)
+    periods = item.lead + 1
+    below = (safety_factor(case) - float(stats.norm.ppf(ratio))) * np.sqrt(periods) * deviation
+    wait = below + half
+    return float(lot - wait - half) / deviation, float(wait) / deviation
+
+
+def _mean(case: InventoryCase) -> float:
+    return case.demand.values()["demand_mean"] * float(case.season.values.mean())
+
+
+def economic_lot(case: InventoryCase) -> float:
+    """sqrt(2 K mean (p + h) / (h p)): the order size where demand is steady (Harris; Camp)."""
+    item = case.item
+    holding, shortage = item.cost("holding"), item.cost("shortage")
+    more = (shortage + holding) / (holding * shortage)
+    return float(np.sqrt(2 * item.cost("ordering") * _mean(case) * more))
+
+
+def case_of(setup: Setup) -> InventoryCase:
+    """The case that was made ready."""
+    simulator = setup.problem.simulator
+    assert isinstance(simulator, InventorySimulator)
+    return simulator.case

@@ -1,0 +1,114 @@
+"""The study of an inventory case: the parts of a run, and the headline of its result."""
+
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.problem.problem import Problem
+from snapo.study.domain import Options
+from snapo.study.parts.certificate import CERTIFICATE
+from snapo.study.parts.distribution import distribution_part
+from snapo.study.parts.moves import MOVES
+from snapo.study.parts.profile import profile_part
+from snapo.study.study import Study, StudyRun
+from snapo.study.training import TRAINING, trained
+
+from .item.records import InventoryCase
+from .item.simulator import AVERAGES, OUTPUTS, InventorySimulator, inputs_of
+from .results.lead_time import LEAD_TIME
+from .results.levels import LEVELS, today
+from .results.rivals import RIVALS
+from .results.service import SERVICE
+from .setup import make_setup, moved_setup
+
+KIND = "inventory"
+IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of a cost
+
+
+def lines(case: InventoryCase) -> list[str]:
+    """The case in a few lines: nothing is trained."""
+    item, numbers = case.item, inputs_of(case)
+    unmet = "lost" if item.lost else "delivered later"
+    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
+    return [
+        f"{case.title}: {case.periods} {case.period}s{after}",
+        f"demand of a {case.period}: {case.demand.words()}; without stock it is {unmet}",
+        f"an order arrives after {item.lead} {case.period}s; "
+        f"{'whole' if item.whole else 'any'} numbers of {case.unit}s",
+        f"base-stock level to start from: {_level(case):,.4g} {case.unit}s",
+        f"{len(numbers)} inputs with {sum(each.value.size for each in numbers.values())} numbers, "
+        "each with a sensitivity",
+    ]
+
+
+def _level(case: InventoryCase) -> float:
+    from snapo.problem.objective import Mean
+
+    simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
+    problem = Problem(simulator, inputs_of(case), Mean("result"))
+    return float(problem.schedule.steps["level"][case.warm_up])
+
+
+def study(case: InventoryCase, options: Options) -> Study:
+    """Training, service and costs, the rule as a table, rivals, lead time, moves, certificate."""
+    if options.reference:
+        what = "an inventory has no references to compute; its rivals are in every run"
+        raise CaseError("--reference", "", None, what)
+    setup = make_setup(case, options.engine)
+    units = units_of(case)
+    parts = [
+        TRAINING,
+        SERVICE,
+        LEVELS,
+        RIVALS,
+        MOVES,
+        *([LEAD_TIME] if case.other_leads else []),
+        distribution_part(units),
+        profile_part(units),
+        CERTIFICATE,
+    ]
+    return Study(
+        KIND,
+        _about(case, units),
+        tuple(parts),
+        _result,
+        lambda: setup,
+        moved=moved_setup,
+        today=today,  # pyright: ignore[reportArgumentType]
+    )
+
+
+def units_of(case: InventoryCase) -> dict[str, str]:
+    """Units of states, action and outputs."""
+    money = dict.fromkeys(OUTPUTS, case.value_unit)
+    amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
+    states = dict.fromkeys(("stock", "coming", "action"), case.unit)
+    return money | amounts | states | {"short": "", "orders": f"1/{case.period}"}
+
+
+def _about(case: InventoryCase, units: dict[str, str]) -> dict[str, Any]:
+    """Known before any work: title, units, and the objective in words."""
+    item, kind = case.item, case.objective.kind
+    per = f" of a {case.period}" if case.discount == 1 else ", discounted"
+    unit = case.value_unit if kind in IN_MONEY else ""
+    return {
+        "title": case.title,
+        "unit": unit,
+        "value_unit": unit,
+        "units": units,
+        "currency": case.currency,
+        "item_unit": case.unit,
+        "step": case.period,
+        "horizon": case.horizon,
+        "warm_up": case.warm_up,
+        "lead_time": item.lead,
+        "lost": item.lost,
+        "demand": case.demand.words(),
+        "objective": f"{kind} of the result{per}: all costs with a minus",
+        "objective_output": "result",
+        "notes": list(case.notes),
+    }
+
+
+def _result(run: StudyRun) -> dict[str, Any]:
+    rivals = run.get("rivals") or []
+    return trained(run, {row["rule"]: row["value"] for row in rivals if row["rule"] != "trained"})

@@ -1,0 +1,22 @@
+"""Cases in a few words, for tests."""
+
+from pathlib import Path
+from typing import Any
+
+from snapo.domains.inventory.item.records import InventoryCase
+from snapo.domains.inventory.read.case import read_case
+
+MEAN = 5.0
+
+
+def case(demand: dict[str, Any] | None = None, **item: Any) -> InventoryCase:
+    """A case with these keys of `[item]`; those of other tables by their names, as tables."""
+    other = {name: item.pop(name) for name in ("horizon", "training", "season") if name in item}
+    usual = {"unmet": "lost", "lead_time": 2, "holding": 1.0, "shortage": 4.0}
+    tables = {
+        "kind": "inventory",
+        "item": usual | item,
+        "demand": demand or {"kind": "poisson", "mean": MEAN},
+        **other,
+    }
+    return read_case(Path(__file__).parent / "case.toml", tables)

@@ -1,0 +1,90 @@
+"""Demand: its distribution, and its derivative by every parameter."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from scipy import stats
+from tests.domains.inventory.inventory_cases import case
+
+from snapo.domains.inventory.demand.registry import kinds
+
+LAWS = {
+    "poisson": ({"kind": "poisson", "mean": 5.0}, stats.poisson(5)),
+    "geometric": ({"kind": "geometric", "mean": 5.0}, stats.nbinom(1, 1 / 6)),
+    "negative-binomial": (
+        {"kind": "negative-binomial", "mean": 5.0, "deviation": 3.0},
+        stats.nbinom(25 / 4, 5 / 9),
+    ),
+}
+POINTS = 20_000  # of the uniform number, evenly spread: an integral without noise
+
+
+def drawn(demand, values: dict[str, float], spread: bool = False):
+    """[POINTS] demands at evenly spread quantiles, of parameters that are differentiated."""
+    u = (np.arange(POINTS) + 0.5) / POINTS
+    normals = jnp.asarray(stats.norm.ppf(u))
+    now = jax.tree.map(lambda x: x[0], demand.prepare(values, jnp.ones(1)))
+    return jax.vmap(lambda z: demand.draw(now, z, spread))(normals)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("kind", LAWS)
+def test_chances_are_those_of_the_distribution(kind):
+    table, law = LAWS[kind]
+    demand = case(table).demand
+    found = demand.chances(demand.values())
+    assert found == pytest.approx(law.pmf(np.arange(len(found))), rel=1e-9)
+    assert found.sum() == pytest.approx(1, abs=1e-7)
+    assert demand.deviation(demand.values(), 1.0) == pytest.approx(law.std())
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("kind", LAWS)
+def test_whole_demand_and_its_derivative(kind):
+    """The mean of a straight cost between whole numbers, and its derivative by each parameter,
+    against the sum over all demands; corners at whole stocks are met exactly."""
+    table, law = LAWS[kind]
+    demand = case(table).demand
+    stocks = jnp.asarray([2.0, 5.0, 8.0])
+    with jax.enable_x64(True):
+
+        def mean(values):
+            d = drawn(demand, values)[:, None]
+            # Differentiated upwards in stock where the two are equal.
+            left = jnp.where(stocks - d < 0, 0.0, stocks - d)
+            return jnp.mean(left + 4.0 * (left - stocks + d), 0)
+
+        values = demand.values()
+        found, slopes = mean(values), jax.jacobian(mean)(values)
+        k = np.arange(400)
+        left = np.maximum(np.subtract.outer(np.asarray(stocks), k), 0)
+        paid = left + 4.0 * np.maximum(-np.subtract.outer(np.asarray(stocks), k), 0)
+        assert found == pytest.approx(paid @ law.pmf(k), rel=2e-3)  # the integral's own error
+        for name, slope in slopes.items():
+            step = 1e-4
+            more, less = (
+                np.exp(
+                    np.asarray(
+                        demand.logarithms(values | {name: values[name] + d}, 1.0, jnp.asarray(k))
+                    )
+                )
+                for d in (step, -step)
+            )
+            expected = paid @ (more - less) / (2 * step)
+            assert slope == pytest.approx(expected, rel=5e-3, abs=5e-3), name
+
+
+@pytest.mark.prove
+def test_spread_demand_is_continuous_and_keeps_the_mean():
+    with jax.enable_x64(True):
+        demand = case(LAWS["poisson"][0]).demand
+        found = np.asarray(drawn(demand, demand.values(), spread=True))
+    assert found.mean() == pytest.approx(5.0, abs=2e-3)
+    assert found.var() == pytest.approx(5.0 + 1 / 12, rel=2e-3)
+    inner = found[POINTS // 100 : -POINTS // 100]
+    assert np.all(np.diff(inner) >= 0) and np.max(np.diff(inner)) < 0.01
+
+
+def test_every_kind_is_complete():
+    assert set(kinds()) == {"poisson", "geometric", "negative-binomial", "normal", "empirical"}

@@ -1,0 +1,94 @@
+"""One path: costs against closed forms, both engines, derivatives against differences."""
+
+from dataclasses import replace
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from tests.domains.inventory.inventory_cases import case
+
+from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
+from snapo.domains.inventory.policy.rules import Classical
+from snapo.domains.inventory.references.backlog import base_stock_cost
+from snapo.domains.inventory.setup import first_policy
+from snapo.engine import Native, Xla
+from snapo.problem.objective import Mean
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+from snapo.solver.adjoint import value_and_gradient
+from snapo.solver.evaluate import evaluate
+
+NORMAL = {"kind": "normal", "mean": 5.0, "deviation": 1.6}
+ENDLESS = 1e6
+
+
+def problem(of) -> Problem:
+    return Problem(InventorySimulator(of), inputs_of(of), Mean("result"))  # pyright: ignore
+
+
+def base_stock(of: Problem, level: float) -> Classical:
+    """Up to `level`, which the rule counts from the level of the simulator."""
+    own = float(of.schedule.steps["level"][0])
+    numbers = [jnp.asarray(x) for x in (level - own, ENDLESS, ENDLESS)]
+    return Classical(*numbers, action=of.action)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("lead, shortage", [(0, 9.0), (1, 9.0), (4, 4.0)])
+def test_base_stock_costs_its_closed_form_where_demand_waits(lead, shortage):
+    """At the best level and beside it. From the level on, the position is always raised to it."""
+    horizon = {"periods": 20, "warm_up": 10}
+    of = problem(case(NORMAL, unmet="waits", lead_time=lead, shortage=shortage, horizon=horizon))
+    engine = Xla()
+    for off in (0.0, 1.5):
+        level = float(of.schedule.steps["level"][0]) + off
+        expected = base_stock_cost(level, 5.0, 1.6, lead, 1.0, shortage)
+        found = evaluate(of, base_stock(of, level), 16384, engine=engine)
+        assert abs(-found.value - expected) < 4 * found.standard_error
+        assert found.standard_error < 0.005 * expected
+
+
+@pytest.fixture(scope="module")
+def small():
+    """Lost sales of whole demand with two periods of lead time, and its first policy."""
+    given = case(lead_time=2, stock=10.0, coming=[5.0], horizon={"periods": 6, "warm_up": 1})
+    of = problem(given)
+    return of, first_policy(of, given, 0)
+
+
+@pytest.mark.prove
+def test_both_engines_agree_and_the_adjoint_is_the_difference(small):
+    of, policy = small
+    smooth = Smooth(jnp.asarray(0.05))
+    values = [
+        value_and_gradient(of, policy, paths=512, smooth=smooth, engine=engine)
+        for engine in (Xla("float64"), Native("float64"))
+    ]
+    assert values[0][0] == pytest.approx(values[1][0], rel=1e-10)
+    for name, slope in values[0][1].inputs.items():
+        assert slope == pytest.approx(values[1][1].inputs[name], rel=1e-8, abs=1e-12)
+    costs = [of.named[name] for name in ("holding_cost", "shortage_cost")]
+    for name, given in zip(("holding_cost", "shortage_cost"), costs):
+        step, ends = 1e-4, []
+        for way in (1, -1):
+            moved = of.at({name: given.value + way * step})
+            own = replace(moved, objective=Mean("result"))
+            ends.append(evaluate(own, policy, 512, smooth=smooth, engine=Xla("float64")).value)
+        slope = (ends[0] - ends[1]) / (2 * step)
+        assert values[0][1].inputs[name] == pytest.approx(slope, rel=1e-5, abs=1e-7), name
+
+
+@pytest.mark.prove
+def test_the_held_derivative_by_the_mean_is_unbiased(small):
+    """Orders held, demand whole: against a difference over many paths, within their errors.
+
+    The rule orders a constant amount, so that nothing reacts to the mean but demand itself.
+    """
+    of, _ = small
+    rule = Classical(jnp.asarray(ENDLESS), jnp.asarray(5.0), jnp.asarray(ENDLESS), action=of.action)
+    engine, paths, step = Xla("float64"), 16384, 0.25
+    slope = value_and_gradient(of, rule, paths=paths, held=True, engine=engine)[1]
+    ends = [evaluate(of.at({"demand_mean": 5.0 + d}), rule, paths, engine=engine).value
+            for d in (step, -step)]  # fmt: skip
+    difference = (ends[0] - ends[1]) / (2 * step)
+    assert float(np.sum(slope.inputs["demand_mean"])) == pytest.approx(difference, rel=0.03)
