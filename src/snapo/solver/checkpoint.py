@@ -61,6 +61,8 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
         growth = Growth.read(state["growth"])
+    except CheckpointError:
+        raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
     return replace(like, **trees, **plain, history=history, growth=growth)

@@ -94,7 +94,7 @@ TRAINING: dict[str, Any] = {
     "patience": 5, "seed": 1,
 }  # fmt: skip
 SHORT = TRAINING | {"window": 1, "clip": 10.0}
-AUTO = TRAINING | {"clip": "auto"}
+AUTO = TRAINING | {"clip": "auto", "window": "auto"}
 VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"}
 TABLE = {"kind": "table", "file": "mortality.csv", "multiplier": "by_age.csv"}
 FORMULA = {

@@ -3,7 +3,7 @@
 from ..axes import number_axis
 from ..drawing import draw
 from ..folder import Folder
-from ..page import Block, Chart, Missing, Section, Table, Text
+from ..page import Block, Chart, Section, Table, Text
 from ..quantity import decimals, finite, number, percent
 from ..theme import LIGHT
 from .lacking import lacking
@@ -27,11 +27,11 @@ def bound(run: Folder) -> Section:
     return Section("bound", title, short, blocks)
 
 
-def _without(run: Folder) -> Missing:
-    return (
-        lacking(run, "bound")
-        if "bound" in run.parts
-        else Missing("The value of this run is not bounded from above: `snapo certify` says why.")
+def _without(run: Folder) -> Block:
+    if "bound" in run.parts:
+        return lacking(run, "bound")
+    return Text(
+        "The value of this run was not bounded from above: `snapo certify` does, or says why not."
     )
 
 
