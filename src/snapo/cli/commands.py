@@ -130,7 +130,10 @@ def _certify(options: argparse.Namespace) -> Answer:
 
 def _report(options: argparse.Namespace) -> Answer:
     file = commands.report(options.run)
-    return {"status": "ok", "report": file}, str(file), OK
+    if not options.pdf:
+        return {"status": "ok", "report": file}, str(file), OK
+    pdf = commands.printed(options.run)
+    return {"status": "ok", "report": file, "pdf": pdf}, f"{file}\n{pdf}", OK
 
 
 def _open(options: argparse.Namespace) -> Answer:

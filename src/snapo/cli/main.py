@@ -96,6 +96,9 @@ def _add_certify(commands) -> None:
 def _add_report(commands) -> None:
     report = commands.add_parser("report", help="write the report of a run again")
     report.add_argument("run", metavar="RUN", type=Path, help="the folder that solve wrote")
+    report.add_argument(
+        "--pdf", action="store_true", help="print it as report.pdf too, by a browser of the machine"
+    )
 
 
 def _add_open(commands) -> None:

@@ -222,6 +222,27 @@ def report(run: Path) -> Path:
         raise CaseError(str(run), "", None, what) from None
 
 
+def printed(run: Path) -> Path:
+    """Prints the report of a run as a PDF beside it; returns its path.
+
+    **Raises:** `CaseError` where no browser of this machine can.
+    """
+    from snapo.report.pdf import BROWSERS, VARIABLE, browser, print_page
+
+    from . import run_folder
+
+    found, file = browser(), run / run_folder.PDF
+    if found is None:
+        names = ", ".join(BROWSERS[:3])
+        what = f"no browser was found that prints it ({names}); {VARIABLE} may name one"
+        raise CaseError("--pdf", "", None, what)
+    try:
+        print_page(run / run_folder.REPORT, file, found)
+    except OSError as error:
+        raise CaseError("--pdf", "", None, str(error)) from None
+    return file
+
+
 def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
     """{kind: table of times} of one kind, or of all that can be timed.
 

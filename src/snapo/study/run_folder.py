@@ -32,8 +32,10 @@ from .study import Part
 
 RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
+PDF = "report.pdf"  # the report, printed
 WRITTEN = (
-    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, GROWTH,
+    RUN, RESULT, REPORT, PDF, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
+    GROWTH,
     "profile.csv",
 )  # fmt: skip
 LAYOUT = 2  # of the folder; it grows when older runs can no longer be read

@@ -18,11 +18,12 @@ from .flowsheet.process import Process
 from .progress import told
 from .quality.sampling import on_steps, sampler
 from .read.fitted import COLUMNS as FITTED_COLUMNS
-from .results import batch, derivatives, quality
+from .results import batch, derivatives, quality, setpoints
 from .results.headline import result
 from .results.statement import statement
 
 PROFILE, SPACE, FITTED = "profile.csv", "design_space.csv", "fitted.csv"
+SETPOINTS, BEST = "setpoints.csv", "setpoints_best.csv"
 SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
 
 BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "mesh of statistics"
@@ -125,6 +126,7 @@ class OpenLoop:
     def one_batch(self, run: StudyRun) -> dict[str, Any]:
         found = self.process.run()
         table = batch.one_batch(self.case, found)
+        run.write_csv(SETPOINTS, setpoints.HEADER, setpoints.setpoints(self.case))
         if found.status == "ok":
             header = ("unit", "time_s", "state", "value", "state_unit")
             run.write_csv(PROFILE, header, batch.profile_rows(self.case, table))
@@ -210,7 +212,11 @@ class OpenLoop:
 
     def best_recipe(self, run: StudyRun) -> dict[str, Any]:
         sampled = self.sampled(run)
-        return {"optimise": quality.best_recipe(self.process, sampled, self.seed)}
+        found, ask = quality.best_recipe(self.process, sampled, self.seed), self.case.optimise
+        if ask is not None and found["converged"]:
+            changed = setpoints.optimal(ask, found)
+            run.write_csv(BEST, setpoints.HEADER, setpoints.setpoints(self.case, changed))
+        return {"optimise": found}
 
     def design_space(self, run: StudyRun) -> dict[str, Any]:
         found = quality.map_tables(self.sampled(run), self.seed)

@@ -146,7 +146,7 @@ def test_paths_add_up_to_the_matrix(process, forward):
     by_temperature = reactor.stream_by_entry[0][
         :, reactor.entries.index(("reactor.temperature", 0))
     ]
-    size = crystals.measure[crystals.measures.index("d43"), 0] @ by_temperature
+    size = crystals.measure[crystals.measures.index("crystalliser.d43"), 0] @ by_temperature
     assert 1e6 * size == pytest.approx(forward.jacobian[1, 0], rel=1e-10)
 
 

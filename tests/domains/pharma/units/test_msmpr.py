@@ -177,6 +177,56 @@ def test_gradient_through_the_steady_state():
 
 
 @pytest.mark.prove
+def test_a_cascade():
+    """A second one, colder, grows what the first made: with s = G tau of each its crystals are
+    n02 exp(-L/s2) + n01 s1/(s1 - s2) (exp(-L/s1) - exp(-L/s2)), and mu_k = mu_k,in + k s2 mu_(k-1).
+    Crystals that come below saturation are a status."""
+    data = tomllib.loads(with_attributes(CASE))
+    for each in data["attributes"]:
+        each["measure"] = each["measure"].replace("cold", "second")
+    data["units"]["second"] = data["units"]["cold"] | {"temperature": "276.15 K"}
+    data["connections"][1:] = [
+        {"from": "cold.slurry", "to": "second.feed"}, {"from": "second.slurry", "to": "mill.slurry"},
+        {"from": "mill.slurry", "to": "filter.slurry"},
+    ]  # fmt: skip
+    given = Process(resolve(TEMPLATE, data))
+    run = given.run()
+    assert run.status == "ok" and max(abs(row.relative) for row in balances(given)) < 1e-10
+    (g1, born1, crystals1, level1), factorials = exact(), np.array([1, 1, 2, 6, 24, 120])
+    first = factorials * born1 * TAU * (g1 * TAU) ** np.arange(6)
+    saturated = [226.9 - 1.88 * t + 3.89e-3 * t**2 for t in (283.15, 276.15)]
+    total = crystals1 + saturated[0] * (1 + level1)
+
+    def second(level):
+        g, crystals = 2e-7 * level**1.3, total - saturated[1] * (1 + level)
+        born = 1e6 * (g / 5e-8) ** 2 * (crystals / 20) ** 0.7
+        moments = [first[0] + born * TAU]
+        for k in range(1, 6):
+            moments.append(first[k] + k * g * TAU * moments[-1])
+        return g, born, crystals, np.array(moments)
+
+    def gap(level):
+        *_, crystals, moments = second(level)
+        return RHO * KV * moments[3] - crystals
+
+    level: Any = brentq(gap, 1e-9, (total - crystals1) / saturated[1] - 1, xtol=1e-15)
+    g2, born2, crystals2, moments = second(level)
+    assert run.measures["second.supersaturation"] == pytest.approx(level, rel=1e-9)
+    assert run.measures["second.crystals"] == pytest.approx(crystals2, rel=1e-10)
+    stream = run.streams["second.slurry"]
+    np.testing.assert_allclose(np.asarray(stream.moments), moments * 0.12, rtol=1e-9)
+    s1, s2 = g1 * TAU, g2 * TAU
+    edges = stream.grid.array
+    fall1, fall2 = (s * -np.diff(np.exp(-edges / s)) for s in (s1, s2))
+    old = born1 / g1 * s1 / (s1 - s2)
+    expected = 0.12 * (born2 / g2 * fall2 + old * (fall1 - fall2))
+    # Within a cell crystals that are fed count as evenly spread: 120 cells, 7 % wide each.
+    np.testing.assert_allclose(np.asarray(stream.numbers), expected, atol=0.01 * expected.max())
+    warm = given.run({"second.temperature": np.array([330.0])})
+    assert warm.status != "ok" and np.isnan(warm.attributes["d43"])
+
+
+@pytest.mark.prove
 def test_nuclei_are_washed_out():
     """With j = 1 and slow growth no crystals stay, nor in a feed below saturation."""
     given = process(suspension_power=1.0, nucleation="1 1/m^3/s", growth="1e-3 um/s")

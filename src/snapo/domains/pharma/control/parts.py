@@ -18,6 +18,7 @@ from snapo.study.study import Part, Setup, StudyRun
 from snapo.study.training import train
 
 from ..flowsheet.case import PharmaCase
+from ..results.setpoints import HEADER, decided
 from .closed_loop import best_recipe, in_words, objective
 from .course import courses, side_by_side
 from .loop import Loop, closed_loop
@@ -25,6 +26,7 @@ from .policy import Feedback
 
 RECIPE, TRAINED = "best fixed recipe", "training"
 TOO_LONG = "a step of a process is more than the native engine takes"
+SETPOINTS = "setpoints_closed_loop.csv"
 SHOWN = 256  # batches from which the policy's course over time is drawn
 SURE = 2.0  # standard errors from which one rival counts as better
 
@@ -110,6 +112,8 @@ class ClosedLoop:
         groups = self.problem.sources.evaluation.groups(np.arange(ours.size))
         wanted = (ours, theirs, ours - theirs, given)
         means = [statistics.mean(each, groups) for each in wanted]
+        recipe = self.decided(best, run)
+        run.write_csv(SETPOINTS, HEADER, decided(recipe))
         table = {
             "value": means[0].value,
             "standard_error": means[0].standard_error,
@@ -124,7 +128,7 @@ class ClosedLoop:
             "objective": solution.value,
             "objective_error": solution.standard_error,
             "baseline_objective": baseline_goal,
-            "recipe": self.decided(best, run),
+            "recipe": recipe,
             "engine": solution.engine,
             "paths": dict(solution.paths),
             "status": solution.status,

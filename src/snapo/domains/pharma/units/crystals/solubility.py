@@ -11,11 +11,14 @@ from pydantic import Field
 from snapo.case.given import Given
 from snapo.case.table import Table
 
+from ...flowsheet.network import GAS_CONSTANT
 from ...given import use
-from ...read.fields import Text, word
-from ...read.numbers import ZERO_CELSIUS, absent, given, several
+from ...read.fields import Text, quantity, word
+from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, given, several
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
+
+Kind = Literal["polynomial", "exponential", "van-t-hoff"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,25 +27,30 @@ class Solubility:
 
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
+    - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)), of kg/m3, J/mol and K.
     - `antisolvent`: (b1, b2), index [2] or [0]: ln c* gains b1 w + b2 w^2, w the anti-solvent's
       mass fraction of the solute-free liquid.
     """
 
-    kind: Literal["polynomial", "exponential"]
+    kind: Kind
     coefficients: Given
     zero: float
     antisolvent: Given
+    value: Given | None = None
+    enthalpy: Given | None = None
+    reference: float = 298.15
 
 
 class SolubilityTable(Table):
     """`[units.NAME.solubility]`"""
 
-    kind: Literal["polynomial", "exponential"] = word(
-        "polynomial", "exponential", default="polynomial"
+    kind: Kind = word("polynomial", "exponential", "van-t-hoff", default="polynomial")
+    coefficients: Annotated[list[float], Field(min_length=1)] | None = Field(
+        None, description="a list of numbers, of rising powers of the temperature"
     )
-    coefficients: Annotated[list[float], Field(min_length=1)] = Field(
-        description="a list of numbers, of rising powers of the temperature"
-    )
+    value: Any = quantity('"20 kg/m^3"', None, words="solubility at the reference")
+    enthalpy: Any = quantity('"25 kJ/mol"', None, words="enthalpy of dissolution")
+    reference: Any = quantity('"298.15 K"', None, words="temperature of the reference")
     unit: Text = Field("kg/m^3", description='a unit such as "kg/m^3"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
     antisolvent: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
@@ -53,6 +61,23 @@ class SolubilityTable(Table):
 def read_solubility(read: Reader) -> Solubility:
     """Coefficients for kg/m3, from those of the case's unit."""
     table = read.table
+    read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
+    read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)
+    extra = absent(f"{read.name}.antisolvent", "1")
+    if table.antisolvent is not None:
+        extra = several(
+            read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
+        )
+    if table.kind == "van-t-hoff":
+        return Solubility(
+            kind=table.kind,
+            coefficients=absent(read.name, "1"),
+            zero=0.0,
+            antisolvent=extra,
+            value=read.number("value", "kg/m3", POSITIVE),
+            enthalpy=read.number("enthalpy", "J/mol"),
+            reference=read.plain("reference", "K", TEMPERATURE),
+        )
     try:
         scale = conversion(table.unit, "kg/m3").scale
     except UnitError as error:
@@ -64,11 +89,6 @@ def read_solubility(read: Reader) -> Solubility:
         values[0] += np.log(scale)
     unit = "kg/m3/K^k" if table.kind == "polynomial" else "1/K^k"
     labels = tuple(f"t^{k}" for k in range(len(values)))
-    extra = absent(f"{read.name}.antisolvent", "1")
-    if table.antisolvent is not None:
-        extra = several(
-            read.section, extra.name, "antisolvent", table.antisolvent, "1", ("w", "w^2")
-        )
     return Solubility(
         kind=table.kind,
         coefficients=given(read.name, values, labels, unit, words="coefficient of solubility"),
@@ -79,6 +99,10 @@ def read_solubility(read: Reader) -> Solubility:
 
 def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float[Array, "..."]:
     """c*(T) in kg/m3 without anti-solvent."""
+    if record.value is not None and record.enthalpy is not None:
+        inverse = 1 / jnp.asarray(temperature) - 1 / record.reference
+        energy = use(inputs, record.enthalpy) / GAS_CONSTANT
+        return use(inputs, record.value) * jnp.exp(-energy * inverse)
     t = jnp.asarray(temperature) - record.zero
     coefficients = use(inputs, record.coefficients)
     total = jnp.broadcast_to(coefficients[-1], jnp.shape(t))
@@ -89,6 +113,9 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
 
 def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
     """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent; NumPy alone."""
+    if record.value is not None and record.enthalpy is not None:
+        energy = record.enthalpy.used() / GAS_CONSTANT
+        return record.value.used() * np.exp(-energy * (1 / temperature - 1 / record.reference))
     found = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
     return np.exp(found) if record.kind == "exponential" else found
 

@@ -1,0 +1,66 @@
+"""A recipe as a table of setpoints: what a control system is given, and from which second on."""
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+from ..flowsheet.case import PharmaCase
+from ..given import Entry, every_given
+from ..recipe.records import Optimise
+
+HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
+
+
+def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) -> Iterable[tuple]:
+    """One row for each node of a profile, and for each other number that may be chosen.
+
+    `changed`: numbers in place of the case's own, in the domain's units. `kind` "linear": the
+    setpoint goes straight to the next; "constant": it stays until the next; "once": it holds.
+    """
+    changed = changed or {}
+    chosen = {(each.input, each.entry) for each in case.parameters if each.control} | set(changed)
+    for unit in case.units:
+        inside = {profile.value.name for profile in unit.profiles}
+        seconds = 0.0
+        if unit.time is not None:
+            seconds = changed.get((unit.time.name, 0), float(unit.time.used()))
+            yield unit.name, unit.time.name, "once", 0.0, seconds, "s"
+            inside.add(unit.time.name)
+        for profile in unit.profiles:
+            given = profile.value
+            values = [
+                changed.get((given.name, int(i)), float(given.values[i])) for i in given.index
+            ]
+            for share, value in zip(profile.share, values):
+                row = unit.name, given.name, profile.kind
+                yield *row, float(share) * seconds, value, given.unit
+        yield from _once(unit, inside, chosen, changed)
+    for feed in case.feeds:
+        yield from _once(feed, set(), chosen, changed)
+
+
+def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tuple]:
+    """The chosen numbers of a unit or a feed but those that are `known`."""
+    for given in every_given(record):
+        for i, value in enumerate(given.values.tolist()):
+            if given.name not in known and (given.name, i) in chosen:
+                many = len(given.values) > 1
+                label = f"{given.name}[{given.labels[i]}]" if many else given.name
+                now = changed.get((given.name, i), value)
+                yield record.name, label, "once", 0.0, now, given.unit
+
+
+def optimal(ask: Optimise, found: Mapping[str, Any]) -> dict[Entry, float]:
+    """The numbers of the best recipe, in the domain's units, from its table."""
+    return {
+        (each.input, each.entry): row["value"] * each.scale + each.offset
+        for each, row in zip(ask.decisions, found["decisions"], strict=True)
+    }
+
+
+def decided(rows: Iterable[Mapping[str, Any]]) -> Iterable[tuple]:
+    """Of the closed loop the best fixed recipe: its value at the end of each decision."""
+    for row in rows:
+        name = row["input"]
+        for time, value in zip(row["time"], row["values"]):
+            kind = "linear" if len(row["time"]) > 1 else "once"
+            yield name.partition(".")[0], name, kind, float(time), float(value), row["unit"]

@@ -1,0 +1,46 @@
+"""Recipes as tables of setpoints."""
+
+import tomllib
+
+import pytest
+from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small, template
+
+from snapo.domains.pharma.read.case import resolve
+from snapo.domains.pharma.results.setpoints import HEADER, decided, optimal, setpoints
+
+
+def test_every_node_and_every_number_that_may_be_chosen():
+    """The template: the crystalliser's nodes in seconds, the wash ratio, and no kinetics."""
+    case = template()
+    rows = list(setpoints(case))
+    assert all(len(row) == len(HEADER) for row in rows)
+    unit = next(each for each in case.units if each.name == "crystalliser")
+    seconds = float(unit.duration.used())
+    cooling = [row for row in rows if row[1] == "crystalliser.temperature"]
+    assert [row[3] for row in cooling] == pytest.approx(unit.temperature.share * seconds)
+    assert [row[4] for row in cooling] == unit.temperature.value.values.tolist()
+    assert {row[1] for row in rows if row[0] == "filter"} == {
+        each.input for each in case.parameters if each.input.startswith("filter.")
+    }
+    assert not any("kinetics" in row[1] for row in rows)
+
+
+def test_the_best_recipe_and_the_closed_loop():
+    """A longer batch moves the seconds too; of the closed loop the time at the end of a decision."""
+    case = resolve(TEMPLATE, tomllib.loads(small(CASE + LOOP)))
+    assert case.optimise is not None
+    found = {"decisions": [{"value": 45.0}, {"value": 90.0}]}
+    changed = optimal(case.optimise, found)
+    rows = {row[1]: row for row in setpoints(case, changed)}
+    assert rows["reactor.duration"][4] == pytest.approx(5400)
+    assert rows["reactor.temperature"][4] == pytest.approx(318.15)
+    course = {
+        "input": "reactor.temperature",
+        "unit": "K",
+        "time": [600.0, 1200.0],
+        "values": [310.0, 305.0],
+    }
+    assert list(decided([course])) == [
+        ("reactor", "reactor.temperature", "linear", 600.0, 310.0, "K"),
+        ("reactor", "reactor.temperature", "linear", 1200.0, 305.0, "K"),
+    ]
