@@ -1,6 +1,7 @@
 """Reads `[credit]`, `[currencies]` and `[overlay]`: ratings, currencies and swaps."""
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
@@ -88,14 +89,14 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
     markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
-    return Currencies(
+    found = Currencies(
         names=names,
-        emerging=tuple(market == MARKETS[1] for market in markets),
         **{
             name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
             for name, said in CURRENCY.items()
         },
     )
+    return replace(found, emerging=tuple(market == MARKETS[1] for market in markets))
 
 
 SWAPS = ("rates", "inflation")  # kinds of swaps of the overlay
