@@ -4,6 +4,11 @@
 
 The small pension example over two years, native engine in float64, decisions recorded and held, as
 the sensitivities of several outputs need them. In one process and alternately; medians.
+
+On two busy cores (1024 paths, value pass 117 ms): K = 1 to 5 cost 1.14, 2.05, 3.05, 4.17 and 4.79
+value passes in one call. A cotangent more costs nine tenths of a value pass, so that 1 + 0.6 K
+holds up to two outputs; one call for all saves the recording of the decisions, a value pass for
+each output after the first.
 """
 
 import argparse

@@ -14,7 +14,7 @@ from snapo.domains.pension.read.case import resolve
 from snapo.domains.pension.results.setup import make_setup
 from snapo.engine import Xla
 from snapo.engine.native.explain import unsupported
-from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.smooth import Exact
 from snapo.solver.solve import solve
 
 
@@ -31,14 +31,12 @@ def test_a_case_is_traced_in_32_bits_and_then_in_64(name, tmp_path):
     assert (engines.train.precision, engines.evaluate.precision) == ("float32", "float64")
     simulator, schedule = problem.simulator, problem.schedule
     assert unsupported(simulator, schedule, policy, Exact(), "float64") is None
-    for precision, smooth in (("float32", Smooth(np.float32(0.1))), ("float64", Exact())):
-        engine = Xla(precision)
-        draws = problem.sources.evaluation.draws(np.arange(2), simulator)
-        with engine.numbers():
-            call = engine.call(simulator, policy, schedule, draws, smooth)
-            totals = jax.eval_shape(lambda made=engine, call=call: made.traced(call).totals)
-        assert {each.dtype for each in totals.values()} == {np.dtype(precision)}
-        assert {each.shape for each in totals.values()} == {(2,)}
+    engine, draws = Xla("float64"), problem.sources.evaluation.draws(np.arange(2), simulator)
+    with engine.numbers():
+        call = engine.call(simulator, policy, schedule, draws, Exact())
+        totals = jax.eval_shape(lambda: engine.traced(call).totals)
+    assert {each.dtype for each in totals.values()} == {np.dtype("float64")}
+    assert {each.shape for each in totals.values()} == {(2,)}
 
 
 @pytest.mark.study

@@ -379,3 +379,28 @@ def test_outputs_are_told_in_points_basis_points_and_money(folder):
     # Of a liability of 250 million.
     assert funding[0][1:] == ("+1.230", "±\xa00.020", "+123.0", "EUR\xa0m\xa0+3.08")
     assert paid[0][1:] == ("−0.200", "±\xa00.004", "−20.0", "EUR\xa0k\xa0−500.00")
+
+
+@pytest.mark.prove
+def test_inflation_and_the_regulator_are_told_where_they_are_there(folder):
+    html = write_report(folder).read_text(encoding="utf-8")
+    assert "inflation hedge ratios" not in html
+    assert "Required funding ratio" not in html
+    details = deepcopy(sample())
+    prices = details["ladder"] | {"liability": -np.asarray(details["ladder"]["liability"])}
+    details |= {"inflation_ladder": prices, "inflation_ladder_after": prices}
+    losses = dict.fromkeys(("rates", "equity", "currencies", "commodities", "credit"), 1e7)
+    losses |= {"insurance": 5e6, "active": 0.0, "falling": True}
+    details["reconciliation"]["regulation"] = {
+        "losses": losses, "required": 3.2e7, "minimum": 1e7, "required_ratio": 1.128,
+        "minimum_ratio": 1.04, "policy_ratio": 1.048, "since": "2015-01-01", "source": "the law",
+    }  # fmt: skip
+    share = {"share": [0.1, 0.4], "median": [1.05, 1.11], "allowed": 10.0}
+    details["recovery"] = {"years": [0, 1]} | share
+    html = written(folder, details)
+    ladder = html[html.index('id="ladder"') : html.index('id="collateral"')]
+    assert "inflation hedge ratios" in ladder
+    assert "Real rates" in ladder
+    stand = html[html.index('id="reconciliation"') : html.index('id="ladder"')]
+    for text in ("112.8", "in deficit: a recovery plan is needed", "falling ones", "40.0"):
+        assert text in stand

@@ -16,6 +16,7 @@ EIOPA, Technical documentation of the methodology to derive EIOPA's risk-free in
 structures, 12 September 2019, sections 7 and 8 (a rounded up to six decimals there, here not).
 """
 
+from functools import partial
 from typing import NamedTuple
 
 import jax
@@ -50,21 +51,33 @@ def log_bond(
 
 def fit(curve: Curve, rate: Array, ultimate: Array) -> Fit:
     """The weights that meet the quotes `rate` [n]."""
+    weights, speed = _fitted(curve, rate, ultimate)
+    return Fit(_dates(curve), weights, speed)
+
+
+@partial(jax.jit, static_argnums=0)  # once for each curve: the search for a speed takes a second
+def _fitted(curve: Curve, rate: Array, ultimate: Array) -> tuple[Array, Array]:
     dates, flows = cash_flows(curve, rate)
     own = jnp.exp(-ultimate * dates)[:, None] * flows.T
     if curve.speed is not None:
         speed = jnp.asarray(curve.speed)
     else:
         speed = _found_speed(dates, own, curve.convergence)
-    return Fit(dates, _weights(dates, own, speed), speed)
+    return _weights(dates, own, speed), speed
+
+
+def _dates(curve: Curve) -> np.ndarray:
+    if curve.quote == "zero":
+        return curve.tenor
+    return np.arange(1.0, curve.tenor[-1] + 0.5)
 
 
 def cash_flows(curve: Curve, rate: Array) -> tuple[np.ndarray, Float[Array, "n m"]]:
     """Dates [m] and payments of n instruments of price 1: zero-coupon bonds, or par bonds that
     pay the swap rate every year."""
+    dates = _dates(curve)
     if curve.quote == "zero":
-        return curve.tenor, jnp.diag(jnp.exp(rate * curve.tenor))
-    dates = np.arange(1.0, curve.tenor[-1] + 0.5)
+        return dates, jnp.diag(jnp.exp(rate * dates))
     coupon, last = dates <= curve.tenor[:, None], dates == curve.tenor[:, None]
     return dates, rate[:, None] * coupon + last
 

@@ -1,6 +1,7 @@
 """Reads `[credit]`, `[currencies]` and `[overlay]`: ratings, currencies and swaps."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -81,21 +82,20 @@ def read_credit(section: Section, table: CreditTable | None) -> Credit:
 def read_currencies(section: Section, table: CurrenciesTable | None) -> Currencies:
     """Foreign currencies; none without the table."""
     if table is None:
-        return Currencies((), **{name: empty(f"currency_{name}") for name in CURRENCY})
+        none: dict[str, Any] = {name: empty(f"currency_{name}") for name in CURRENCY}
+        return Currencies((), **none)
     rows = read_rows(
         Mention(section, "file", table.file), ("currency", "volatility"), (*CURRENCY, "market")
     )
     names = unique(rows, "currency")
     ranges = {"volatility": (5.0, 0.0), "premium": (1.0, -1.0)}
     markets = [word(row, "market", MARKETS) if row.cells.get("market") else "" for row in rows]
-    return Currencies(
-        names=names,
-        emerging=tuple(market == MARKETS[1] for market in markets),
-        **{
-            name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
-            for name, said in CURRENCY.items()
-        },
-    )
+    numbers: dict[str, Any] = {
+        name: column(f"currency_{name}", rows, name, names, said, *ranges.get(name, ()))
+        for name, said in CURRENCY.items()
+    }
+    emerging = tuple(market == MARKETS[1] for market in markets)
+    return Currencies(names=names, emerging=emerging, **numbers)
 
 
 SWAPS = ("rates", "inflation")  # kinds of swaps of the overlay

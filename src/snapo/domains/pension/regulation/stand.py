@@ -1,5 +1,6 @@
 """A fund's stand before its regulator: required own funds, policy ratio, and the way to recover."""
 
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
@@ -28,6 +29,14 @@ class Stand(NamedTuple):
     policy_ratio: float
 
 
+class Due(NamedTuple):
+    """Expected payments `flow` [N], their `discount` factors and their times in `years`."""
+
+    flow: np.ndarray
+    discount: np.ndarray
+    years: np.ndarray
+
+
 class Shocked(NamedTuple):
     """Changes under one move of rates: of the liability, money, and of each class and swap per unit
     held, [n] and [b]."""
@@ -40,9 +49,10 @@ class Shocked(NamedTuple):
 def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
     """The standard model with the present mix on invested assets of liability plus required funds,
     until both agree (annex 3, article 2); swaps keep their share of the assets."""
-    regulation = known(case)
-    moves = [shocked(case, inputs, name) for name in ("rise", "fall")]
-    liability, assets = _liability(case, inputs), float(case.assets.amount.used())
+    regulation, case = known(case), replace(case, scenarios=None)
+    due = _due(case, inputs)
+    moves = [shocked(case, inputs, due, name) for name in ("rise", "fall")]
+    liability, assets = float(due.flow @ due.discount), float(case.assets.amount.used())
     required = 0.0
     for _ in range(ROUNDS):
         losses = losses_on(case, moves, assets, liability)
@@ -93,15 +103,11 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
     )
 
 
-def shocked(case: PensionCase, inputs: dict[str, Any], name: str) -> Shocked:
+def shocked(case: PensionCase, inputs: dict[str, Any], due: Due, name: str) -> Shocked:
     """Everything revalued at once, each payment at the factor of its own term."""
-    rules = known(case).rules
-    with jax.enable_x64(True):
-        flow, discount = map(np.asarray, payments(case, inputs))
-    years = paid_at(case, np.arange(len(flow))) * case.step
-    after = discount
+    rules, after = known(case).rules, due.discount
     if case.liability.basis != "fixed":
-        after = moved_discount(rules, name, years, discount)
+        after = moved_discount(rules, name, due.years, due.discount)
 
     def change(maturity: np.ndarray, real: bool) -> np.ndarray:
         """[k] relative change of zero-coupon bonds."""
@@ -121,13 +127,13 @@ def shocked(case: PensionCase, inputs: dict[str, Any], name: str) -> Shocked:
         first = case.buckets - case.overlay.inflation
         swaps = change(case.overlay.maturity, False)
         swaps[first:] = change(case.overlay.maturity[first:], True) - swaps[first:]
-    return Shocked(float(flow @ (after - discount)), classes * (maturity > 0), swaps)
+    return Shocked(float(due.flow @ (after - due.discount)), classes * (maturity > 0), swaps)
 
 
-def _liability(case: PensionCase, inputs: dict[str, Any]) -> float:
+def _due(case: PensionCase, inputs: dict[str, Any]) -> Due:
     with jax.enable_x64(True):
-        flow, discount = map(np.asarray, payments(case, inputs))
-    return float(flow @ discount)
+        flow, discount = map(np.asarray, jax.jit(lambda given: payments(case, given))(inputs))
+    return Due(flow, discount, paid_at(case, np.arange(len(flow))) * case.step)
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
