@@ -6,11 +6,13 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.policy import Threshold
+from snapo.problem.smooth import Exact
 
 from .plant import Parameter, Plant, Quantity, outputs
 
 BOTTOM = -np.pi / 6  # of the valley
-WIDTH = 10.0  # of the smooth goal: times the temperature, in the units of the position
+AIM = 1.15  # energy where a training step ends the way with probability 1/2; the goal takes 1
+WIDTH = 10.0  # of the smooth goal: times the temperature, as a share of the energy it takes
 
 
 class MountainCar(Plant):
@@ -19,9 +21,10 @@ class MountainCar(Plant):
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
     speed' = 0 where it runs into the left wall. A step costs 0.1 a^2 while the car is on its way.
 
-    In training the goal is a slope: each step reaches it with a probability that rises with the
-    position and narrows with the temperature, and `alive` is the probability to be still on the
-    way. The exact reward holds no hint of the goal's direction; this one does.
+    The exact reward holds no hint of the goal. In training the goal is reached by energy: each step
+    ends the way with a probability that is 1/2 where the energy, v^2 / 2 + gravity sin(3 x) / 3,
+    is a little more than the hill takes, and falls off below over a width of the temperature; `alive` is the
+    probability to be still on the way. Who has this energy passes the goal on the next swing.
     """
 
     type: ClassVar = "mountain-car"
@@ -76,8 +79,10 @@ class MountainCar(Plant):
         p, w, alive = constants["plant"], constants["cost"], state["alive"]
         effort = alive * self.cost(w, p, state, action)["effort"]
         after = self.disturbed(now, self.move(p, state, action, smooth), noise)
-        there = smooth.indicator(after["position"] - p["goal"], WIDTH)
-        there = there * jnp.where(after["speed"] < 0, 0.0, 1.0)
+        if isinstance(smooth, Exact):
+            there = jnp.where((after["position"] >= p["goal"]) & (after["speed"] >= 0), 1.0, 0.0)
+        else:
+            there = smooth.indicator(energy(p, after) - AIM, WIDTH)
         prize = w["prize"] * alive * there
         after["alive"] = alive * (1 - there)
         return after, {**outputs({"effort": effort}), "reward": prize - effort, "prize": prize}
@@ -99,3 +104,10 @@ class MountainCar(Plant):
     def hand_rules(self, p):
         push = [jnp.full(1, -1.0), jnp.full(1, 1.0)]
         return {"full power with the speed": Threshold(jnp.zeros(()), *push, feature=1)}
+
+
+def energy(p, state):
+    """Above that at rest in the valley, as a share of what the goal takes."""
+    high = (jnp.sin(3 * p["goal"]) + 1) * p["gravity"] / 3
+    lifted = (jnp.sin(3 * state["position"]) + 1) * p["gravity"] / 3
+    return (state["speed"] ** 2 / 2 + lifted) / high
