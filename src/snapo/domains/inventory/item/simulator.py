@@ -172,8 +172,9 @@ def _next(state, after, order, lead: int):
 def safety_factor(case: InventoryCase) -> float:
     """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
 
-    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), towards which the
-    best level goes as p grows (Huh, Janakiraman, Muckstadt and Rusmevichientong, 2009).
+    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
+    at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
+    and Shanthikumar, Operations Research 55, 2007). It is where training starts.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead + 1 if item.lost else 1)
