@@ -79,6 +79,7 @@ class InventorySimulator(Simulator):
         constants = {
             **costs,
             "usual": usual,
+            "typical": mean[: len(case.season.values), 0].mean(),
             "stock": self._stock(inputs, level[0], mean[0]),
             "coming": self._coming(inputs, mean[0]),
         }
@@ -113,7 +114,7 @@ class InventorySimulator(Simulator):
             (coming - now["mean"][1 : max(lead, 1)]) / unit,
         ]
         if self.case.seasonal:
-            seen.append((now["mean"] - constants["usual"]) / unit)
+            seen.append((now["mean"] - constants["typical"]) / unit)
         return jnp.concatenate(seen)
 
     def step(self, constants, now, state, action, noise, smooth):
