@@ -9,6 +9,7 @@ from tests.domains.inventory.inventory_cases import case
 
 from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
 from snapo.domains.inventory.policy.rules import Classical
+from snapo.domains.inventory.read.case import read_case
 from snapo.domains.inventory.references.backlog import base_stock_cost
 from snapo.domains.inventory.setup import first_policy
 from snapo.engine import Native, Xla
@@ -76,6 +77,28 @@ def test_both_engines_agree_and_the_adjoint_is_the_difference(small):
             ends.append(evaluate(own, policy, 512, smooth=smooth, engine=Xla("float64")).value)
         slope = (ends[0] - ends[1]) / (2 * step)
         assert values[0][1].inputs[name] == pytest.approx(slope, rel=1e-5, abs=1e-7), name
+
+
+@pytest.mark.prove
+def test_a_season_moves_the_level_and_demand_and_both_engines_see_it(tmp_path):
+    (tmp_path / "s.csv").write_text("period,factor\nsummer,0.5\nwinter,1.5\n")
+    item = {"unmet": "waits", "lead_time": 1, "holding": 1.0, "shortage": 4.0}
+    given = read_case(
+        tmp_path / "case.toml",
+        {"kind": "inventory", "item": item, "demand": NORMAL, "season": {"file": "s.csv"},
+         "horizon": {"periods": 4, "warm_up": 0}},
+    )  # fmt: skip
+    of = problem(given)
+    # Every two periods have a summer and a winter in them, and so the same level.
+    assert of.schedule.steps["mean"] == pytest.approx(np.array([[2.5, 7.5], [7.5, 2.5]] * 2))
+    assert np.ptp(of.schedule.steps["level"]) == pytest.approx(0)
+    smooth, policy = Smooth(jnp.asarray(0.02)), first_policy(of, given, 0)
+    (first, one), (second, other) = (
+        value_and_gradient(of, policy, paths=128, smooth=smooth, engine=engine)
+        for engine in (Xla("float64"), Native("float64"))
+    )
+    assert first == pytest.approx(second, rel=1e-10)
+    assert one.inputs["season"] == pytest.approx(other.inputs["season"], rel=1e-8)
 
 
 @pytest.mark.prove

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from snapo.study.study import Study, Tell
 
     from .item.records import InventoryCase
+    from .network.records import NetworkCase
 
 
 class Inventory:
@@ -22,22 +23,23 @@ class Inventory:
 
     @property
     def templates(self):
-        return {"spare-part": files(__package__ or "") / "template"}
+        folder = files(__package__ or "")
+        return {"spare-part": folder / "template", "line": folder / "template_line"}
 
-    def read(self, file: Path, data: Mapping[str, Any]) -> "InventoryCase":
+    def read(self, file: Path, data: Mapping[str, Any]) -> "InventoryCase | NetworkCase":
+        if "place" in data:
+            from .read.network import read_network
+
+            return read_network(file, data)
         from .read.case import read_case
 
         return read_case(file, data)
 
-    def check(self, case: "InventoryCase") -> list[str]:
-        from .study import lines
+    def check(self, case: "InventoryCase | NetworkCase") -> list[str]:
+        return _study_of(case).lines(case)
 
-        return lines(case)
-
-    def study(self, case: "InventoryCase", options: "Options") -> "Study":
-        from .study import study
-
-        return study(case, options)
+    def study(self, case: "InventoryCase | NetworkCase", options: "Options") -> "Study":
+        return _study_of(case).study(case, options)
 
     def report(self) -> "Report":
         from .report import REPORT
@@ -47,3 +49,15 @@ class Inventory:
     def bench(self, engine: str, tell: "Tell") -> str:
         what = "this kind brings no case to time; `snapo solve` reports the times of yours"
         raise CaseError("KIND", "", self.kind, what)
+
+
+def _study_of(case: Any) -> Any:
+    """The study of one item, or that of places."""
+    from .network import study as places
+    from .network.records import NetworkCase
+
+    if isinstance(case, NetworkCase):
+        return places
+    from . import study
+
+    return study

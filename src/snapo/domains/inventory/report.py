@@ -1,6 +1,7 @@
 """How an inventory run is told."""
 
 from snapo.report.folder import Folder
+from snapo.report.page import Section
 from snapo.report.quantity import number
 from snapo.report.sections.distribution import distribution
 from snapo.report.sections.fans import fans
@@ -8,12 +9,19 @@ from snapo.report.sections.proof import certificate, history, making
 from snapo.report.sections.sensitivities import sensitivities
 from snapo.study.domain import Report
 
+from .network.sections import places
 from .sections.rivals import lead_time, rivals
 from .sections.rule import rule
 from .sections.service import service
 
+
+def decisions(run: Folder) -> Section:
+    """The rule of an item; the places of a network."""
+    return places(run) if run.get("network") else rule(run)
+
+
 SECTIONS = (
-    service, rule, rivals, sensitivities, lead_time, distribution, fans, history, certificate,
+    service, decisions, rivals, sensitivities, lead_time, distribution, fans, history, certificate,
     making,
 )  # fmt: skip
 
@@ -21,7 +29,7 @@ SECTIONS = (
 def about(run: Folder) -> list[tuple[str, str]]:
     """The lines under the title."""
     step = str(run.get("step", "period"))
-    lead = f"{number(run.get('lead_time'), 0)} {step}s"
+    lead = "" if run.get("network") else f"{number(run.get('lead_time'), 0)} {step}s"
     unmet = "lost" if run.get("lost") else "delivered later"
     counted = float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
     horizon = f"{number(counted, 0)} {step}s after {number(run.get('warm_up'), 0)} of warm-up"

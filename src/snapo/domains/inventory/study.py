@@ -101,6 +101,7 @@ def _about(case: InventoryCase, units: dict[str, str]) -> dict[str, Any]:
         "horizon": case.horizon,
         "warm_up": case.warm_up,
         "lead_time": item.lead,
+        "other_leads": case.other_leads,
         "lost": item.lost,
         "demand": case.demand.words(),
         "objective": f"{kind} of the result{per}: all costs with a minus",

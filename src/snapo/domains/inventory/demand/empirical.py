@@ -75,6 +75,10 @@ class Empirical(Demand):
     def deviation(self, parameters, factors):
         return parameters[DEVIATION] * factors
 
+    def chances(self, parameters, factor=1.0):
+        whole = np.round(self.numbers).astype(int)
+        return np.bincount(whole) / len(whole)
+
     def integral(self) -> bool:
         return all(x == round(x) for x in self.numbers)
 

@@ -79,6 +79,7 @@ class InventorySimulator(Simulator):
         constants = {
             **costs,
             "usual": usual,
+            "typical": mean[: len(case.season.values), 0].mean(),
             "stock": self._stock(inputs, level[0], mean[0]),
             "coming": self._coming(inputs, mean[0]),
         }
@@ -113,7 +114,7 @@ class InventorySimulator(Simulator):
             (coming - now["mean"][1 : max(lead, 1)]) / unit,
         ]
         if self.case.seasonal:
-            seen.append((now["mean"] - constants["usual"]) / unit)
+            seen.append((now["mean"] - constants["typical"]) / unit)
         return jnp.concatenate(seen)
 
     def step(self, constants, now, state, action, noise, smooth):
@@ -172,8 +173,9 @@ def _next(state, after, order, lead: int):
 def safety_factor(case: InventoryCase) -> float:
     """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
 
-    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), towards which the
-    best level goes as p grows (Huh, Janakiraman, Muckstadt and Rusmevichientong, 2009).
+    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
+    at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
+    and Shanthikumar, Operations Research 55, 2007). It is where training starts.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead + 1 if item.lost else 1)

@@ -7,6 +7,8 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.engine import Xla
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.solver import statistics
@@ -14,6 +16,7 @@ from snapo.solver.evaluate import path_totals, worth, worth_of_groups
 from snapo.study.study import Part, Setup, StudyRun
 
 from ..item.records import InventoryCase
+from ..policy.myopic import myopic
 from ..policy.rules import Classical
 from ..setup import case_of, economic_lot
 from .search import search
@@ -47,17 +50,50 @@ def work(run: StudyRun) -> dict[str, Any]:
         totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
         found = worth_of_groups(problem.objective, totals, source)
         paired = statistics.of_shares(found - trained)
-        rows.append(
-            {
-                "rule": name,
-                **_result(found),
-                "difference": paired.value,
-                "difference_error": paired.standard_error,
-                "numbers": _told(case, problem, numbers),
-            }
-        )
-        run.tell(f"{name}: {rows[-1]['value']:,.6g}, {paired.value:+,.3g} to the trained rule")
+        rows.append(_row(name, found, paired, _told(case, problem, numbers)))
+    if (rule := myopic_of(setup)) is not None:
+        found, own = _first_paths(setup, rule), _first_paths(setup, run.solution.policy)
+        rows.append(_row("myopic", found, statistics.of_shares(found - own), {}))
+    for row in rows[1:]:
+        run.tell(f"{row['rule']}: {row['value']:,.6g}, {row['difference']:+,.3g} to the trained")
     return {"rivals": rows}
+
+
+def _row(name: str, found: np.ndarray, paired: statistics.Sampled, numbers: dict) -> dict[str, Any]:
+    return {
+        "rule": name,
+        **_result(found),
+        "difference": paired.value,
+        "difference_error": paired.standard_error,
+        "numbers": numbers,
+    }
+
+
+def myopic_of(setup: Setup) -> Policy | None:
+    """The myopic rule, where it has no simpler form: lost sales of whole demand, no season.
+
+    Where demand waits it is the base stock at the newsvendor's level.
+    """
+    case = case_of(setup)
+    item, demand = case.item, case.demand
+    if item.fixed or case.seasonal:
+        return None
+    if not item.lost:
+        return classical(setup, "base stock", {"above": 0.0})
+    if not (demand.integral() and item.whole):
+        return None
+    chances = demand.chances(demand.values())
+    costs = item.cost("holding"), item.cost("shortage")
+    return myopic(chances, _mean(case), *costs, item.lead, setup.problem.action)
+
+
+def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
+    """Shares of the independent groups of the first paths: of a rule that takes longer."""
+    problem, source = setup.problem, setup.problem.sources.evaluation
+    assert policy is not None
+    paths = min(SEARCH_PATHS, setup.evaluation.paths)
+    totals = path_totals(problem, policy, paths, engine=Xla())
+    return worth_of_groups(problem.objective, totals, source)
 
 
 RIVALS = Part("rivals", work, needs=("training",))

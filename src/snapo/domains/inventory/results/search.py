@@ -12,8 +12,8 @@ def search(
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `least`.
 
-    Moves by `step` along every number and both diagonals of two while that helps, then by half,
-    down to `least`; at most `most` costs are asked for.
+    Moves by `step` along every number, and of two along both diagonals, while that helps, then by
+    half, down to `least`; at most `most` costs are asked for.
     """
     seen: dict[tuple[float, ...], float] = {}
 
@@ -35,7 +35,8 @@ def search(
 
 
 def _ways(size: int) -> list[tuple[int, ...]]:
-    """Every neighbour of a point of one or two numbers."""
-    if size == 1:
-        return [(1,), (-1,)]
+    """Every neighbour of a point of two numbers; of others, those along one number."""
+    if size != 2:
+        each = range(size)
+        return [tuple(way * (i == j) for j in each) for i in each for way in (1, -1)]
     return [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]

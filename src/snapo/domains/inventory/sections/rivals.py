@@ -1,7 +1,7 @@
 """The trained rule beside the classical ones, and beside other lead times."""
 
 from snapo.report.folder import Folder
-from snapo.report.page import Block, Section, Table, Text
+from snapo.report.page import Block, Missing, Section, Table, Text
 from snapo.report.quantity import decimals, finite, number, percent, plus_minus
 from snapo.report.sections.lacking import lacking
 
@@ -45,6 +45,9 @@ def lead_time(run: Folder) -> Section:
     """The cost of a period more or less of lead time."""
     title, short = "A period more or less of lead time", "Lead time"
     rows = run.get("lead_time_change", [])
+    if run.get("network") or not run.get("other_leads", True):
+        words = "This run trains no other lead times: solve with one, and use `snapo compare`."
+        return Section("lead-time", title, short, [Missing(words)])
     if not rows:
         return Section("lead-time", title, short, [lacking(run, "lead time")])
     step = str(run.get("step", "period"))

@@ -57,7 +57,9 @@ def _facts(run: Folder) -> Facts:
         off = f" (± {number(100 * error, 2)})" if error is not None else ""
         found.append((words, percent(each.get("value"), 2), f"{what}{off}"))
     for name, (words, what) in AMOUNTS.items():
-        each = run.get(f"service.{name}", {})
+        each = run.get(f"service.{name}")
+        if each is None:
+            continue
         unit = "" if name == "orders" else str(run.get("item_unit", ""))
         places = max(0, decimals([each.get("value")], 4))
         found.append((words, quantity(each.get("value"), unit, places), what))

@@ -1,0 +1,1 @@
+"""Several places that supply one another: a line, or one warehouse with several stores."""

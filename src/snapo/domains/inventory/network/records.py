@@ -1,0 +1,117 @@
+"""A network of places, as it was read."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from snapo.case.given import Given
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
+
+from ..demand.base import Demand
+
+
+@dataclass(frozen=True, eq=False)
+class Place:
+    """One place.
+
+    - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
+    - `lead`: periods from an order to its arrival, before the demand of that period.
+    - `demand`: of customers; None where there are none.
+    """
+
+    name: str
+    supplier: int | None
+    lead: int
+    demand: Demand | None
+
+
+@dataclass(frozen=True, eq=False)
+class NetworkCase:
+    """What `snapo solve` needs of a case with places.
+
+    - `holding`: by place, of goods there and on their way from there; `shortage`: by place that
+      sells, in the order of `sellers`.
+    - Other attributes as in `InventoryCase`.
+    """
+
+    file: Path
+    notes: tuple[str, ...]
+    title: str
+    currency: str
+    unit: str
+    period: str
+    lost: bool
+    places: tuple[Place, ...]
+    holding: Given
+    shortage: Given
+    periods: int
+    warm_up: int
+    discount: float
+    objective: ObjectiveTable
+    training: TrainingTable
+    evaluation: EvaluationTable
+
+    @property
+    def horizon(self) -> int:
+        """All periods."""
+        return self.warm_up + self.periods
+
+    @cached_property
+    def sellers(self) -> tuple[int, ...]:
+        """The numbers of the places with customers."""
+        return tuple(i for i, place in enumerate(self.places) if place.demand is not None)
+
+    @cached_property
+    def serves(self) -> np.ndarray:
+        """[n, n]: 1 where the place of the column is that of the row, or supplied through it."""
+        found = np.eye(len(self.places))
+        for i in range(len(self.places)):
+            for each in self._way(i):
+                found[each, i] = 1.0
+        return found
+
+    @cached_property
+    def supplies(self) -> np.ndarray:
+        """[n, n]: 1 where the place of the row is the supplier of that of the column."""
+        found = np.zeros((len(self.places),) * 2)
+        for i, place in enumerate(self.places):
+            if place.supplier is not None:
+                found[place.supplier, i] = 1.0
+        return found
+
+    @cached_property
+    def cover(self) -> np.ndarray:
+        """[n] periods of demand from an order to the last customer that it can reach in time."""
+        own = np.array([place.lead + 1 for place in self.places])
+        ways = [sum(own[j] for j in (i, *self._way(i))) for i in range(len(self.places))]
+        reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
+        above = [way - step for way, step in zip(ways, own)]
+        return np.array(reach) - np.array(above)
+
+    def _way(self, i: int) -> list[int]:
+        """The suppliers of a place, the nearest first."""
+        found, here = [], self.places[i].supplier
+        while here is not None:
+            found.append(here)
+            here = self.places[here].supplier
+        return found
+
+    @property
+    def weights(self) -> np.ndarray:
+        """[T] the weight of each period's cost: of an average, or discount factors."""
+        age = np.arange(self.horizon) - self.warm_up
+        if self.discount == 1:
+            return (age >= 0) / self.periods
+        return np.where(age >= 0, self.discount ** np.maximum(age, 0), 0.0)
+
+    @property
+    def counted(self) -> np.ndarray:
+        """[T] the weight of each period in the averages; they add up to 1."""
+        return (np.arange(self.horizon) >= self.warm_up) / self.periods
+
+    @property
+    def value_unit(self) -> str:
+        """The unit of the result."""
+        return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency

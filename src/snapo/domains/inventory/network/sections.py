@@ -1,0 +1,37 @@
+"""The places of a network in a table."""
+
+from snapo.report.folder import Folder
+from snapo.report.page import Section, Table, Text
+from snapo.report.quantity import decimals, number, percent, plus_minus
+from snapo.report.sections.lacking import lacking
+
+
+def places(run: Folder) -> Section:
+    """Stock, demand and fill rate of every place."""
+    title, short = "Places", "Places"
+    rows = run.get("places", [])
+    if not rows:
+        return Section("places", title, short, [lacking(run, "service")])
+    unit = str(run.get("item_unit", ""))
+    digits = decimals([row["stock"]["value"] for row in rows], 4)
+    cells = [
+        (
+            str(row["name"]),
+            str(row["supplier"]) or "outside",
+            number(row["level"], 2),
+            number(row["stock"]["value"], digits),
+            plus_minus(row["stock"]["standard_error"], digits),
+            number(row.get("demand", {}).get("value"), digits),
+            percent(row.get("fill_rate", {}).get("value"), 2),
+        )
+        for row in rows
+    ]
+    head = [("Place", ""), ("Supplied by", ""), ("First level", unit), ("Stock", unit), ("", ""),
+            ("Demand", unit), ("Fill rate", "")]  # fmt: skip
+    words = (
+        "Stock is the average on hand at the end of a period. The first level is that of the "
+        "echelon from which training starts: all goods at the place, on their way to it and "
+        "further down, less demand that waits."
+    )
+    table = Table(head, cells, "Stock and service by place", 2)
+    return Section("places", title, short, [table, Text(words, caveat=True)])

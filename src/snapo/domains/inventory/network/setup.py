@@ -1,0 +1,48 @@
+"""A case with places made ready to solve."""
+
+import jax
+
+from snapo.case.error import CaseError
+from snapo.case.objective import make_objective
+from snapo.engine import Choice, choose
+from snapo.problem.problem import Problem
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
+from snapo.study.same import same_program
+from snapo.study.study import Setup
+
+from .policy import EchelonRule
+from .records import NetworkCase
+from .simulator import NetworkSimulator, network_inputs
+
+
+def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
+    """Simulator, scenarios, policy and engines."""
+    training = Training(**case.training.model_dump())
+    evaluation = Evaluation(**case.evaluation.model_dump())
+    simulator = NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
+    sources = evaluation.sources(training.seed)
+    objective = make_objective(case.objective, "result")
+    problem = Problem(simulator, network_inputs(case), objective, sources)
+    policy = EchelonRule(len(case.places), problem.features, key=jax.random.key(training.seed))
+    try:
+        engines = choose(engine, problem, policy)
+    except ValueError as error:
+        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    return Setup(problem, policy, training, evaluation, engines)
+
+
+def moved_setup(setup: Setup, case: NetworkCase) -> Setup:
+    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
+    simulator = NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
+    if not same_program(setup.problem, simulator):
+        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
+    values = {name: given.value for name, given in network_inputs(case).items()}
+    return setup._replace(problem=setup.problem.at(values))
+
+
+def network_of(setup: Setup) -> NetworkCase:
+    """The case that was made ready."""
+    simulator = setup.problem.simulator
+    assert isinstance(simulator, NetworkSimulator)
+    return simulator.case

@@ -1,0 +1,83 @@
+"""The study of a case with places."""
+
+from typing import Any
+
+from snapo.case.error import CaseError
+from snapo.study.domain import Options
+from snapo.study.parts.certificate import CERTIFICATE
+from snapo.study.parts.distribution import distribution_part
+from snapo.study.parts.moves import MOVES
+from snapo.study.parts.profile import profile_part
+from snapo.study.study import Study, StudyRun
+from snapo.study.training import TRAINING, trained
+
+from .records import NetworkCase
+from .results import RIVALS, SERVICE
+from .setup import make_setup, moved_setup
+from .simulator import AVERAGES, OUTPUTS, network_inputs
+
+IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of a cost
+
+
+def lines(case: NetworkCase) -> list[str]:
+    """The case in a few lines: nothing is trained."""
+    count, numbers = len(case.places), network_inputs(case)
+    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
+    found = [f"{case.title}: {count} places, {case.periods} {case.period}s{after}"]
+    for place in case.places:
+        supplier = "outside" if place.supplier is None else case.places[place.supplier].name
+        sells = f"; demand {place.demand.words()}" if place.demand is not None else ""
+        found.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}")
+    total = sum(each.value.size for each in numbers.values())
+    return [*found, f"{len(numbers)} inputs with {total} numbers, each with a sensitivity"]
+
+
+def study(case: NetworkCase, options: Options) -> Study:
+    """Training, service by place, rivals, moves, distribution, bands, certificate."""
+    if options.reference:
+        what = "an inventory has no references to compute; its rivals are in every run"
+        raise CaseError("--reference", "", None, what)
+    setup = make_setup(case, options.engine)
+    money = dict.fromkeys(OUTPUTS, case.value_unit)
+    amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
+    units = money | amounts | dict.fromkeys(("coming", "action"), case.unit) | {"short": ""}
+    parts = [TRAINING, SERVICE, RIVALS, MOVES, distribution_part(units), profile_part(units),
+             CERTIFICATE]  # fmt: skip
+    return Study(
+        "inventory",
+        _about(case, units),
+        tuple(parts),
+        _result,
+        lambda: setup,
+        moved=moved_setup,
+    )
+
+
+def _about(case: NetworkCase, units: dict[str, str]) -> dict[str, Any]:
+    kind = case.objective.kind
+    unit = case.value_unit if kind in IN_MONEY else ""
+    per = f" of a {case.period}" if case.discount == 1 else ", discounted"
+    sells = [case.places[i] for i in case.sellers]
+    demand = "; ".join(f"{each.name}: {each.demand.words()}" for each in sells if each.demand)
+    return {
+        "title": case.title,
+        "unit": unit,
+        "value_unit": unit,
+        "units": units,
+        "currency": case.currency,
+        "item_unit": case.unit,
+        "step": case.period,
+        "horizon": case.horizon,
+        "warm_up": case.warm_up,
+        "network": True,
+        "lost": case.lost,
+        "demand": demand,
+        "objective": f"{kind} of the result{per}: all costs with a minus",
+        "objective_output": "result",
+        "notes": list(case.notes),
+    }
+
+
+def _result(run: StudyRun) -> dict[str, Any]:
+    rows = run.get("rivals") or []
+    return trained(run, {row["rule"]: row["value"] for row in rows if row["rule"] != "trained"})

@@ -1,0 +1,73 @@
+"""The myopic rule of lost sales: the order that makes the period of its arrival cheapest.
+
+Morton (1971); Zipkin, Operations Research 56 (2008), section 4. Of whole demand: the chances of
+every stock in that period follow from the stock and the orders on their way; the order is the
+smallest q with P(demand <= stock + q) >= p / (p + h).
+"""
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Actions
+from snapo.problem.inputs import Frozen
+from snapo.problem.policy import Policy
+
+from .order_up_to import HEAD, within
+
+
+class Myopic(Policy):
+    """Tables of the rule, for stocks 0 … n - 1 and orders 0 … m - 1.
+
+    - `moves` [n, n]: chances of the stock left, by stock; `met` [n, m]: P(demand <= left + q).
+    - `ratio`: p / (p + h); `mean`: of demand, which observations are relative to.
+    """
+
+    moves: Frozen
+    met: Frozen
+    ratio: float
+    mean: float
+    lead: int
+    action: Actions
+
+    def __call__(self, observation, smooth):
+        unit, moves, met = observation[1], self.moves.array, self.met.array
+        n = moves.shape[0]
+        amounts = jnp.round(observation[HEAD:] * unit + self.mean)
+        chances = (jnp.arange(n) == jnp.minimum(amounts[0], n - 1)).astype(observation.dtype)
+        for i in range(self.lead):
+            chances = chances @ moves.astype(observation.dtype)
+            if i + 1 < self.lead:
+                chances = _moved(chances, amounts[1 + i])
+        reached = chances @ met.astype(observation.dtype)
+        order = jnp.sum(reached < self.ratio).astype(observation.dtype)
+        return within(self.action, order, smooth)
+
+
+def myopic(
+    chances: Float[np.ndarray, " demands"],
+    mean: float,
+    holding: float,
+    shortage: float,
+    lead: int,
+    action: Actions,
+) -> Myopic:
+    """The rule for demand with these chances of 0, 1, …"""
+    n = 2 * len(chances)
+    padded = np.zeros(n)
+    padded[: len(chances)] = chances
+    stocks = np.arange(n)
+    back = np.subtract.outer(stocks, stocks)  # [stock, left]: the demand between them
+    moves = np.where(back >= 0, padded[np.maximum(back, 0)], 0.0)
+    moves[:, 0] += 1 - moves.sum(1)
+    upto = np.cumsum(padded)
+    met = upto[np.minimum(np.add.outer(stocks, np.arange(len(chances))), n - 1)]
+    tables = (Frozen(jnp.asarray(each, jnp.float32)) for each in (moves, met))
+    return Myopic(*tables, shortage / (shortage + holding), mean, lead, action)  # pyright: ignore
+
+
+def _moved(chances: Array, by: Array) -> Array:
+    """Chances of a stock to which an amount is added; what would be beyond stays at the end."""
+    n = chances.shape[0]
+    places = jnp.minimum(jnp.arange(n) + by.astype(jnp.int32), n - 1)
+    return jnp.zeros_like(chances).at[places].add(chances)

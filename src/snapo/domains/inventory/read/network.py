@@ -1,0 +1,147 @@
+"""Reads a case with places: the tables `[network]` and `[[place]]`."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
+from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
+
+from ..demand.registry import read_demand
+from ..network.records import NetworkCase, Place
+from .tables import LONGEST_LEAD, NAME, HorizonTable, Name
+
+MOST = 12  # places
+PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
+PLACE = "a name of letters, digits, - and _ that starts with a letter, at most 40 characters"
+
+
+class NetworkTable(Table):
+    """`[network]`"""
+
+    unmet: Literal["lost", "waits"] = Field("waits", description='"lost" or "waits"')
+    currency: Name = Field("EUR", description=NAME)
+    unit: Name = Field("piece", description=NAME)
+    period: Name = Field("week", description=NAME)
+
+
+class PlaceTable(Table):
+    """One `[[place]]`."""
+
+    name: PlaceName = Field(description=PLACE)
+    supplier: PlaceName | None = Field(None, description="the name of another place")
+    lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
+        description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
+    )
+    holding: Positive = Field(description="a number above 0")
+    shortage: Positive | None = Field(None, description="a number above 0")
+    demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
+
+
+class NetworkFile(Table):
+    """The whole file."""
+
+    kind: Literal["inventory"] = Field(description='"inventory"')
+    title: Title = Field("Network", description=TITLE)
+    network: dict = Field({}, description="the table [network]")
+    place: list[Any] = Field(description="a list of tables, [[place]]")
+    horizon: dict = Field({}, description="the table [horizon]")
+    objective: dict = Field({}, description="the table [objective]")
+    training: dict = Field({}, description="the table [training]")
+    evaluation: dict = Field({}, description="the table [evaluation]")
+
+
+def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
+    """The case whose tables are `data`. **Raises:** `CaseError` for every mistake."""
+    name, notes = str(file), []
+    top = parse(NetworkFile, data, name, "")
+    table = parse(NetworkTable, top.network, name, "network")
+    horizon = parse(HorizonTable, top.horizon, name, "horizon")
+    rows = [parse(PlaceTable, each, name, f"place[{i}]") for i, each in enumerate(top.place)]
+    sections = [Section(file, f"place[{i}]", notes) for i in range(len(rows))]
+    _check(rows, sections, Section(file, "network", notes), table.unmet)
+    names = [row.name for row in rows]
+    places = tuple(
+        Place(
+            row.name,
+            names.index(row.supplier) if row.supplier is not None else None,
+            row.lead_time,
+            _demand(section, row, f"{table.unit}/{table.period}"),
+        )
+        for row, section in zip(rows, sections)
+    )
+    money = f"{table.currency}/{table.unit}"
+    by_period = f"{money}/{table.period}"
+    selling = [row for row in rows if row.demand is not None]
+    held = _costs("holding_cost", rows, [row.holding for row in rows], by_period,
+                  "of a unit held there, or on its way from there, each period")  # fmt: skip
+    short = _costs("shortage_cost", selling, [row.shortage or 0.0 for row in selling],
+                   money if table.unmet == "lost" else by_period,
+                   "of a unit of unmet demand")  # fmt: skip
+    total = sum(row.lead_time + 1 for row in rows)
+    usual = 0 if horizon.discount < 1 else 10 * total
+    case = NetworkCase(
+        file=file,
+        notes=tuple(notes),
+        title=top.title,
+        currency=table.currency,
+        unit=table.unit,
+        period=table.period,
+        lost=table.unmet == "lost",
+        places=places,
+        holding=held,
+        shortage=short,
+        periods=horizon.periods,
+        warm_up=usual if horizon.warm_up is None else horizon.warm_up,
+        discount=horizon.discount,
+        objective=read_objective(top.objective, name),
+        training=read_training(top.training, name),
+        evaluation=read_evaluation(top.evaluation, name),
+    )
+    check_window(case.training, [case.objective.kind], name)
+    return case
+
+
+def _check(rows: list[PlaceTable], sections: list[Section], whole: Section, unmet: str) -> None:
+    """Names, suppliers without a circle, customers at every end, shortage where there are any."""
+    names = [row.name for row in rows]
+    if not 1 <= len(rows) <= MOST:
+        raise whole.error("place", len(rows), f"allowed are 1 to {MOST} tables [[place]]")
+    for i, (row, section) in enumerate(zip(rows, sections)):
+        if row.name in names[:i]:
+            raise section.error("name", row.name, "another place has this name")
+        if row.supplier is not None and row.supplier not in names:
+            raise section.error("supplier", row.supplier, f"the places are {', '.join(names)}")
+        if (row.demand is None) != (row.shortage is None):
+            key = "shortage" if row.shortage is None else "demand"
+            what = "a place with customers has both, demand and shortage; any other has neither"
+            raise section.error(key, None, what)
+        supplying = any(each.supplier == row.name for each in rows)
+        if row.demand is None and not supplying:
+            raise section.error("demand", None, "this place has no customers and supplies no other")
+        if row.demand is not None and supplying:
+            what = "a place that supplies another one has no customers of its own: add a place"
+            raise section.error("demand", row.demand, what)
+        seen, here = {row.name}, row.supplier
+        while here is not None:
+            if here in seen:
+                raise section.error("supplier", row.supplier, "the suppliers form a circle")
+            seen.add(here)
+            here = rows[names.index(here)].supplier
+
+
+def _demand(section: Section, row: PlaceTable, unit: str):
+    if row.demand is None:
+        return None
+    inner = Section(section.file, f"{section.name}.demand", section.notes)
+    return read_demand(inner, row.demand, unit, 1.0)
+
+
+def _costs(name: str, rows: list[PlaceTable], values: list[float], unit: str, words: str) -> Given:
+    labels = tuple(row.name for row in rows)
+    index = np.arange(len(rows))
+    return Given(name, np.array(values), labels, unit, index, group="costs", words=words)
