@@ -11,6 +11,10 @@ from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
 from snapo.problem.actions import Whole as Whole
+from snapo.problem.carry.export import to_onnx as to_onnx
+from snapo.problem.carry.save import PolicyFileError as PolicyFileError
+from snapo.problem.carry.save import load_policy as load_policy
+from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input

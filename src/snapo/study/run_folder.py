@@ -32,7 +32,8 @@ from .study import Part
 RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 WRITTEN = (
-    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES, "profile.csv"
+    RUN, RESULT, REPORT, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
+    "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
