@@ -20,7 +20,7 @@ HEADS = {
     "engine": "Engines",
     "checker": "The check of a simulator",
     "solver": "Solving, and how far to trust the answer",
-    "convert": "To and from other programs",
+    "case": "Tables of cases",
 }
 PLAIN = re.compile(r"(``[^`]*``|`[^`]*`|\*\*[^*\n]+\*\*)")
 

@@ -1,5 +1,6 @@
 """The public names of snapo, listed here once: type checkers and `__init__.py` read this file."""
 
+from snapo.case.columns import write_table as write_table
 from snapo.checker.check import check as check
 from snapo.engine import Clip as Clip
 from snapo.engine import Native as Native
