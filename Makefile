@@ -1,5 +1,5 @@
 # make demo: install and solve the flagship case.
-# make test: minutes. make prove: all that takes longer. make study: long trainings. make lint, make bench.
+# make docs: the site, in site/html. make test: minutes. make prove: all that takes longer. make study: long trainings. make lint, make bench.
 PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
@@ -10,7 +10,7 @@ READY := $(VENV)/.ready
 PYTEST := $(BIN)/python -m pytest
 SHARED := -n 2 --dist worksteal
 
-.PHONY: demo test prove lint bench study picture clean
+.PHONY: demo docs test prove lint bench study picture clean
 
 demo: $(READY)
 	rm -rf demo
@@ -22,6 +22,11 @@ test: $(READY)
 
 prove: $(READY)
 	$(PYTEST) $(SHARED) -m "prove and not study"
+
+# Pages with code run when they change; a warning, a broken link or a request to the network fails.
+docs: $(VENV)/.docs
+	$(BIN)/python -m sphinx -W --keep-going -q -d site/trees docs site/html
+	$(BIN)/python docs/site/links.py site/html
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -39,8 +44,12 @@ $(READY): pyproject.toml constraints.txt
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,test,lint]'
 	touch $(READY)
 
+$(VENV)/.docs: $(READY)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check -c constraints.txt -e '.[native,cli,parquet,pharma,docs]'
+	touch $@
+
 clean:
-	rm -rf $(VENV) demo
+	rm -rf $(VENV) demo site
 
 # The README's picture, from the demo's run folder.
 picture: demo

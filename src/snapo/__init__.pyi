@@ -1,5 +1,6 @@
 """The public names of snapo, listed here once: type checkers and `__init__.py` read this file."""
 
+from snapo.case.columns import write_table as write_table
 from snapo.checker.check import check as check
 from snapo.engine import Clip as Clip
 from snapo.engine import Native as Native
@@ -11,6 +12,10 @@ from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
 from snapo.problem.actions import Whole as Whole
+from snapo.problem.carry.export import to_onnx as to_onnx
+from snapo.problem.carry.save import PolicyFileError as PolicyFileError
+from snapo.problem.carry.save import load_policy as load_policy
+from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input

@@ -15,6 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
+from .columns import PARQUET, parquet_lines
 from .dialect import Dialect, Doubt, dialect, separator
 from .error import CaseError, Unquoted, nearest
 from .table import LARGEST, TOO_LARGE, Section, not_utf8
@@ -123,12 +124,17 @@ def read_rows(
 ) -> list[Row]:
     """Reads the CSV that a case names; every row has all `columns`, with blanks stripped.
 
+    A Parquet file in its place is read as the CSV of the same table.
+
     Other columns are those of `optional`: a misspelt one must not count as left out. None allows
     any.
     """
-    path = beside(mention, (".csv",))
+    path = beside(mention, (".csv", ".parquet"))
     name = mention.name
-    found, written = _read(mention, _text(path, name))
+    if path.suffix.lower() == ".parquet":
+        found, written = parquet_lines(mention, path), Dialect()
+    else:
+        found, written = _read(mention, _text(path, name))
     if not found:
         what = f"the file is empty; its first line is {','.join(columns)}"
         raise CaseError(name, "", None, what)
@@ -246,9 +252,7 @@ def _parquet(mention: Mention, path: Path) -> np.ndarray:
     try:
         import pyarrow.parquet as parquet
     except ImportError:
-        raise mention.error(
-            "Parquet needs the package pyarrow, which is not installed; install it or use .npy"
-        ) from None
+        raise mention.error(f"{PARQUET}; or use .npy") from None
     try:
         table = parquet.read_table(path)
         return np.column_stack([column.to_numpy() for column in table.columns])

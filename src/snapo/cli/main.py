@@ -9,6 +9,7 @@ from snapo import __version__
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
+SHELLS = ("bash", "zsh", "fish")
 CASE = "a TOML file, or a folder with case.toml"
 
 
@@ -18,6 +19,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     0: done; 1: it failed; 2: something is wrong with the input; 130: it was interrupted.
     """
     options = _parser().parse_args(arguments)
+    if options.command == "completion":
+        from .completion import script
+
+        print(script(_parser(), options.shell), end="")
+        return 0
     from .commands import run
 
     return run(options)
@@ -45,6 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         add(commands)
     for each in commands.choices.values():
         each.add_argument("--json", action="store_true", help="print one JSON object on stdout")
+    _add_completion(commands)
     return parser
 
 
@@ -123,6 +130,15 @@ def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
     bench.add_argument("kind", metavar="KIND", nargs="?", help="default: all that are installed")
     bench.add_argument("--engine", choices=ENGINES, default="auto")
+
+
+def _add_completion(commands) -> None:
+    completion = commands.add_parser(
+        "completion",
+        help="print a script that completes commands in a shell",
+        epilog='bash, zsh: eval "$(snapo completion bash)"; fish: snapo completion fish | source',
+    )
+    completion.add_argument("shell", choices=SHELLS, metavar="SHELL", help=", ".join(SHELLS))
 
 
 def _add_case(parser: argparse.ArgumentParser) -> None:

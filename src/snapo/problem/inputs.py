@@ -39,6 +39,12 @@ class Input(eqx.Module):
     - `words`: its meaning, in one phrase.
 
     A correlation matrix enters as its strict lower triangle.
+
+    >>> curve = snapo.Input([30.0, 31.5], "EUR/MWh", labels=("2025-01", "2025-02"), move=1.0)
+    >>> curve.names()
+    ('2025-01', '2025-02')
+    >>> snapo.Input([[1, 2], [3, 4]]).names()  # numbered in C order
+    ('0,0', '0,1', '1,0', '1,1')
     """
 
     value: np.ndarray = eqx.field(converter=_float64)

@@ -9,6 +9,7 @@ the policy for a simulator's actions and features; `snapo.solve` does so with th
 
 import abc
 from collections.abc import Callable
+from pathlib import Path
 
 import equinox as eqx
 import jax
@@ -36,6 +37,15 @@ class Policy(eqx.Module):
         `interface` is `simulator.interface(schedule)`; first weights are drawn with `key`.
         """
         return self
+
+    def save(self, file: Path | str) -> None:
+        """Writes the policy to one .npz file that describes itself, for `snapo.load_policy`.
+
+        **Raises:** `PolicyFileError`, a `ValueError`, for a class of your own: a file has no code.
+        """
+        from .carry.save import save
+
+        save(self, file)
 
 
 class Network(eqx.Module):
@@ -217,6 +227,10 @@ class Linear(Policy):
 
     `Linear()` starts with a gain of zero [size, features] in the middle of the action set, and is
     kept inside it.
+
+    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(1, 0.0, 3.0))
+    >>> [rule(np.array(seen), snapo.Exact()).tolist() for seen in ([0.5, 0.5], [2.0, 0.0])]
+    [[1.0], [3.0]]
     """
 
     gain: Array | None
@@ -255,7 +269,11 @@ def _middle(interface: Interface) -> Float[Array, " size"]:
 
 
 class BaseStock(Policy):
-    """Order up to a level: max(level - position, 0), the position being one observed number."""
+    """Order up to a level: max(level - position, 0), the position being one observed number.
+
+    >>> snapo.BaseStock(12.0)(np.array([5.0]), snapo.Exact()).tolist()
+    [7.0]
+    """
 
     level: Array = eqx.field(converter=jnp.asarray)
     position: int = eqx.field(static=True, default=0)
@@ -266,7 +284,12 @@ class BaseStock(Policy):
 
 
 class Threshold(Policy):
-    """`above` when the observed number exceeds the threshold, else `below`."""
+    """`above` when the observed number exceeds the threshold, else `below`.
+
+    >>> rule = snapo.Threshold(30.0, [0.0], [1.0])
+    >>> [rule(np.array([price]), snapo.Exact()).tolist() for price in (29.0, 31.0)]
+    [[0.0], [1.0]]
+    """
 
     threshold: Array = eqx.field(converter=jnp.asarray)
     below: Array = eqx.field(converter=jnp.asarray)

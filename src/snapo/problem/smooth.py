@@ -130,7 +130,13 @@ class Constraints(eqx.Module):
 
 
 class Smooth(Constraints):
-    """Constraints rounded at `temperature` (an array; zero gives the exact ones)."""
+    """Constraints rounded at `temperature` (an array; zero gives the exact ones).
+
+    >>> round(float(snapo.Smooth(0.1).minimum(1.0, 1.0, scale=2.0)), 6)  # below by 3/16 of 0.2
+    0.9625
+    >>> float(snapo.Smooth(0.1).minimum(1.0, 3.0, scale=2.0))  # farther apart than 0.2: exact
+    1.0
+    """
 
     temperature: Array = eqx.field(converter=jnp.asarray)
 
@@ -178,7 +184,13 @@ class Smooth(Constraints):
 
 
 class Exact(Constraints):
-    """The constraints as the contract writes them."""
+    """The constraints as the contract writes them.
+
+    >>> float(snapo.Exact().clip(7.5, 0.0, 5.0))
+    5.0
+    >>> [float(snapo.Exact().indicator(x)) for x in (-0.1, 0.0, 0.1)]
+    [0.0, 0.0, 1.0]
+    """
 
     def positive_part(self, x: ArrayLike, scale: ArrayLike = 1.0) -> Array:
         x = jnp.asarray(x)

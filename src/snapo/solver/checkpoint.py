@@ -1,7 +1,5 @@
 """What a killed run resumes from: one file, written whole or not at all, and never executed."""
 
-import json
-import os
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -13,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.problem.carry import archive
 from snapo.problem.describe import described, difference
 
 from .learning.growth import Growth
@@ -138,22 +137,12 @@ def _two(file: Path, both: Any, *keys: str) -> list[Any]:
 
 
 def _save(file: Path, arrays: Mapping[str, np.ndarray], header: Mapping[str, Any]) -> None:
-    text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    partial = file.with_name(file.name + ".partial")
-    with partial.open("wb") as stream:
-        np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
-        stream.flush()
-        os.fsync(stream.fileno())
-    partial.replace(file)
+    archive.write(file, arrays, header)
 
 
 def _load(file: Path) -> tuple[dict[str, np.ndarray], Any]:
     """The arrays in their order and the header, whatever may be wrong with the file."""
     try:
-        with file.open("rb") as stream, np.load(stream, allow_pickle=False) as stored:
-            header = json.loads(stored["header"].tobytes().decode())
-            names = [f"leaf_{i}" for i in range(len(stored.files) - 1)]
-            return {name: stored[name] for name in names}, header
-    except Exception as error:  # a damaged byte can be a compression, a key or a size as well
-        what = str(error).splitlines()[0] if str(error) else type(error).__name__
-        raise CheckpointError(f"{file}: this file cannot be read ({what}).") from None
+        return archive.read(file)
+    except ValueError as error:
+        raise CheckpointError(str(error)) from None

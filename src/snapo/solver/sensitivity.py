@@ -28,6 +28,7 @@ from .adjoint import float64
 from .by_block.passes import Way
 from .judge import Verdict
 from .show import html
+from .show.frame import frame
 from .statistics import Estimate
 
 
@@ -94,6 +95,14 @@ class Sensitivities(NamedTuple):
         except ModuleNotFoundError:
             return rows
         return DataFrame(rows, columns=list(Row._fields))
+
+    def frame(self, backend: str = "pandas") -> Any:
+        """The rows as a data frame of "pandas", "polars" or "pyarrow", a column for each field of
+        a `Row`."""
+        rows = list(self.rows())
+        return frame(
+            {name: [row[i] for row in rows] for i, name in enumerate(Row._fields)}, backend
+        )
 
     def __str__(self) -> str:
         """The table as text; of an input with many numbers, the largest ones.

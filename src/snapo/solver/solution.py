@@ -19,6 +19,7 @@ from .learning.progress import Record
 from .sensitivity import Row, Sensitivities
 from .show import html
 from .show.figures import Figures
+from .show.frame import frame
 from .statistics import Estimate
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
@@ -86,6 +87,24 @@ class Solution:
     def plot(self) -> Figures:
         """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`."""
         return Figures(self)
+
+    def frame(self, table: str = "totals", backend: str = "pandas") -> Any:
+        """A table as a data frame of "pandas", "polars" or "pyarrow".
+
+        `table`: "totals", a row for each path and a column for each output; "history", a row for
+        each step of training; or "sensitivities", a row for each number of every input.
+
+        **Raises:** `ValueError` for another table, or where there were no sensitivities.
+        """
+        if table == "sensitivities" and self.sensitivities is not None:
+            return self.sensitivities.frame(backend)
+        if table == "totals":
+            return frame({name: np.asarray(each) for name, each in self.totals.items()}, backend)
+        if table == "history":
+            columns = zip(*self.history) if self.history else ((),) * len(Record._fields)
+            return frame(dict(zip(Record._fields, map(list, columns))), backend)
+        what = "allowed is 'totals', 'history', or 'sensitivities' where there are some"
+        raise ValueError(f"frame: {table!r}; {what}.")
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""

@@ -35,8 +35,7 @@ CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
-    GROWTH,
-    "profile.csv",
+    GROWTH, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")

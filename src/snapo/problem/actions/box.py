@@ -35,6 +35,12 @@ class Box(Actions):
 
     A bound is one number for all components, or a sequence of one per component; it may be
     infinite. `Box(3, low=[0.0, -1.0, 0.0], high=[1.0, 1.0, math.inf])`
+
+    >>> box = snapo.Box(2, low=[0.0, -1.0], high=1.0)
+    >>> box.bounds()
+    (array([ 0., -1.]), array([1., 1.]))
+    >>> box.squash(np.zeros(2, np.float32)).tolist()  # the middle
+    [0.5, 0.0]
     """
 
     size: int = eqx.field(static=True)

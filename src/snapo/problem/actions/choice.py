@@ -25,6 +25,9 @@ class Choice(Actions):
       are right whatever it does with it.
 
     `scale`: scores count in units of temperature times `scale`.
+
+    >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
+    [0.0, 1.0, 0.0]
     """
 
     size: int = eqx.field(static=True)

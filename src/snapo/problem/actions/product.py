@@ -19,6 +19,12 @@ class Product(Actions):
 
         decided = self.action.parts(action)
         power = decided["run"][1] * decided["power"][0]
+
+    >>> both = snapo.Product(run=snapo.Choice(2), power=snapo.Box(1, 0.0, 1.0))
+    >>> both.size
+    3
+    >>> both.parts(np.array([0.0, 1.0, 0.4]))
+    {'run': array([0., 1.]), 'power': array([0.4])}
     """
 
     names: tuple[str, ...] = eqx.field(static=True)

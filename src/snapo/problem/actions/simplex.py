@@ -10,7 +10,11 @@ from .base import ROUNDING, Actions
 
 
 class Simplex(Actions):
-    """Actions on the probability simplex: `size` numbers, none negative, that sum to one."""
+    """Actions on the probability simplex: `size` numbers, none negative, that sum to one.
+
+    >>> snapo.Simplex(4).squash(np.zeros(4)).tolist()
+    [0.25, 0.25, 0.25, 0.25]
+    """
 
     size: int = eqx.field(static=True)
 

@@ -17,6 +17,12 @@ class Whole(Actions):
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
     nearest whole number (a half to the even one). A finite bound is a whole number; each may be
     one number or a sequence of one per component. `Whole(2, low=0, high=[10, math.inf])`
+
+    >>> lots = snapo.Whole(1, low=0, high=10)
+    >>> lots.settle(np.array([3.4]), snapo.Exact()).tolist()  # in the value
+    [3.0]
+    >>> round(float(snapo.Smooth(0.1).round(3.4)), 6)  # in training
+    3.4
     """
 
     size: int = eqx.field(static=True)

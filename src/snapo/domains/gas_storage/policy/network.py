@@ -8,7 +8,7 @@ almost nothing when it is made hard.
 """
 
 import abc
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -32,6 +32,8 @@ class MarginalValue(NamedTuple):
 
 class PricingPolicy(Policy):
     """A rule that prices gas in store; the action is (injected, withdrawn) fraction."""
+
+    head: ClassVar[int] = HEAD  # numbers of the observation that the network does not see
 
     @abc.abstractmethod
     def marginal_value(self, observation) -> MarginalValue:

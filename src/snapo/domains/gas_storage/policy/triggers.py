@@ -20,6 +20,7 @@ from ..contract.simulator import StorageSimulator, simulator_of
 from .network import PricingPolicy
 from .observation import HEAD, Economics
 
+ROUND = 256  # inventories and prices of one call
 SPOTS = 241  # spot prices tried for a trigger, from exp(-1) to exp(1) times the forward price
 
 
@@ -54,27 +55,39 @@ def triggers(
     )
 
 
-def decide(problem: Problem, policy: PricingPolicy, day: int, inventory: np.ndarray) -> Decision:
-    """The decision of a day at the forward price, at each inventory [n]."""
+def decide(
+    problem: Problem,
+    policy: PricingPolicy,
+    day: int,
+    inventory: np.ndarray,
+    spot: np.ndarray | None = None,
+) -> Decision:
+    """The decision of a day at each inventory [n] and spot price [n], by default the forward."""
     with jax.enable_x64(True):
         schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
         stock = np.asarray(inventory, float)
-        given = (simulator_of(problem), schedule.constants, policy, now, stock)
-        return Decision(*(np.asarray(x) for x in _decided(*given)))
+        count = len(stock)
+        price = np.full(count, float(now.forward)) if spot is None else np.asarray(spot, float)
+        # Made longer to a round number, so that few lengths are ever compiled.
+        stock, price = (np.pad(x, (0, -count % ROUND), mode="edge") for x in (stock, price))
+        given = (simulator_of(problem), schedule.constants, policy, now, stock, price)
+        return Decision(*(np.asarray(x)[:count] for x in _decided(*given)))
 
 
 @eqx.filter_jit
-def _decided(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories):
-    def one(inventory):
-        price = simulator.process.state_at(constants.price, now.price, now.forward)
+def _decided(
+    simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots
+):
+    def one(inventory, spot):
+        price = simulator.process.state_at(constants.price, now.price, spot)
         state = State(inventory, price)
         seen = simulator.observe(constants, now, state)
         action, noise = policy(seen, Exact()), jnp.zeros(simulator.noise_size)
         _, outputs = simulator.step(constants, now, state, action, noise, Exact())
         return outputs["injection"], outputs["withdrawal"]
 
-    return jax.vmap(one)(inventories)
+    return jax.vmap(one)(inventories, spots)
 
 
 @eqx.filter_jit

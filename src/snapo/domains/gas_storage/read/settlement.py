@@ -64,7 +64,7 @@ def months_after(day: datetime.date, months: int, day_of_month: int) -> datetime
 
 
 def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[datetime.date]:
-    if not name.lower().endswith(".csv"):
+    if not name.lower().endswith((".csv", ".parquet")):
         rules = '"flow" or "gas"' if is_cost else '"flow"'
         what = (
             f"allowed is {rules}, {{ days = 10 }}, {{ date = 2021-06-20 }}, "

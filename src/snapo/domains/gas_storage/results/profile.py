@@ -15,6 +15,7 @@ from ..policy.triggers import Triggers, decide, triggers
 from ..setup import beside, case_of, policy_of
 
 PATHS = 4096
+PRICES = 21  # spot prices of decisions.csv, from half to one and a half of the forward
 
 
 def work(run: StudyRun) -> dict[str, Any]:
@@ -24,6 +25,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     horizon, steps = problem.simulator.horizon, problem.schedule.steps
     inventory, flow = _paths(setup, solution)
     here, levels = _levels(problem.schedule)
+    run.write_csv("decisions.csv", *_by_price(problem, case, policy_of(solution), levels))
     days = np.append(np.arange(horizon), np.zeros(len(levels), int))
     stock = np.append(inventory.mean(1)[:-1], levels)
     at = triggers(problem, policy_of(solution), days, stock)
@@ -46,6 +48,21 @@ def work(run: StudyRun) -> dict[str, Any]:
             "unit": "injected volume / working volume",
         },
     }
+
+
+def _by_price(problem: Problem, case: StorageCase, policy: PricingPolicy, levels: np.ndarray):
+    """Header and rows of `decisions.csv`: the first day's decision by spot price and inventory."""
+    forward = float(problem.schedule.steps.forward[0])
+    spots, stock = np.meshgrid(forward * np.linspace(0.5, 1.5, PRICES), levels, indexing="ij")
+    spots, stock = spots.ravel(), stock.ravel()
+    found = decide(problem, policy, 0, stock, spots)
+    gas, price = case.volume_unit, f"{case.currency}/{case.volume_unit}"
+    header = (
+        "date", f"spot ({price})",
+        *(f"{name} ({gas})" for name in ("inventory", "injection", "withdrawal")),
+    )  # fmt: skip
+    day = case.days[0].isoformat()
+    return header, ((day, *row) for row in zip(spots, stock, found.injection, found.withdrawal))
 
 
 PROFILE = Part("profile", work, needs=("training",))

@@ -144,7 +144,7 @@ def _volatilities(section: Section, rows: Sequence[Row], own: Sequence[int], gri
 def _volatility(section: Section, row: Row, grid: Grid) -> Pieces:
     """A number, or the name of a CSV with columns from_year,value."""
     text = row.cells.setdefault("volatility", "")
-    if text.lower().endswith(".csv"):
+    if text.lower().endswith((".csv", ".parquet")):
         file = Mention(section, "file", text)
         return pieces(text, lambda: read_rows(file, ("from_year", "value")), grid, 0.0)
     return pieces(row.number("volatility", 0.0, 5.0), list, grid, 0.0)

@@ -1,0 +1,1 @@
+"""A policy on its way out: a file that describes itself, an ONNX graph, a table of decisions."""

@@ -1,0 +1,116 @@
+"""`snapo.to_onnx`: the exact decision of a policy as an ONNX graph, from its trace by JAX."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..policy import Policy
+from ..smooth import Exact
+from .graph import Graph, Tensor
+from .moves import MOVES, moved
+from .rules import RULES, unrolled
+from .save import features as features_of
+
+INLINED = {
+    "jit": "jaxpr", "pjit": "jaxpr", "closed_call": "call_jaxpr", "core_call": "call_jaxpr",
+    "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr", "remat": "jaxpr",
+    "checkpoint": "jaxpr", "custom_vjp_call_jaxpr": "fun_jaxpr",
+}  # fmt: skip
+
+
+def to_onnx(
+    policy: Policy,
+    file: Path | str | None = None,
+    *,
+    features: int | None = None,
+    observe: Callable[[Any], Any] | None = None,
+    dtype: Literal["float32", "float64"] = "float32",
+) -> Any:
+    """The policy as an ONNX model: `observation` [states, features] to `action` [states, size].
+
+    The decision is that of the exact simulator: rounded, stopped, on one option. Whatever JAX
+    traces of the policy is written, so that a class of one's own can be exported too.
+
+    **Arguments:**
+
+    - `file`: where to write the model; None: it is returned only.
+    - `features`: numbers of one observation; those of the policy's network where not given.
+    - `observe`: from one vector of raw numbers to one observation, `lambda raw: (raw - 50) / 20`;
+      it becomes part of the graph, and `features` counts the raw numbers.
+    - `dtype`: of the graph. The policy's weights are float32 in both.
+
+    **Returns:** the `onnx.ModelProto`, checked by onnx. **Raises:** `ValueError` where the policy
+    uses an operation that has no counterpart, named, or the number of features is not known.
+    """
+    try:
+        import onnx
+    except ModuleNotFoundError:
+        what = "snapo.to_onnx needs the package onnx: pip install 'snapo[onnx]'"
+        raise ModuleNotFoundError(what) from None
+    count = features if observe is not None or features is not None else features_of(policy)
+    if count is None:
+        raise ValueError(
+            "to_onnx: the number of features is not known from this policy; give features=, the "
+            "length of one observation (of one raw vector, where you give observe=)."
+        )
+    graph = Graph(count, dtype)
+
+    def decide(raw):
+        seen = raw if observe is None else jnp.asarray(observe(raw), raw.dtype)
+        return policy(seen, Exact()).astype(raw.dtype)
+
+    with jax.enable_x64(dtype == "float64"):
+        traced = jax.make_jaxpr(decide)(jax.ShapeDtypeStruct((count,), np.dtype(dtype)))
+        (result,) = _written(graph, traced.jaxpr, traced.consts, [graph.input])
+    model = graph.model(result, f"snapo policy {type(policy).__name__}, exact decisions")
+    if file is not None:
+        onnx.save(model, str(file))
+    return model
+
+
+def _written(graph: Graph, jaxpr: Any, consts: Any, arguments: list[Tensor]) -> list[Tensor]:
+    """The equations of a trace as nodes, one after another; returns the outputs."""
+    known: dict[Any, Tensor] = dict(zip(jaxpr.invars, arguments))
+    known |= {name: graph.constant(each) for name, each in zip(jaxpr.constvars, consts)}
+
+    def value(atom: Any) -> Tensor:
+        if hasattr(atom, "val"):
+            return graph.constant(np.asarray(atom.val, atom.aval.dtype))
+        return known[atom]
+
+    for equation in jaxpr.eqns:
+        given = [value(atom) for atom in equation.invars]
+        found = _operation(graph, equation, given)
+        known |= dict(zip(equation.outvars, found))
+    return [value(atom) for atom in jaxpr.outvars]
+
+
+def _operation(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
+    name, settings = equation.primitive.name, equation.params
+    known = [graph.constants.get(each.name) for each in given]
+    if name not in INLINED and all(each is not None for each in known):
+        return _folded(graph, equation, known)
+    if name in INLINED:
+        inner = settings[INLINED[name]]
+        return _written(graph, getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), given)
+    if name == "scan":
+        return unrolled(graph, settings, given, _written)
+    if name in MOVES:
+        return moved(graph, equation, given)
+    if name not in RULES:
+        raise ValueError(
+            f"to_onnx: this policy uses the operation {name}, which is not exported; write it with "
+            "sums, products, selections and the functions of jax.nn."
+        )
+    return [RULES[name](graph, equation, given)]
+
+
+def _folded(graph: Graph, equation: Any, known: list[Any]) -> list[Tensor]:
+    """What does not depend on the observation is a constant."""
+    found = equation.primitive.bind(*map(jnp.asarray, known), **equation.params)
+    found = found if equation.primitive.multiple_results else [found]
+    return [graph.constant(np.asarray(each)) for each in found]

@@ -1,0 +1,259 @@
+"""Each operation of a JAX trace in ONNX. Axes count from the second: the first is states."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from .graph import Graph, Tensor
+
+MOST = 64  # rounds of a loop that are written out
+
+SAME = {
+    "add": "Add", "sub": "Sub", "mul": "Mul", "div": "Div", "max": "Max", "min": "Min",
+    "pow": "Pow", "neg": "Neg", "abs": "Abs", "exp": "Exp", "log": "Log", "tanh": "Tanh",
+    "logistic": "Sigmoid", "sqrt": "Sqrt", "sign": "Sign", "floor": "Floor", "ceil": "Ceil",
+    "sin": "Sin", "cos": "Cos", "erf": "Erf", "gt": "Greater", "lt": "Less",
+    "ge": "GreaterOrEqual", "le": "LessOrEqual", "eq": "Equal", "and": "And", "or": "Or",
+    "not": "Not", "copy": "Identity", "stop_gradient": "Identity", "copy_p": "Identity",
+}  # fmt: skip
+REDUCED = {
+    "reduce_sum": "ReduceSum", "reduce_max": "ReduceMax", "reduce_min": "ReduceMin",
+    "reduce_prod": "ReduceProd",
+}  # fmt: skip
+
+
+def _out(equation: Any) -> tuple[tuple[int, ...], np.dtype]:
+    aval = equation.outvars[0].aval
+    return tuple(aval.shape), np.dtype(aval.dtype)
+
+
+def _alike(graph: Graph, given: list[Tensor]) -> list[Tensor]:
+    """Operands of which some have no axis of states: numbers of fewer axes are lined up."""
+    if not any(each.batched for each in given):
+        return given
+    rank = max(len(each.shape) for each in given)
+    return [each if len(each.shape) == rank else _wider(graph, each, rank) for each in given]
+
+
+def _wider(graph: Graph, each: Tensor, rank: int) -> Tensor:
+    return graph.reshaped(each, (1,) * (rank - len(each.shape)) + each.shape)
+
+
+def _same(kind: str) -> Callable:
+    def rule(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+        return graph.node(kind, _alike(graph, given), *_out(equation))
+
+    return rule
+
+
+def _cast(graph: Graph, value: Tensor, dtype: Any) -> Tensor:
+    from onnx import helper
+
+    dtype = np.dtype(dtype)
+    if value.dtype == dtype:
+        return value
+    to = helper.np_dtype_to_tensor_dtype(dtype)
+    return graph.node("Cast", [value], value.shape, dtype, to=to)
+
+
+def _convert(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    return _cast(graph, given[0], _out(equation)[1])
+
+
+def _not_equal(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    equal = graph.node("Equal", _alike(graph, given), *_out(equation))
+    return graph.node("Not", [equal], *_out(equation))
+
+
+def _select(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    which, *cases = given
+    if len(cases) != 2:
+        raise ValueError("to_onnx: a selection among more than two is not exported.")
+    chosen = _cast(graph, which, np.bool_)
+    return graph.node("Where", _alike(graph, [chosen, cases[1], cases[0]]), *_out(equation))
+
+
+def _clamp(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    low, value, high = _alike(graph, given)
+    shape, dtype = _out(equation)
+    raised = graph.node("Max", [low, value], shape, dtype)
+    return graph.node("Min", [raised, high], shape, dtype)
+
+
+def _integer_pow(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    shape, dtype = _out(equation)
+    power = equation.params["y"]
+    if power == 2:
+        return graph.node("Mul", [given[0], given[0]], shape, dtype)
+    return graph.node("Pow", [given[0], graph.constant(np.asarray(power, dtype))], shape, dtype)
+
+
+def _square(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    return graph.node("Mul", [given[0], given[0]], *_out(equation))
+
+
+def _log1p(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    # log(1 + x) x / ((1 + x) - 1), which keeps all digits (Goldberg 1991, theorem 4).
+    (x,), (shape, dtype) = given, _out(equation)
+    one = graph.constant(np.ones((), dtype))
+    more = graph.node("Add", [one, x], shape, dtype)
+    kept = graph.node("Sub", [more, one], shape, dtype)
+    none = graph.node("Equal", [kept, graph.constant(np.zeros((), dtype))], shape, np.bool_)
+    under = graph.node("Where", [none, one, kept], shape, dtype)
+    log = graph.node("Log", [more], shape, dtype)
+    scaled = graph.node("Mul", [log, graph.node("Div", [x, under], shape, dtype)], shape, dtype)
+    return graph.node("Where", [none, x, scaled], shape, dtype)
+
+
+def _expm1(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    # 2 t / (1 - t) with t = tanh(x / 2), which keeps all digits near 0; exp(x) - 1 elsewhere.
+    (x,), (shape, dtype) = given, _out(equation)
+    half, one, two = (graph.constant(np.asarray(each, dtype)) for each in (0.5, 1.0, 2.0))
+    t = graph.node("Tanh", [graph.node("Mul", [x, half], shape, dtype)], shape, dtype)
+    near = graph.node("Less", [graph.node("Abs", [x], shape, dtype), one], shape, np.bool_)
+    rest = graph.node(
+        "Sub", [one, graph.node("Where", [near, t, half], shape, dtype)], shape, dtype
+    )
+    inner = graph.node("Div", [graph.node("Mul", [two, t], shape, dtype), rest], shape, dtype)
+    outer = graph.node("Sub", [graph.node("Exp", [x], shape, dtype), one], shape, dtype)
+    return graph.node("Where", [near, inner, outer], shape, dtype)
+
+
+def _rsqrt(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    shape, dtype = _out(equation)
+    root = graph.node("Sqrt", given, shape, dtype)
+    return graph.node("Reciprocal", [root], shape, dtype)
+
+
+def _round(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    return graph.node("Round", given, *_out(equation))  # a half to the even number, as in JAX
+
+
+def _is_finite(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    shape, _ = _out(equation)
+    most = graph.constant(np.finfo(given[0].dtype).max)
+    size = graph.node("Abs", given, shape, given[0].dtype)
+    return graph.node("LessOrEqual", [size, most], shape, np.bool_)
+
+
+def _reduce(kind: str) -> Callable:
+    def rule(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+        (x,) = given
+        axes = graph.whole([axis + x.batched for axis in equation.params["axes"]])
+        # ReduceMax and ReduceMin take their axes as a setting until version 18 of the operators.
+        return graph.node(kind, [x, axes], *_out(equation), keepdims=0)
+
+    return rule
+
+
+def _argmax(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (x,), (axis,) = given, equation.params["axes"]
+    shape, dtype = _out(equation)
+    found = graph.node("ArgMax", [x], shape, np.int64, axis=axis + x.batched, keepdims=0)
+    return _cast(graph, found, dtype)
+
+
+def _reshape(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    return graph.reshaped(given[0], _out(equation)[0])
+
+
+def _broadcast(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (x, *_), (shape, dtype) = given, _out(equation)
+    place = dict(zip(equation.params["broadcast_dimensions"], x.shape))
+    lined = graph.reshaped(x, [place.get(axis, 1) for axis in range(len(shape))])
+    if lined.shape == shape:
+        return lined
+    target = graph.whole([1, *shape] if x.batched else shape)
+    return graph.node("Expand", [lined, target], shape, dtype)
+
+
+def _concatenate(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    batched = any(each.batched for each in given)
+    parts = [graph.by_state(each) for each in given] if batched else given
+    axis = equation.params["dimension"] + batched
+    return graph.node("Concat", parts, *_out(equation), axis=axis)
+
+
+def _stack(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (axis,) = {equation.params[key] for key in ("axis", "dimension") if key in equation.params}
+    batched = any(each.batched for each in given)
+    parts = [
+        graph.reshaped(each, (*each.shape[:axis], 1, *each.shape[axis:]))
+        for each in (map(graph.by_state, given) if batched else given)
+    ]
+    return graph.node("Concat", parts, *_out(equation), axis=axis + batched)
+
+
+def _slice(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (x,), settings = given, equation.params
+    starts, ends = settings["start_indices"], settings["limit_indices"]
+    strides = settings["strides"] or (1,) * len(starts)
+    axes = [i + x.batched for i in range(len(starts))]
+    given = [x, *map(graph.whole, (starts, ends, axes, strides))]
+    return graph.node("Slice", given, *_out(equation))
+
+
+def _transpose(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (x,) = given
+    moved = [axis + x.batched for axis in equation.params["permutation"]]
+    return graph.node("Transpose", [x], *_out(equation), perm=[0, *moved] if x.batched else moved)
+
+
+def _iota(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    shape, dtype = _out(equation)
+    axis = equation.params["dimension"]
+    counted = np.arange(shape[axis], dtype=dtype)
+    lined = counted.reshape([-1 if i == axis else 1 for i in range(len(shape))])
+    return graph.constant(np.broadcast_to(lined, shape).copy())
+
+
+def _dot(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
+    (left, right), (shape, dtype) = given, _out(equation)
+    (one, two), batch = equation.params["dimension_numbers"]
+    if any(batch) or len(one) != 1 or max(len(left.shape), len(right.shape)) > 2:
+        raise ValueError("to_onnx: a product of arrays of more than two axes is not exported.")
+    left, right = (_cast(graph, each, dtype) for each in (left, right))
+    rows = _matrix(graph, left, one[0], last=True)
+    columns = _matrix(graph, right, two[0], last=False)
+    if left.batched != right.batched:  # the other one's axis of states
+        rows, columns = (
+            each if each.batched else graph.reshaped(each, (1, *each.shape))._replace(batched=False)
+            for each in (rows, columns)
+        )
+    product = graph.node("MatMul", [rows, columns], (), dtype)
+    return graph.reshaped(product, shape)
+
+
+def _matrix(graph: Graph, value: Tensor, axis: int, last: bool) -> Tensor:
+    """[rows, shared], or [shared, columns], of a vector or a matrix that is summed along `axis`."""
+    if len(value.shape) == 1:
+        return graph.reshaped(value, (1, *value.shape) if last else (*value.shape, 1))
+    if (axis == 1) == last:
+        return value
+    moved = [0, 2, 1] if value.batched else [1, 0]
+    return graph.node("Transpose", [value], value.shape[::-1], value.dtype, perm=moved)
+
+
+def unrolled(graph: Graph, settings: Any, given: list[Tensor], write: Callable) -> list[Tensor]:
+    """A loop of a known, small number of rounds that carries values and returns no others."""
+    count, carried = settings["num_consts"], settings["num_carry"]
+    if settings["length"] > MOST or len(given) != count + carried:
+        raise ValueError(f"to_onnx: a loop of more than {MOST} rounds is not exported.")
+    fixed, moving = given[:count], given[count:]
+    for _ in range(settings["length"]):
+        moving = write(graph, settings["jaxpr"].jaxpr, settings["jaxpr"].consts, [*fixed, *moving])
+    return moving
+
+
+RULES: dict[str, Callable] = {
+    **{name: _same(kind) for name, kind in SAME.items()},
+    **{name: _reduce(kind) for name, kind in REDUCED.items()},
+    "convert_element_type": _convert, "ne": _not_equal, "select_n": _select, "clamp": _clamp,
+    "integer_pow": _integer_pow, "square": _square, "log1p": _log1p, "expm1": _expm1,
+    "rsqrt": _rsqrt, "round": _round, "is_finite": _is_finite, "argmax": _argmax,
+    "reshape": _reshape, "squeeze": _reshape, "expand_dims": _reshape,
+    "broadcast_in_dim": _broadcast, "concatenate": _concatenate, "stack": _stack,
+    "slice": _slice,
+    "transpose": _transpose, "iota": _iota, "dot_general": _dot,
+}  # fmt: skip

@@ -1,0 +1,128 @@
+"""Policies as ONNX graphs: onnxruntime decides as snapo does."""
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import onnxruntime
+import pytest
+
+import snapo
+from snapo.domains.gas_storage.policy.network import StoragePolicy
+from snapo.domains.gas_storage.policy.observation import HEAD
+from snapo.domains.pension.policies.network import PensionPolicy
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
+from snapo.study import commands
+
+pytestmark = pytest.mark.prove
+KEY = jax.random.key(5)
+BOX = snapo.Box(2, low=[0.0, -1.0], high=[1.0, np.inf])
+
+
+class Mine(Policy):
+    """A rule of a user's own, with groups, selections, indices and a loop."""
+
+    def __call__(self, observation, smooth):
+        logits = observation.at[np.array([2, 0])].set(0.5 * observation[1:])[np.array([1, 0, 2])]
+        shares = smooth.simplex(logits, 0.1, 0.7, [((0, 2), 0.2, 0.9)])
+        gained = jnp.where(
+            observation[0] > 0, jnp.log1p(observation[1] ** 2), jnp.expm1(-logits[2])
+        )
+        return jnp.concatenate([shares, smooth.clip(gained, -1.0, 1.0)[None]])
+
+
+def _large(policy):
+    """The last layer's weights twenty times larger: decisions differ by state."""
+    return jax.tree.map(lambda x: 20 * x if x.ndim == 2 and x.shape[0] < 4 else x, policy)
+
+
+POLICIES = {
+    "box": _large(snapo.MLP(BOX, 3, key=KEY)),
+    "gelu": _large(snapo.MLP(snapo.Box(1, 0.0, 1.0), 3, key=KEY, activation=jax.nn.relu)),
+    "simplex": _large(snapo.MLP(snapo.Simplex(3), 3, key=KEY)),
+    "choice": _large(snapo.MLP(snapo.Choice(3), 3, key=KEY)),
+    "stop": _large(snapo.MLP(snapo.Stop(2, hazard=0.49), 3, key=KEY)),
+    "several": _large(
+        snapo.MLP(snapo.Product(run=snapo.Choice(2), power=snapo.Whole(1, 0, 9)), 3, key=KEY)
+    ),
+    "residual": _large(snapo.Residual(snapo.Linear(0.1 * np.ones((2, 3), np.float32), 0.5), BOX, 3, key=KEY)),
+    "linear": snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
+    "constant": snapo.Constant([0.25, 0.5]),
+    "base stock": snapo.BaseStock(1.5, position=1),
+    "threshold": snapo.Threshold(0.1, [0.0], [1.0], feature=2),
+    "mine": Mine(),
+}  # fmt: skip
+
+
+def agree(policy, seen, features=None, observe=None, dtype="float32", tolerance=1e-6):
+    """Both decide alike on the observations [states, features]."""
+    model = snapo.to_onnx(policy, features=features, observe=observe, dtype=dtype)
+    session = onnxruntime.InferenceSession(model.SerializeToString())
+    (found,) = session.run(None, {"observation": seen.astype(dtype)})
+    with jax.enable_x64(dtype == "float64"):
+        given = jnp.asarray(seen, dtype)
+        see = observe or (lambda raw: raw)
+        expected = np.asarray(
+            jax.vmap(lambda raw: policy(see(raw), Exact()).astype(raw.dtype))(given)
+        )
+    assert found.shape == expected.shape and found.dtype == expected.dtype
+    scale = np.maximum(1.0, np.abs(expected))
+    assert np.max(np.abs(found - expected) / scale) < tolerance
+    return np.asarray(found)
+
+
+@pytest.mark.parametrize("name", POLICIES)
+def test_a_graph_decides_as_the_policy(name):
+    seen = np.random.default_rng(1).normal(size=(257, 3))
+    found = agree(POLICIES[name], seen, features=3)
+    if name != "constant":
+        assert np.ptp(found, axis=0).max() > 0  # decisions differ
+    agree(POLICIES[name], seen, features=3, dtype="float64", tolerance=1e-12)
+
+
+def test_the_scaling_of_observations_is_part_of_the_graph(tmp_path):
+    centre, scale = np.array([50.0, 20.0, 1.0]), np.array([20.0, 10.0, 0.1])
+    raw = centre + scale * np.random.default_rng(2).normal(size=(64, 3))
+
+    def observe(numbers):
+        return (numbers - centre.astype(numbers.dtype)) / scale.astype(numbers.dtype)
+
+    agree(POLICIES["box"], raw, features=3, observe=observe)
+    snapo.to_onnx(POLICIES["box"], tmp_path / "policy.onnx", features=3, observe=observe)
+    assert (tmp_path / "policy.onnx").stat().st_size > 1000
+
+
+def test_the_head_of_a_store_and_one_state_alone():
+    policy = _large(StoragePolicy(HEAD + 5, key=KEY))
+    seen = 1 + 0.2 * np.random.default_rng(3).normal(size=(257, HEAD + 5))
+    found = agree(policy, seen)  # it knows its number of features
+    assert np.ptp(found, axis=0).min() > 0
+    agree(policy, seen[:1])
+    agree(policy, seen, dtype="float64", tolerance=1e-12)
+
+
+def test_the_limits_of_a_fund(tmp_path):
+    commands.new("pension", tmp_path / "fund", "small")
+    case = commands.load(commands.Asked(tmp_path / "fund")).case
+    policy = PensionPolicy(case, 4, key=KEY, hidden=(8,))
+    policy = _large(policy)
+    seen = np.random.default_rng(4).normal(size=(64, 4))
+    # Weights are the end of a search for their level: digits of float32 are lost in it.
+    agree(policy, seen, tolerance=1e-5)
+    agree(policy, seen, dtype="float64", tolerance=1e-9)
+    policy.save(tmp_path / "policy.npz")
+    found = snapo.load_policy(tmp_path / "policy.npz")
+    for row in seen[:4].astype(np.float32):
+        np.testing.assert_array_equal(found(row, Exact()), policy(row, Exact()))
+
+
+def test_what_cannot_be_exported_is_named():
+    with pytest.raises(ValueError, match="give features="):
+        snapo.to_onnx(snapo.Constant([0.5]))
+
+    class Sorted(Policy):
+        def __call__(self, observation, smooth):
+            return jnp.sort(observation)
+
+    with pytest.raises(ValueError, match="operation sort"):
+        snapo.to_onnx(Sorted(), features=3)
