@@ -6,7 +6,7 @@ from typing import Any
 BACKENDS = ("pandas", "polars", "pyarrow")
 
 
-def frame(columns: Mapping[str, Sequence[Any]], backend: str = "pandas") -> Any:
+def frame(columns: Mapping[str, Any], backend: str = "pandas") -> Any:
     """A data frame with these columns; a table of Arrow for "pyarrow".
 
     **Raises:** `ValueError` for another backend, `ModuleNotFoundError` where it is not installed.
