@@ -59,7 +59,7 @@ class Surprises(eqx.Module):
         ahead = Place(found.low[1:], found.high[1:], found.ahead)  # pyright: ignore
         days = SurpriseDay(first, ahead, Reading(*(each[:-1] for each in reading)))
         last = Place(*(each[-1] for each in place)), Reading(*(each[-1] for each in reading))
-        return cls(days, SurpriseEnd(*last, np.asarray(found.first)))
+        return cls(days, SurpriseEnd(*last, np.asarray(found.first)))  # pyright: ignore
 
 
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
