@@ -1,9 +1,11 @@
 """The trained policy of a run, valued at other inputs: what the page shows.
 
 Every number is that of `snapo solve` of the moved case with the same policy, seed and numbers of
-paths, to the bits: the same functions on the same scenarios, with guide and hedge of the new case.
+paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
+new case.
 """
 
+import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -19,6 +21,7 @@ from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
+from snapo.solver.solve import Evaluation
 from snapo.solver.train import begin, train
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
 from snapo.study.study import Setup, Study
@@ -27,7 +30,9 @@ from .files import Files
 from .places import Places
 from .terms import derivatives, described, slopes
 
-PATHS, DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 12288, 4096, 1024, 2048
+FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
+ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
+DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 2048, 1024, 2048
 TOLD = 12  # times that a training tells how far it is
 Values = Mapping[str, np.ndarray]
 
@@ -35,16 +40,22 @@ Values = Mapping[str, np.ndarray]
 class Counts(NamedTuple):
     """Paths: of the value, of the derivatives, of the fans."""
 
-    value: int = PATHS
+    value: int = MOST
     deltas: int = DELTA_PATHS
     fans: int = FAN_PATHS
 
     @classmethod
-    def at_most(cls, paths: int, deltas: int | None = None) -> "Counts":
-        """The usual numbers, none above `paths`."""
-        return cls(
-            min(PATHS, paths), min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths)
-        )
+    def of(cls, paths: int, deltas: int | None = None) -> "Counts":
+        """So many paths for the value, and no more for anything else."""
+        return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
+
+    @classmethod
+    def enough(cls, solution: Solution, evaluation: Evaluation) -> "Counts":
+        """As many paths as a run's own error says that the value needs, and no more than it had."""
+        share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
+        needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
+        paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
+        return cls.of(paths, evaluation.sensitivity_paths)
 
 
 class Valuation:
@@ -256,6 +267,5 @@ def open_run(
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
     places = Places(domain.read, read_files(file.parent, data), setup.problem.named)
-    most = setup.evaluation
-    counts = counts or Counts.at_most(most.paths, most.sensitivity_paths)
+    counts = counts or Counts.enough(solution, setup.evaluation)
     return Valuation(study, solution, places, counts)

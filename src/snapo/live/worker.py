@@ -138,7 +138,7 @@ def main(arguments: list[str] | None = None) -> int:
 
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None
-    counts = None if options.paths is None else Counts.at_most(options.paths)
+    counts = None if options.paths is None else Counts.of(options.paths)
     try:
         valuation = open_run(options.run, code, options.engine, counts)  # pyright: ignore
     except CaseError as error:

@@ -19,6 +19,7 @@ from snapo.solver.train import Training
 from snapo.study.study import Setup
 
 from .bounds.guide import fitted_marginal
+from .bounds.surprise import surprises
 from .bounds.value_iteration import FittedValue, fit_value
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
@@ -26,6 +27,7 @@ from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, largest_rate, mean_price, simulator_of
 from .policy.fitted_guide import FittedKnots
 from .policy.network import GuidePolicy, PricingPolicy, StoragePolicy
+from .policy.surprise import Surprises
 from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
 from .references.marginal import marginal_values
@@ -69,7 +71,7 @@ def moved_setup(setup: Setup, case: StorageCase) -> Setup:
         return make_setup(case, setup.engines, fitted_value(bare_problem(case)))
     scales = {"price_scale": mean_price(case), "rate_scale": largest_rate(case)}
     scales = {name: np.asarray(scale) for name, scale in scales.items()}
-    bare = replace(simulator, guide=None, hedge=None, **scales)
+    bare = replace(simulator, guide=None, hedge=None, surprises=None, **scales)
     values = {name: given.value for name, given in storage_inputs(case).items()}
     problem = replace(setup.problem, simulator=bare).at(values)
     problem = _guided(problem, fitted_value(problem))
@@ -80,14 +82,22 @@ def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
     # No hedge yet, but its place: the compiled `prepare` serves before and after.
-    place = np.zeros(simulator.horizon)
-    return replace(problem, simulator=replace(simulator, guide=guide(problem, fitted), hedge=place))
+    beside = {"surprises": _surprises(problem, fitted), "hedge": np.zeros(simulator.horizon)}
+    return replace(problem, simulator=replace(simulator, guide=guide(problem, fitted), **beside))
+
+
+def _surprises(problem: Problem, fitted: FittedValue | None) -> Surprises | None:
+    """Those of the fitted value, where prices have no other risks than its factors'."""
+    found = factors(problem)
+    if fitted is None or found is None or not found.exact or len(fitted.basis.kept) > MOST_FACTORS:
+        return None
+    return Surprises.of(surprises(fitted))
 
 
 def _hedged(problem: Problem, engines: Engines, seed: int) -> Problem:
-    """The problem with its control variate, where there is one."""
+    """The problem with a hedge as its control variate, where it has no better one."""
     simulator = simulator_of(problem)
-    if not simulator.process.martingale:
+    if simulator.surprises is not None or not simulator.process.martingale:
         return problem
     return replace(problem, simulator=replace(simulator, hedge=_hedge(problem, engines, seed)))
 

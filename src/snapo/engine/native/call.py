@@ -201,24 +201,24 @@ class Call:
         traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
         first, length, _ = self.window
 
-        def shared(leaf):
-            return (
-                layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
-                if leaf.active
-                else None
-            )
+        def shared(leaf, array, asked):
+            if not leaf.active:
+                return np.zeros(np.shape(array), dtype) if asked else None
+            return layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
 
-        policy, constants, _, _ = self.shared.like(shared(leaf) for leaf in traced.call)
+        found = map(shared, traced.call, self.shared.arrays, traced.asked[0])
+        policy, constants, _, _ = self.shared.like(found)
         memory = out.step_sums.reshape(length, -1)
 
-        def stepwise(leaf, array):
-            if not leaf.active:
+        def stepwise(leaf, array, asked):
+            if not asked:
                 return None
             full = np.zeros(np.shape(array), dtype)
-            full[first : first + length] = layouts["step_sums"].view(memory, leaf)
+            if leaf.active:
+                full[first : first + length] = layouts["step_sums"].view(memory, leaf)
             return full
 
-        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays))
+        steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.asked[1]))
         start = None
         if self.start is not None:
             start = jax.tree.unflatten(traced.state_tree, [

@@ -8,7 +8,7 @@ import equinox as eqx
 import jax
 import numpy as np
 
-from snapo.lanes.program.cut import CALL, PATH, STEP, Cut, Leaf, cut, inlined
+from snapo.lanes.program.cut import CALL, PATH, STEP, Cut, Leaf, cut, differentiated, inlined
 
 from .functions import Functions, Setup
 from .given import floating, jax_type
@@ -26,11 +26,16 @@ class Phase:
 
 @dataclass(eq=False)
 class Traced:
-    """Everything that the writer of a kernel needs, and the way back to the caller's trees."""
+    """Everything that the writer of a kernel needs, and the way back to the caller's trees.
+
+    `asked`: of the leaves of `call` and of `now`, whether their gradient is asked for. Where it is
+    zero whatever the path does, the leaf is not active, and the kernel adds nothing up.
+    """
 
     setup: Setup
     call: list[Leaf]
     now: list[Leaf]
+    asked: tuple[list[bool], list[bool]]
     state: list[Any]
     state_tree: Any
     names: list[str]
@@ -48,9 +53,9 @@ def traced(
     leaves, tree = jax.tree.flatten(shared[0])
     step_leaves, step_tree = jax.tree.flatten(steps[0])
     step_leaves = [jax.ShapeDtypeStruct(x.shape[1:], jax_type(x)) for x in step_leaves]
-    moving = jax.tree.leaves(_differentiable(shared[0], setup.wrt))
-    call = [Leaf(np.shape(x), jax_type(x), bool(m)) for x, m in zip(leaves, moving)]
-    now = [Leaf(x.shape, x.dtype, "schedule" in setup.wrt and floating(x)) for x in step_leaves]
+    call_avals = [jax.ShapeDtypeStruct(np.shape(x), jax_type(x)) for x in leaves]
+    wanted = [bool(m) for m in jax.tree.leaves(_differentiable(shared[0], setup.wrt))]
+    moving = ["schedule" in setup.wrt and floating(x) for x in step_leaves]
 
     def pieces(values):
         return eqx.combine(jax.tree.unflatten(tree, values), shared[1])
@@ -58,24 +63,31 @@ def traced(
     def current(values):
         return eqx.combine(jax.tree.unflatten(step_tree, values), steps[1])
 
-    call_avals, now_avals = [x.aval for x in call], [x.aval for x in now]
-    builder = Functions(setup, dtype, pieces, current, len(call), len(now))
-    builder.describe(call_avals, now_avals, state_like, noise_sizes, action_size)
-    phases = {}
+    builder = Functions(setup, dtype, pieces, current, len(leaves), len(step_leaves))
+    builder.describe(call_avals, step_leaves, state_like, noise_sizes, action_size)
+    found, used = [], set()
     for name, function, inputs, outputs, with_now in builder.phases():
-        path_avals = [aval for _, aval in inputs]
-        avals = [*call_avals, *(now_avals if with_now else []), *path_avals]
-        closed = inlined(function, avals)
-        levels = (
-            [CALL] * len(call) + [STEP] * (len(now) if with_now else 0) + [PATH] * len(path_avals)
-        )
-        known = [*call, *(now if with_now else []), *[None] * len(path_avals)]
+        shared_avals = [*call_avals, *(step_leaves if with_now else [])]
+        closed = inlined(function, [*shared_avals, *(aval for _, aval in inputs)])
+        found.append((name, closed, inputs, outputs, with_now))
+        used |= differentiated(closed, len(shared_avals))
+    call = [
+        Leaf(x.shape, x.dtype, m and i in used) for i, (x, m) in enumerate(zip(call_avals, wanted))
+    ]
+    now = [
+        Leaf(x.shape, x.dtype, m and i in used)
+        for i, (x, m) in enumerate(zip(step_leaves, moving), len(call))
+    ]
+    phases = {}
+    for name, closed, inputs, outputs, with_now in found:
+        levels = [CALL] * len(call) + [STEP] * (len(now) if with_now else 0) + [PATH] * len(inputs)
+        known = [*call, *(now if with_now else []), *[None] * len(inputs)]
         keys = [*outputs, *[("scale", i) for i in range(len(closed.jaxpr.outvars) - len(outputs))]]
         labelled = [(key, v.aval) for key, v in zip(keys, closed.jaxpr.outvars)]
         phases[name] = Phase(name, cut(closed, levels, known), inputs, labelled)
     return Traced(
-        setup, call, now, builder.state, builder.state_tree, builder.names, builder.final_names,
-        builder.record_tree, phases, builder.bound(),
+        setup, call, now, (wanted, moving), builder.state, builder.state_tree, builder.names,
+        builder.final_names, builder.record_tree, phases, builder.bound(),
     )  # fmt: skip
 
 

@@ -21,6 +21,7 @@ CONSTANT, CALL, STEP, PATH = range(4)
 # What comes after it is the same whatever comes before it: a number that arrives from memory in
 # another kernel is computed at the same level, and is not known while compiling.
 BARRIER = "optimization_barrier"
+STILL = "stop_gradient"  # what comes after it has no derivative
 # Operations that only rearrange: kept with whoever reads them, so that nothing is copied.
 LAYOUT = {"broadcast_in_dim", "reshape", "transpose", "squeeze", "expand_dims"}
 
@@ -131,7 +132,8 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
             top = PATH
         for v in eqn.outvars:
             level[v], maker[v] = top, eqn
-            if any(a in active for a in atoms) and jnp.issubdtype(v.aval.dtype, jnp.floating):
+            still = eqn.primitive.name == STILL or not any(a in active for a in atoms)
+            if not still and jnp.issubdtype(v.aval.dtype, jnp.floating):
                 active.add(v)
     consts = dict(zip(jaxpr.constvars, closed.consts))
 
@@ -155,6 +157,16 @@ def cut(closed, levels: list[int], leaves: list[Leaf | None]) -> Cut:
     calls = [v for v in [*path.inputs, *step.inputs] if level[v] == CALL and v not in given]
     call = piece(CALL, list(dict.fromkeys(calls)))
     return Cut(call, step, path, [leaf[v] for v in call.outputs], [leaf[v] for v in step.outputs])
+
+
+def differentiated(closed, count: int) -> set[int]:
+    """Which of the first `count` inputs something may have a derivative by."""
+    jaxpr, used = closed.jaxpr, set()
+    for eqn in jaxpr.eqns:
+        if eqn.primitive.name != STILL:
+            used.update(a for a in eqn.invars if not is_literal(a))
+    used.update(a for a in jaxpr.outvars if not is_literal(a))
+    return {i for i, v in enumerate(jaxpr.invars[:count]) if v in used}
 
 
 def _closure(jaxpr, outputs, own, level, maker, given):

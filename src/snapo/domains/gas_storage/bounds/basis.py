@@ -130,6 +130,22 @@ class Basis:
         common[:, self.common] = self._common_loading
         return whiten, common, self._level_variance / 2
 
+    def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
+        """[T, levels, n] of the expectation a day before of polynomials [T, levels, n].
+
+        Of the dates after the first, times the exponential; then the constant, where there is one.
+        """
+        size, moves = len(self.powers), self._moves[1:]
+        plain = after[:, :, :size]
+        plain = plain * moves[:, None, :, 0] if moves.shape[-1] == 1 else plain @ moves
+        plain = plain * self._alive[:-1, None, :]
+        return np.concatenate([plain, after[:, :, size:]], axis=2)
+
+    def key(self) -> tuple:
+        """Equal for bases with the same functions of the same factors."""
+        numbers = self.of.decay, self.of.shock, self._common_loading
+        return self.kept, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
+
     def back(self, t: int) -> np.ndarray:
         """[kept, kept] the factors of day t per unit of the whitened ones."""
         return self._cholesky[t]

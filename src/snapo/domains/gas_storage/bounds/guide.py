@@ -8,8 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from .product import product
-from .value_iteration import FittedValue, regress, scaled, states_of
+from .regression import regression
+from .value_iteration import FittedValue
 
 LEVELS = 16
 WIDTH = 0.01  # of the interval of a day: slopes are taken over twice that
@@ -36,15 +36,12 @@ def fitted_marginal(schedule, fitted: FittedValue, levels: int = LEVELS) -> Fitt
     """The table of a fitted value; beyond the inventories that it knows, the last slope goes on."""
     basis, steps = fitted.basis, schedule.steps
     horizon = len(steps.forward)
-    y, level, weight = states_of(basis)
-    known = basis.polynomials(y[None])
+    known = regression(basis)
     size = len(basis.powers) + bool(basis.common)
     table = np.zeros((horizon, levels, size))
     for t in range(horizon):
         slope = _slopes(fitted, t + 1, steps.next_low[t], steps.next_high[t], levels)
-        plain = basis.of_whitened(y[None], slice(t, t + 1), known)[0, : len(basis.powers)]
-        ahead = scaled(basis, t, basis.ahead_of_whitened(y[None], slice(t, t + 1), known)[0], level)
-        table[t] = regress(scaled(basis, t, plain, level), product(slope, ahead), weight)
+        table[t] = slope @ known.day(t).drift
         if fitted.nodes[t + 1].size == 1:  # no choice of inventory: the spot is as good as any
             table[t] = 0.0
             table[t, :, 0] = steps.gas_discount[t] * steps.forward[t]

@@ -16,7 +16,7 @@ class Day(NamedTuple):
     `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
     `price` is the row of the price process, `ahead` tells the curve's shape to the network,
     `guide` holds the marginal value of gas that the policy starts from, `hedge` the forward volume
-    of the control variate.
+    of the control variate, `surprise` the fitted value of the other one.
     """
 
     day: Array
@@ -44,6 +44,7 @@ class Day(NamedTuple):
     ahead: Array
     guide: Any = None
     hedge: Any = 0.0
+    surprise: Any = None
 
 
 class Terms(NamedTuple):
@@ -52,7 +53,7 @@ class Terms(NamedTuple):
     `end_levels`, `end_values` [M]: currency for the gas left, on top of `end_fraction` of its
     spot value; `fixed_costs` is a present value. `price` holds the constants of the price process,
     `end_price` its row of the end date. `price_scale` is the mean forward price, `rate_scale` the
-    largest daily rate.
+    largest daily rate, `surprise` the end of its control variate.
     """
 
     inventory: Array
@@ -67,6 +68,7 @@ class Terms(NamedTuple):
     end_price: PyTree
     price_scale: Array
     rate_scale: Array
+    surprise: Any = None
 
 
 class State(NamedTuple):

@@ -22,6 +22,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
 from ..policy.observation import curve_ahead, observation
+from ..policy.surprise import Surprises, of_day, of_end
 from ..policy.value_table import ValueTable
 from ..prices.process import YEAR, PriceProcess, use
 from .end import EndTerms
@@ -39,6 +40,8 @@ class StorageSimulator(Simulator):
     - `guide`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
+    - `surprises`: of a fitted value of the store: the control variate `value_surprise` in place of
+      that of a hedge; its total is zero on average too.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
       rate; by default those of the case.
     """
@@ -46,6 +49,7 @@ class StorageSimulator(Simulator):
     case: StorageCase = eqx.field(static=True)
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
+    surprises: Surprises | None = None
     action: Box = eqx.field(static=True, default=Box(2, 0.0, 1.0))
     # Arrays, so that code compiled for one curve serves another.
     price_scale: Float[np.ndarray, ""] | None = None
@@ -85,6 +89,7 @@ class StorageSimulator(Simulator):
         t, discount = self.horizon, _discounts(case, inputs)
         forward, limits = use(inputs, market.forward_curve)[:t], self.limits(inputs)
         low, high = reachable(limits, *self.end_interval(inputs), contract.ratchets.interpolation)
+        found = self.surprises
         return Day(
             day=jnp.asarray(case.day, float),
             forward=forward,
@@ -106,11 +111,12 @@ class StorageSimulator(Simulator):
             ahead=curve_ahead(forward, self.price_scale),
             guide=None if self.guide is None else jax.tree.map(jnp.asarray, self.guide.knots),
             hedge=jnp.zeros(t) if self.hedge is None else jnp.asarray(self.hedge),
+            surprise=None if found is None else jax.tree.map(jnp.asarray, found.days),
             **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
         )
 
     def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
-        case, contract = self.case, self.case.contract
+        case, contract, found = self.case, self.case.contract, self.surprises
         discount = _discounts(case, inputs)
         end = contract.at_end.terms(inputs)
         fixed = use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
@@ -127,6 +133,7 @@ class StorageSimulator(Simulator):
             end_price=last,
             price_scale=jnp.asarray(self.price_scale),
             rate_scale=jnp.asarray(self.rate_scale),
+            surprise=None if found is None else jax.tree.map(jnp.asarray, found.end),
         )
 
     def limits(self, inputs: dict[str, Any]) -> Limits:
@@ -176,14 +183,22 @@ class StorageSimulator(Simulator):
             flows.keep + injection - withdrawal,
             self.process.step(constants.price, now.price, state.price, noise),
         )
-        surprise = spot - self.process.forward(constants.price, now.price)
         return after, {
             "cash_flow": sold * gas - cost,
             "costs": cost,
             "injection": injection,
             "withdrawal": withdrawal,
-            "forward_hedge": now.hedge * now.gas_discount * surprise,
+            **self._control(constants, now, state, after, spot),
         }
+
+    def _control(self, constants: Terms, now: Day, state: State, after: State, spot):
+        """The day's part of the control variate."""
+        if now.surprise is not None:
+            factors = self.process.gaussian(state.price)
+            found = of_day(now.surprise, factors, state.inventory, after.inventory)
+            return {"value_surprise": found}
+        surprise = spot - self.process.forward(constants.price, now.price)
+        return {"forward_hedge": now.hedge * now.gas_discount * surprise}
 
     def terminal(self, constants: Terms, state: State, smooth):
         def price():
@@ -191,7 +206,11 @@ class StorageSimulator(Simulator):
 
         terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
         worth = self.case.contract.at_end.worth(terms, state.inventory, price)
-        return {"cash_flow": worth * constants.end_discount, "fixed_costs": constants.fixed_costs}
+        found = {"cash_flow": worth * constants.end_discount, "fixed_costs": constants.fixed_costs}
+        if constants.surprise is None:
+            return found
+        factors = self.process.gaussian(state.price)
+        return found | {"value_surprise": of_end(constants.surprise, factors, state.inventory)}
 
     def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:
         """The day's spot price."""
@@ -213,6 +232,8 @@ class StorageSimulator(Simulator):
         return Flows(keep, base, most, least)
 
     def control_variates(self) -> tuple[str, ...]:
+        if self.surprises is not None:
+            return ("value_surprise",)
         hedged = self.hedge is not None and self.process.martingale
         return ("forward_hedge",) if hedged else ()
 

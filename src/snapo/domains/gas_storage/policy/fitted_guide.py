@@ -22,14 +22,22 @@ class FittedKnots(NamedTuple):
 
     def values(self, process, terms, now, state, inventories) -> list[Array]:
         """Marginal values, as present values, at these inventories at the end of the day."""
-        factors = process.gaussian(state)
-        y = jnp.clip(self.whiten @ factors, -REACH, REACH)
-        level = jnp.exp(jnp.sum(self.common * factors) - self.shift)
-        functions = [level * each for each in _polynomials(y)]
-        if self.coefficients.shape[-1] > len(functions):
-            functions.append(jnp.ones_like(level))
-        seen = jnp.stack(functions)
+        seen = functions(self, process.gaussian(state), self.coefficients.shape[-1], REACH)
         return [between(self, inventory, lambda row: row @ seen) for inventory in inventories]
+
+
+def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
+    """[size] the polynomials times the exponential, then the constant where there is one.
+
+    `reading` has a day's `whiten`, `common` and `shift`; whitened factors are cut at `reach`.
+    """
+    y = reading.whiten @ factors
+    y = jnp.clip(y, -reach, reach) if math.isfinite(reach) else y
+    level = jnp.exp(jnp.sum(reading.common * factors) - reading.shift)
+    found = [level * each for each in _polynomials(y)]
+    if size > len(found):
+        found.append(jnp.ones_like(level))
+    return jnp.stack(found)
 
 
 def _polynomials(y: Array) -> list[Array]:

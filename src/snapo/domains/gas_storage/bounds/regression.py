@@ -1,0 +1,131 @@
+"""The regression of values of a store on a basis: everything of it that the prices do not move.
+
+Nodes, functions and normal equations follow from the price factors alone. A page that moves a curve
+asks for the same ones again and again: those of the last factors are kept.
+"""
+
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from scipy.special import ndtri
+from scipy.stats import qmc
+
+from .basis import REACH, Basis
+from .product import product
+
+ALONE, FAST = 121, 37  # uniform nodes of the fast factor, to REACH standard deviations
+COUNTS = {
+    1: (),
+    2: (6,),
+    3: (6, 5),
+}  # Gauss-Hermite nodes of the others; more of them: Sobol points
+POINTS = 1024
+LEVELS = 2  # nodes of the factor in the exponential
+RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
+MOST_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
+
+
+class Day(NamedTuple):
+    """One day, or the end date. K functions, of which n are no hinges, on Q nodes.
+
+    - `fit` [K, Q]: coefficients of values [m, Q] are values @ fit.T.
+    - `ahead` [K, Q]: the functions of the next date as they are expected (none on the end date).
+    - `plain` [K, n]: coefficients of the functions as the best ones without hinges.
+    - `drift` [K, n]: those of `ahead`.
+    """
+
+    fit: np.ndarray
+    ahead: np.ndarray
+    plain: np.ndarray
+    drift: np.ndarray
+
+
+class Regression:
+    """The days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see `states_of`."""
+
+    def __init__(self, basis: Basis):
+        self.basis = basis
+        self.y, self.level, self.weight = states_of(basis)
+        self._days: dict[int, Day] = {}
+        dates = len(basis.of.decay)
+        self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MOST_KEPT
+
+    def day(self, t: int) -> Day:
+        """The regression on day t."""
+        found = self._days.get(t)
+        if found is None:
+            found = self._made(t)
+            if self._keeps:
+                self._days[t] = found
+        return found
+
+    @cached_property
+    def _polynomials(self) -> np.ndarray:
+        return self.basis.polynomials(self.y[None])  # the same points every day
+
+    def _made(self, t: int) -> Day:
+        basis, level = self.basis, self.level
+        bare = basis.of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
+        here = scaled(basis, t, bare, level)
+        plain = scaled(basis, t, bare[: len(basis.powers)], level)
+        smooth = _fit(plain, self.weight).T
+        if t + 1 == len(basis.of.decay):
+            none = np.zeros((0, level.size))
+            return Day(_fit(here, self.weight), none, here @ smooth, none @ smooth)
+        ahead = basis.ahead_of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
+        ahead = scaled(basis, t, ahead, level)
+        return Day(_fit(here, self.weight), ahead, here @ smooth, ahead @ smooth)
+
+
+_last: list[tuple[tuple, Regression]] = []
+
+
+def regression(basis: Basis) -> Regression:
+    """The regression of a basis: that of the last one, where the factors are the same."""
+    key = basis.key()
+    for known, found in _last:
+        if known == key:
+            return found
+    found = Regression(basis)
+    _last[:] = [(key, found)]
+    return found
+
+
+def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Whitened factors [kept, Q], standardised ln g [Q], and weights of the regression [Q]."""
+    levels = LEVELS if basis.common else 1
+    kept = len(basis.kept)
+    if kept not in COUNTS:
+        points = qmc.Sobol(kept + 1, rng=np.random.default_rng(0)).random(POINTS).T
+        z = ndtri(np.clip(points, 2.0**-31, 1 - 2.0**-31))
+        return z[:kept], z[kept] * bool(basis.common), np.ones(POINTS)
+    fast = np.linspace(-REACH, REACH, ALONE if kept == 1 else FAST)
+    grids = [(fast, np.exp(-(fast**2) / 2))]
+    grids += [_gauss_hermite(count) for count in (*COUNTS[kept], levels)]
+    axes = np.meshgrid(*(grid[0] for grid in grids), indexing="ij")
+    mass = np.meshgrid(*(grid[1] for grid in grids), indexing="ij")
+    z = np.stack([axis.ravel() for axis in axes])
+    return z[:-1], z[-1], np.prod(mass, axis=0).ravel()
+
+
+def _gauss_hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
+    points, weights = np.polynomial.hermite_e.hermegauss(count)
+    return points, weights / weights.sum()
+
+
+def scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.ndarray:
+    """[K, Q] functions from their polynomials."""
+    if not basis.common:
+        return found
+    deviation = basis.level_deviation(t)
+    scale = np.exp(deviation * level - deviation**2 / 2)
+    return np.concatenate([scale * found, np.ones((1, found.shape[1]))])
+
+
+def _fit(functions: np.ndarray, weight: np.ndarray) -> np.ndarray:
+    """[K, Q] of weighted least squares on functions [K, Q]; small where undetermined."""
+    weighed = functions * weight
+    normal = product(weighed, functions.T)
+    normal[np.diag_indices_from(normal)] += RIDGE * np.trace(normal)
+    return np.linalg.solve(normal, weighed)

@@ -1,0 +1,31 @@
+"""The page takes as many paths as the run's own error says that its value needs."""
+
+from types import SimpleNamespace
+
+import pytest
+
+from snapo.live.valuation import ENOUGH, FEWEST, MOST, Counts
+
+
+@pytest.mark.parametrize(
+    ("error", "paths", "wanted"),
+    [
+        (0.00003, 65536, FEWEST),  # the surprises of a fitted value explain nearly all
+        (0.0003, 65536, 4096),  # a quarter of the error, a sixteenth of the paths
+        (0.1, 65536, MOST),
+        (0.1, 1000, 1000),  # no more than the run had
+        (float("nan"), 65536, FEWEST),
+    ],
+)
+def test_paths_of_the_value(error, paths, wanted):
+    solution = SimpleNamespace(value=-2.0, standard_error=2.0 * error)
+    evaluation = SimpleNamespace(paths=paths, sensitivity_paths=min(paths, 1536))
+    found = Counts.enough(solution, evaluation)
+    assert found.value == wanted and found.deltas == min(paths, 1536)
+    if FEWEST < found.value < MOST:
+        assert error * (paths / found.value) ** 0.5 <= ENOUGH
+
+
+def test_paths_that_are_asked_for_are_taken():
+    assert Counts.of(65536).value == 65536
+    assert Counts.of(100) == (100, 100, 100)
