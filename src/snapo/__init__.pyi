@@ -19,6 +19,9 @@ from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
+from snapo.problem.memory import GRU as GRU
+from snapo.problem.memory import Memory as Memory
+from snapo.problem.memory import Recent as Recent
 from snapo.problem.objective import CRRA as CRRA
 from snapo.problem.objective import CVaR as CVaR
 from snapo.problem.objective import Entropic as Entropic

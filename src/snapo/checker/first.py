@@ -4,6 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.memory import remembered
 from snapo.problem.policy import Constant, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
@@ -92,7 +93,9 @@ def _decides(notes: Notes, problem: Problem, policy: Policy, features: int) -> N
     where = f"policy {type(policy).__name__}"
     for observation in (jnp.zeros(features), jnp.ones(features), -jnp.ones(features)):
         with notes.during(where):
-            found = np.asarray(policy(observation, Exact()))
+            nothing = jnp.zeros(remembered(policy))
+            found = np.asarray(policy(jnp.concatenate([observation, nothing]), Exact()))
+            found = found[: len(found) - nothing.size]
         if found.shape != (size,):
             notes.error(where, f"Its actions have shape {found.shape}.", f"Return ({size},).")
         elif fault := action.fault(found):

@@ -107,6 +107,6 @@ def _places(state: PyTree, dtype) -> list[tuple[str, int, int]]:
     for path, leaf in jax.tree.leaves_with_path(state):
         if jnp.issubdtype(jnp.asarray(leaf).dtype, jnp.floating):
             name, size = jax.tree_util.keystr(path, simple=True, separator="."), jnp.size(leaf)
-            found.append((name or "state", first, first + size))
+            found.append((name.removeprefix("own.") or "state", first, first + size))
             first += size
     return found

@@ -22,6 +22,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
 from .base import Adjoint, Clip, Engine, Rollout, Window, cast, checked, clipped
+from .memory import adjoint_without, values_without, with_memory
 from .packing import Packing
 from .totals import add, zero
 
@@ -59,7 +60,8 @@ class Xla(Engine):
     ) -> Rollout:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            return self.leave(_values(self, call, record))
+            found = self.leave(_values(self, call, record))
+            return values_without(simulator, call.simulator, found)
 
     def adjoint(
         self,
@@ -81,12 +83,14 @@ class Xla(Engine):
             given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
             # The bound is an array: another one compiles nothing.
             bounds = None if clip is None else clip.bounds(given)
-            return self.leave(_adjoint(self, call, given, bounds, wrt))
+            found = self.leave(_adjoint(self, call, given, bounds, wrt))
+            return adjoint_without(simulator, call.simulator, found)
 
     def call(
         self, simulator, policy, schedule, draws, smooth, actions=None, window=None, start=None
     ) -> "Call":
         """Everything a rollout needs, checked, in this engine's precision and on its devices."""
+        simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         window = checked(simulator, policy, schedule, draws, actions, window)
         ends = window.ends(simulator.horizon)
         differentiable, fixed = eqx.partition(

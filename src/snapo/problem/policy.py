@@ -142,6 +142,7 @@ class Residual(Policy):
         hidden: tuple[int, ...] = (32, 32),
         activation: Callable = jax.nn.silu,
     ):
+        without_memory(base, "Residual")
         self.base, self.scale = Frozen(base), scale
         self.hidden, self.activation, self.action = tuple(hidden), activation, action
         self.network = _network(self, action, features, key)
@@ -163,6 +164,12 @@ class Residual(Policy):
             hidden=self.hidden,
             activation=self.activation,
         )
+
+
+def without_memory(policy: Policy, where: str) -> None:
+    """Refuses a policy with memory (see `memory.py`) inside one that has no place for it."""
+    if hasattr(policy, "decide"):
+        raise ValueError(f"{where}: {type(policy).__name__} has a memory, which must be outermost.")
 
 
 def _network(policy: MLP | Residual, action, features, key) -> Network | None:

@@ -7,7 +7,7 @@ import jax
 import jax.numpy as jnp
 
 from .actions import Actions
-from .policy import Policy
+from .policy import Policy, without_memory
 from .simulator import Interface
 
 
@@ -26,6 +26,8 @@ class Stages(Policy):
 
     def __init__(self, policies: Sequence[Policy], interface: Interface | None = None):
         self.policies, self.action, self.features = tuple(policies), None, ()
+        for policy in self.policies:
+            without_memory(policy, "Stages")
         if interface is None:
             return
         if len(interface.stages) != len(self.policies):

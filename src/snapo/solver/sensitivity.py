@@ -237,6 +237,7 @@ def _second(engine: Xla, simulator, inputs, policy, draws: Draws, smooth, weight
     def held_gradient(values):
         call = engine.call(simulator, policy, made(values), draws, smooth)
         actions = engine.traced(call, ("action",)).record["action"]
+        actions = actions[..., : simulator.action.size]  # without a policy's memory
 
         def value(moved):
             replayed = engine.call(simulator, None, made(moved), draws, smooth, actions=actions)

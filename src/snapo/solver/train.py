@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Bound, Clip, Engine
+from snapo.problem.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
@@ -61,6 +62,7 @@ def train(
     On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
     of the result is "trained", "stopped early" or "diverged".
     """
+    problem = remembering(problem, progress.policy)
     loop = Loop(problem, training, engine.bind(problem), *_updaters(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
@@ -213,6 +215,10 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
 def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
     """On windows of a length from here on, with a critic that knows nothing yet."""
     training = loop.training
+    if progress.step <= horizon.FIRST:
+        # The first steps were led by chaos: back to the average of the first few of them.
+        early = progress.halfway
+        progress = replace(progress, policy=early, average=early, recent=early)
     fresh = anew(training, progress.policy, progress.optimiser, UPDATES)
     return replace(
         progress,

@@ -15,6 +15,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.learning import clipping
+from snapo.solver.learning.convergence import Gain
 
 STEPS, SPREAD = 100, 0.1**0.5
 SMALL = snapo.Evaluation(paths=8192, sensitivity_paths=2048, smooth_paths=0, judge_paths=0)
@@ -69,6 +70,11 @@ def test_only_a_fall_early_on_or_a_leap_is_an_explosion():
     assert not clipping.exploded(falling[:2], 0)
     assert not clipping.exploded([1e4, *np.geomspace(1e4, 1.0, 30)], 0)  # a slow one is learning
     assert clipping.exploded([1.0, 2.0, 1.0, 1.5, 300.0], 0)
+
+
+def test_a_gain_is_sure_above_two_standard_errors_and_on_one_net_where_it_is_positive():
+    assert Gain(3.0, 1.0).sure and not Gain(1.0, 1.0).sure
+    assert Gain(1.0, np.nan).sure and not Gain(-1.0, np.nan).sure
 
 
 @pytest.mark.prove

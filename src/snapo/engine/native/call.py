@@ -19,6 +19,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..base import Engine, Window, checked
+from ..memory import with_memory
 from .available import unavailable
 from .functions import Setup
 from .given import Given, cast
@@ -53,6 +54,7 @@ class Call:
         window: Window | None,
         start,
     ):
+        simulator, start = with_memory(simulator, policy, actions, start, draws.size)
         self.window = checked(simulator, policy, schedule, draws, actions, window)
         self.engine, self.simulator, self.draws, self.actions = engine, simulator, draws, actions
         self.ends = self.window.ends(simulator.horizon)

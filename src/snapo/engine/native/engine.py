@@ -12,6 +12,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..base import Adjoint, Clip, Engine, Rollout, Window
+from ..memory import adjoint_without, values_without
 from .call import Call
 
 
@@ -49,7 +50,8 @@ class Native(Engine):
             runner = call.runner(False, tuple(record), False, ())
             out = runner.run(call.inputs(runner, None, None, bool(record)), self._threads())
             totals, state = call.finals(runner, out.final)
-            return Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
+            found = Rollout(totals, state, call.recorded(runner, out.records, tuple(record)))
+            return values_without(simulator, call.simulator, found)
 
     def adjoint(
         self,
@@ -83,7 +85,7 @@ class Native(Engine):
             gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
             given = dict(zip(("policy", "schedule", "start"), gradient))
             asked = (given[name] if name in wrt else None for name in given)
-            return Adjoint(totals, *asked)
+            return adjoint_without(simulator, call.simulator, Adjoint(totals, *asked))
 
     def _threads(self) -> int:
         return self.threads or cores()

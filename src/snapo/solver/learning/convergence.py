@@ -43,7 +43,8 @@ class Gain(NamedTuple):
 
     @property
     def sure(self) -> bool:
-        return self.value > SURE * self.error
+        # One randomised net has no error that could be known.
+        return self.value > (SURE * self.error if np.isfinite(self.error) else 0.0)
 
     def __str__(self) -> str:
         return f"{self.value:,.3g} ± {self.error:,.2g}"

@@ -5,6 +5,7 @@ from typing import NamedTuple
 
 from jaxtyping import PyTree
 
+from snapo.problem.memory import remembering
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
@@ -69,7 +70,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
         if problem is None:
             raise ValueError("begin: give the problem too where training has a window.")
         if training.window < problem.simulator.horizon:
-            window, critic = training.window, learner(problem, training.seed)
+            window, critic = training.window, learner(remembering(problem, policy), training.seed)
     state = optimiser(training, UPDATES if window else 1).init(flat(trainable(policy)[0]))
     same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
     empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}

@@ -28,7 +28,7 @@ from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
 from .critic import Critic, Learner, fitted, worth_ahead
 
-UPDATES = 4  # windows that one sweep over the horizon serves
+UPDATES = 8  # windows that one sweep over the horizon serves
 AHEAD = "worth ahead"  # the output that a critic adds to a window
 
 

@@ -1,0 +1,253 @@
+"""Policies that remember: recurrent networks and windows of past observations.
+
+A policy with memory decides by its observation and by numbers of its own, which it hands on to its
+next decision. The engines carry these beside the simulator's state (`Remembering`): nobody who
+writes a simulator sees them, and recorded actions replay without them.
+"""
+
+import abc
+from dataclasses import replace
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+from jaxtyping import Array, Float, PyTree
+
+from .actions import Actions, Box
+from .policy import MLP, Network, Policy
+from .problem import Problem
+from .simulator import Interface, Simulator
+
+
+class Memory(Policy):
+    """A policy that remembers `memory` numbers, which are zeros before the first decision.
+
+    A subclass says how many in `memory` and writes `decide`. Called as policies are, it takes
+    the observation followed by the memory, and gives the action followed by the next memory.
+    """
+
+    @property
+    @abc.abstractmethod
+    def memory(self) -> int:
+        """How many numbers it remembers."""
+
+    @abc.abstractmethod
+    def decide(
+        self, observation: Float[Array, " features"], memory: Float[Array, " memory"], smooth
+    ) -> tuple[Float[Array, " size"], Float[Array, " memory"]]:
+        """The action, and the memory at the next decision."""
+
+    def __call__(self, observation, smooth):
+        features = observation.shape[0] - self.memory
+        seen, memory = observation[:features], observation[features:]
+        action, kept = self.decide(seen, memory, smooth)
+        return jnp.concatenate([action, kept.astype(action.dtype)])
+
+
+class GRU(Memory):
+    """A recurrent network (gated recurrent unit, Cho et al. 2014) with `hidden` units.
+
+    Its decision is linear in the observation and in its units, squashed into the action set.
+    `GRU(hidden=16)` is a recipe, as `MLP(hidden=…)` is: `solve` makes it for the simulator.
+    """
+
+    gates: Network | None
+    fresh: Network | None
+    readout: Network | None
+    action: Actions | None
+    hidden: int = eqx.field(static=True)
+
+    def __init__(
+        self,
+        action: Actions | None = None,
+        features: int | None = None,
+        *,
+        key=None,
+        hidden: int = 16,
+    ):
+        if not isinstance(hidden, int) or hidden < 1:
+            raise ValueError(f"GRU: hidden is {hidden!r}; allowed is a whole number above 0.")
+        self.hidden, self.action = hidden, action
+        self.gates = self.fresh = self.readout = None
+        if action is None and features is None and key is None:
+            return
+        if action is None or features is None or key is None:
+            raise ValueError(
+                "GRU: give the action set, the number of features and a key together, or none of "
+                "them: then solve finds them."
+            )
+        keys, width = jax.random.split(key, 3), features + hidden
+        self.gates, self.fresh = (
+            _scaled(Network((width, size), key=each), 100.0)
+            for size, each in zip((2 * hidden, hidden), keys)
+        )
+        self.readout = Network((width, action.size), key=keys[2])
+
+    @property
+    def memory(self) -> int:
+        return self.hidden
+
+    def decide(self, observation, memory, smooth):
+        if self.gates is None or self.fresh is None or self.readout is None or self.action is None:
+            raise ValueError(
+                "GRU: this is a recipe without numbers; make the policy with "
+                "for_problem(simulator.interface(schedule), key), as solve does."
+            )
+        gates = jax.nn.sigmoid(self.gates(jnp.concatenate([observation, memory])))
+        keep, reset = gates[: self.hidden], gates[self.hidden :]
+        fresh = jnp.tanh(self.fresh(jnp.concatenate([observation, reset * memory])))
+        kept = keep * memory + (1 - keep) * fresh
+        raw = self.readout(jnp.concatenate([observation, kept]))
+        return self.action.squash(raw, smooth), kept
+
+    def for_problem(self, interface: Interface, key) -> "GRU":
+        _no_stages(self, interface)
+        if self.gates is None:
+            return GRU(interface.action, interface.features, key=key, hidden=self.hidden)
+        features = self.gates.weights[0].shape[1] - self.hidden
+        if self.action is None or (features, self.action.size) != (
+            interface.features,
+            interface.action.size,
+        ):
+            raise ValueError(f"GRU: it takes {features} features; here are {interface.features}.")
+        return self
+
+
+class Recent(Memory):
+    """A policy that sees the last `steps` observations, and the decisions between them.
+
+    `Recent(4, MLP(hidden=(32,)))` is a recipe. The inner policy's observation is the present one,
+    then each earlier observation followed by the decision taken there, the latest first; before the
+    start both are zeros.
+    """
+
+    policy: Policy
+    steps: int = eqx.field(static=True)
+    width: int = eqx.field(static=True)  # of an observation and a decision; 0: still a recipe
+
+    def __init__(self, steps: int, policy: Policy | None = None, width: int = 0):
+        if not isinstance(steps, int) or steps < 2:
+            raise ValueError(f"Recent: steps is {steps!r}; allowed is a whole number of 2 or more.")
+        self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
+        if remembered(self.policy):
+            raise ValueError("Recent: its inner policy has a memory of its own already.")
+
+    @property
+    def memory(self) -> int:
+        return (self.steps - 1) * self.width
+
+    def decide(self, observation, memory, smooth):
+        if not self.width:
+            raise ValueError("Recent: this is a recipe; solve makes it for the simulator.")
+        action = self.policy(jnp.concatenate([observation, memory]), smooth)
+        kept = jnp.concatenate([observation, action.astype(observation.dtype), memory])
+        return action, kept[: self.memory]
+
+    def for_problem(self, interface: Interface, key) -> "Recent":
+        _no_stages(self, interface)
+        width = interface.features + interface.action.size
+        if self.width and self.width != width:
+            raise ValueError(f"Recent: made for observations and decisions of {self.width}.")
+        seen = interface.features + (self.steps - 1) * width
+        inner = self.policy.for_problem(Interface(interface.action, seen), key)
+        return Recent(self.steps, inner, width)
+
+
+def remembered(policy: Policy | None) -> int:
+    """How many numbers a policy remembers; 0 for all without a memory."""
+    return policy.memory if isinstance(policy, Memory) else 0
+
+
+class Remembering(Simulator):
+    """A simulator whose state holds a policy's memory as well, for the engines.
+
+    Its observation ends with the memory, and its action with the next one.
+    """
+
+    own: Simulator
+    memory: int = eqx.field(static=True)
+
+    def __init__(self, own: Simulator, memory: int):
+        self.own, self.memory = own, memory
+
+    @property
+    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.horizon
+
+    @property
+    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return Box(self.own.action.size + self.memory)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.initial_noise_size
+
+    def prepare(self, inputs):
+        return self.own.prepare(inputs)
+
+    def initial(self, constants, noise):
+        return self.begun(self.own.initial(constants, noise))
+
+    def begun(self, state: PyTree) -> PyTree:
+        """A state of the simulator's own, before the first decision."""
+        return {"memory": jnp.zeros(self.memory), "own": state}
+
+    def observe(self, constants, now, state):
+        seen = self.own.observe(constants, now, state["own"])
+        return jnp.concatenate([seen, state["memory"].astype(seen.dtype)])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        size = self.own.action.size
+        chosen, memory = action[:size], action[size:]
+        after, outputs = self.own.step(constants, now, state["own"], chosen, noise, smooth)
+        return {"memory": memory, "own": after}, outputs
+
+    def terminal(self, constants, state, smooth):
+        return self.own.terminal(constants, state["own"], smooth)
+
+    def totals(self):
+        return self.own.totals()
+
+    def control_variates(self):
+        return self.own.control_variates()
+
+    def state_scale(self, constants):
+        scale = self.own.state_scale(constants)
+        if scale is None:
+            return None
+        return {"memory": jnp.ones(self.memory), "own": scale}
+
+    def slack(self, constants, now, state, outputs):
+        return self.own.slack(constants, now, state["own"], outputs)
+
+
+def remembers(simulator: Simulator) -> bool:
+    """Whether the state holds a policy's memory already, also inside another simulator."""
+    return isinstance(simulator, Remembering) or isinstance(
+        getattr(simulator, "own", None), Remembering
+    )
+
+
+def remembering(problem: Problem, policy: Policy) -> Problem:
+    """The problem whose states hold the memory of a policy; itself for a policy without one."""
+    size, simulator = remembered(policy), problem.simulator
+    if not size or remembers(simulator):
+        return problem
+    return replace(problem, simulator=Remembering(simulator, size))
+
+
+def _scaled(network: Network, factor: float) -> Network:
+    """A network whose last layer does not start small."""
+    return eqx.tree_at(lambda n: n.weights[-1], network, factor * network.weights[-1])
+
+
+def _no_stages(policy: Policy, interface: Interface) -> None:
+    if interface.stages:
+        raise ValueError(
+            f"{type(policy).__name__}: a policy with memory cannot decide in a Chain, whose stages "
+            "observe different things."
+        )

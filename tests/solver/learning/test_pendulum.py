@@ -1,0 +1,56 @@
+"""Pendulum-v1 by default settings: two hundred steps whose adjoints are chaotic."""
+
+import time
+
+import jax
+import jax.numpy as jnp
+import pytest
+
+import snapo
+
+
+class Pendulum(snapo.Simulator):
+    """Gymnasium's Pendulum-v1, its angle unwrapped and its cost periodic."""
+
+    horizon: int = 200
+    action: snapo.Box = snapo.Box(1, -2.0, 2.0)
+    noise_size: int = 0
+    initial_noise_size: int = 2
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(self.horizon)})
+
+    def initial(self, constants, noise):
+        angle, speed = 2 * jax.scipy.special.ndtr(noise) - 1
+        return {"angle": jnp.pi * angle, "speed": speed}
+
+    def observe(self, constants, now, state):
+        angle = state["angle"]
+        return jnp.stack([jnp.cos(angle), jnp.sin(angle), state["speed"] / 4])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        angle, speed, torque = state["angle"], state["speed"], action[0]
+        wrapped = angle - 2 * jnp.pi * jnp.round(angle / (2 * jnp.pi))
+        cost = wrapped**2 + 0.1 * speed**2 + 0.001 * torque**2
+        turn = 1.5 * constants["gravity"] * jnp.sin(angle) + 3 * torque
+        speed = jnp.clip(speed + 0.05 * turn, -8.0, 8.0)
+        return {"angle": angle + 0.05 * speed, "speed": speed}, {"value": -cost}
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("seed", range(3))
+def test_a_pendulum_by_default_settings_is_swung_up(seed):
+    """At least -160 on the mean of 8,192 starts (dynamic programming: -137.9, SAC -157), in less
+    than 60 seconds of all processors together; -643 on the whole horizon, clipped."""
+    evaluation = snapo.Evaluation(paths=8192, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+    started = time.process_time()
+    solution = snapo.solve(
+        Pendulum(),
+        {"gravity": snapo.Input(10.0)},
+        training=snapo.Training(seed=seed),
+        evaluation=evaluation,
+    )
+    assert time.process_time() - started < 60
+    assert solution.value > -160
+    assert "windows of" in " ".join(solution.notes)
+    assert solution.growth is not None and "a hundredfold before step" in solution.growth.words()
