@@ -31,6 +31,7 @@ SHARES = {
     "pharma template": (7, 200),
     "pharma reactor": (2, 300),
     "own template": (2, 200),
+    "control template": (2, 100),
 }
 LABELS = {"own": ("week",)}  # columns of names, where any text is right
 RAW = ("Input should", "Value error", "Traceback", "Errno")  # words of libraries
