@@ -32,6 +32,7 @@ SHARES = {
     "pharma reactor": (2, 300),
     "own template": (2, 200),
     "inventory template": (3, 100),
+    "control template": (2, 100),
 }
 LABELS = {"own": ("week",), "inventory": ("period",)}  # columns of names, where any text is right
 RAW = ("Input should", "Value error", "Traceback", "Errno")  # words of libraries

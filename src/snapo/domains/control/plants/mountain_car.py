@@ -23,8 +23,8 @@ class MountainCar(Plant):
 
     The exact reward holds no hint of the goal. In training the goal is reached by energy: each step
     ends the way with a probability that is 1/2 where the energy, v^2 / 2 + gravity sin(3 x) / 3,
-    is a little more than the hill takes, and falls off below over a width of the temperature; `alive` is the
-    probability to be still on the way. Who has this energy passes the goal on the next swing.
+    is a little more than the hill takes, and falls off below over a width of the temperature;
+    `alive` is the probability to be still on the way. With this energy the next swing arrives.
     """
 
     type: ClassVar = "mountain-car"
