@@ -6,7 +6,7 @@ import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER, TEMPLATE, data
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.flowsheet import progress
+from snapo.domains.pharma import progress
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.results.quality import space_rows
 from snapo.domains.pharma.sections.headline import _marks
