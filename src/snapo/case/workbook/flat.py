@@ -111,6 +111,6 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
             if last and step in here:
                 raise Unreadable(f"{key} stands there twice")
             here.setdefault(step, empty)
-        here = here[step]
+        here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
             raise Unreadable(f"{key}: a value stands there already, and not a table")
