@@ -58,6 +58,10 @@ AnyTable = TypeVar("AnyTable", bound=Table)
 
 def load(path: Path) -> tuple[Path, dict[str, Any]]:
     """Reads the case at `path`, a TOML file or a folder with `case.toml`; returns file and data."""
+    if path.suffix.lower() == ".xlsx" and path.is_file():
+        from .workbook.read import unpacked
+
+        path = unpacked(path)
     file = path / "case.toml" if path.is_dir() else path
     if not file.is_file():
         what = "a case is a TOML file, or a folder with case.toml in it; there is none here"

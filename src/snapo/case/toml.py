@@ -17,6 +17,11 @@ def to_toml(data: Mapping[str, Any]) -> str:
     return "\n".join(_table(data, "")).lstrip("\n") + "\n"
 
 
+def one_value(value: Any) -> str:
+    """One value as TOML writes it behind a key; a table is an inline one."""
+    return _value(value)
+
+
 def _table(data: Mapping[str, Any], name: str) -> Iterator[str]:
     """Plain keys first, then the tables below: after a header, keys belong to it."""
     tables = {key: value for key, value in data.items() if _is_table(value)}

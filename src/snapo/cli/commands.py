@@ -82,8 +82,13 @@ def _new(options: argparse.Namespace) -> Answer:
     if options.folder is None:
         what = f"say where to write it: snapo new {options.kind} DIR"
         raise CaseError("DIR", "", None, what)
-    written = commands.new(options.kind, options.folder, options.size)
-    say(f"now: {commands.next_command(options.kind, options.folder)}")
+    if options.xlsx:
+        written = commands.new_workbook(options.kind, options.folder, options.size)
+        place = written[0]
+    else:
+        written = commands.new(options.kind, options.folder, options.size)
+        place = options.folder
+    say(f"now: {commands.next_command(options.kind, place)}")
     answer = {"status": "ok", "kind": options.kind, "files": written}
     return answer, "\n".join(map(str, written)), OK
 

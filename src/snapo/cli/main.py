@@ -10,7 +10,7 @@ from snapo import __version__
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
 SHELLS = ("bash", "zsh", "fish")
-CASE = "a TOML file, or a folder with case.toml"
+CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -66,6 +66,7 @@ def _add_new(commands) -> None:
         "folder", metavar="DIR", type=Path, nargs="?", help="made if missing; overwrites nothing"
     )
     new.add_argument("--size", metavar="SIZE", help="of the example, where the kind has several")
+    new.add_argument("--xlsx", action="store_true", help="as a workbook, case.xlsx")
 
 
 def _add_check(commands) -> None:

@@ -50,6 +50,34 @@ def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
     return found
 
 
+def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]:
+    """Writes the example of a kind as a workbook, case.xlsx, and the files that no sheet can hold.
+
+    **Raises:** `CaseError` as `new` does, and where openpyxl is missing.
+    """
+    from tempfile import TemporaryDirectory
+
+    from snapo.case.table import load as load_tables
+    from snapo.case.workbook.write import write_workbook
+
+    with TemporaryDirectory() as made:
+        written = new(kind, Path(made), size)
+        others = [each for each in written if each.suffix not in (".csv", ".toml")]
+        targets = [folder / "case.xlsx", *(folder / each.name for each in others)]
+        for target in targets:
+            if target.exists():
+                raise CaseError(str(target), "", None, "this file exists; nothing was written")
+        try:
+            folder.mkdir(parents=True, exist_ok=True)
+            write_workbook(Path(made), load_tables(Path(made))[1], targets[0])
+            for each in others:
+                (folder / each.name).write_bytes(each.read_bytes())
+        except OSError as error:
+            what = f"the folder cannot be written ({error.strerror})"
+            raise CaseError(str(folder), "", None, what) from None
+    return targets
+
+
 def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     """Writes the commented example of a kind into `folder`; returns the files written.
 
