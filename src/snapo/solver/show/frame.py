@@ -1,6 +1,6 @@
 """Results as data frames of the library that the caller uses."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import Any
 
 BACKENDS = ("pandas", "polars", "pyarrow")
