@@ -3,7 +3,7 @@
 import argparse
 from collections.abc import Iterator
 
-KINDS = ("gas-storage", "pension", "pharma", "own")
+KINDS = ("gas-storage", "pension", "pharma", "inventory", "control", "own")
 
 
 def script(parser: argparse.ArgumentParser, shell: str) -> str:
