@@ -1,12 +1,14 @@
 """A closed loop and a best recipe from the case file to the report, on a reactor alone."""
 
+import numpy as np
 import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.control.parts import better
+from snapo.domains.pharma.control.parts import better, rates
 from snapo.domains.pharma.control.stages import decided, staged
 from snapo.domains.pharma.results.headline import verdict
+from snapo.problem.scenarios import Pseudo
 
 
 def control(held=(), **changes):
@@ -124,3 +126,15 @@ def test_the_best_recipe_stands_in_the_report(whole):
     assert best["converged"] and best["unit"] == "mol/L/h" and len(best["chance"]) == 2
     assert best["decisions"][0]["value"] == pytest.approx(50)
     assert "First-order conditions" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_pair_that_keeps_two_sided_limits_together_counts_once():
+    """z and -z both lie within +-1 or both beyond, so there are half as many independent batches."""
+    z = np.random.default_rng(1).standard_normal(4096)
+    kept = np.repeat(np.abs(z) < 1, 2).astype(float)
+    found = rates(kept, 1 - kept, 0 * kept, Pseudo(0).groups(np.arange(kept.size)))
+    share = kept.mean()
+    expected = np.sqrt(share * (1 - share) / len(z))
+    assert found["standard_error"] == pytest.approx(expected, rel=1e-3)
+    assert found["gain_error"] == pytest.approx(2 * expected, rel=1e-3)
+    assert found["given_error"] == 0

@@ -110,20 +110,10 @@ class ClosedLoop:
         with jax.enable_x64(True):
             baseline_goal = float(goal.value(fixed))
         groups = self.problem.sources.evaluation.groups(np.arange(ours.size))
-        wanted = (ours, theirs, ours - theirs, given)
-        means = [statistics.mean(each, groups) for each in wanted]
         recipe = self.decided(best, run)
         run.write_csv(SETPOINTS, HEADER, decided(recipe))
         table = {
-            "value": means[0].value,
-            "standard_error": means[0].standard_error,
-            "baseline": means[1].value,
-            "baseline_error": means[1].standard_error,
-            "gain": means[2].value,
-            "gain_error": means[2].standard_error,
-            "given": means[3].value,
-            "given_error": means[3].standard_error,
-            "better": better(means[2].value, means[2].standard_error),
+            **rates(ours, theirs, given, groups),
             "goal": in_words(self.case.goal),
             "objective": solution.value,
             "objective_error": solution.standard_error,
@@ -146,6 +136,23 @@ class ClosedLoop:
         actions += [each.actions()[:, None] for each in (best, self.loop.baseline)]
         inputs, stages = self.loop.inputs, self.loop.stages
         return side_by_side(*(courses(self.case, stages, inputs, each) for each in actions))
+
+
+def rates(
+    ours: np.ndarray, theirs: np.ndarray, given: np.ndarray, groups: np.ndarray
+) -> dict[str, Any]:
+    """Shares of batches [N] that keep all limits, of policy, best and given recipe, with errors.
+
+    `groups` [N]: batches of one group are not independent. Limits on two sides are kept or missed
+    by both batches of an antithetic pair, so that pairs taken for two would halve the variance.
+    """
+    wanted = {"": ours, "baseline": theirs, "gain": ours - theirs, "given": given}
+    found: dict[str, Any] = {}
+    for name, each in wanted.items():
+        share = statistics.mean(each, groups)
+        found[name or "value"] = share.value
+        found[f"{name}_error" if name else "standard_error"] = share.standard_error
+    return found | {"better": better(found["gain"], found["gain_error"])}
 
 
 def better(gain: float, error: float) -> str:
