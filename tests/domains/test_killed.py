@@ -89,7 +89,7 @@ def same_after(kind: str, solved, tmp_path: Path, moments: int, seconds: float) 
 
 @pytest.mark.prove
 def test_a_killed_run_resumes_to_the_same_bits(solved, tmp_path):
-    same_after("own", solved, tmp_path, 3, 2.0)
+    same_after("own", solved, tmp_path, 2, 2.0)
 
 
 @pytest.mark.study

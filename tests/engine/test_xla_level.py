@@ -66,7 +66,8 @@ def numbers(name: str) -> dict[str, list[float]]:
     "name",
     [
         "own_simulator",
-        *(pytest.param(n, marks=pytest.mark.prove) for n in ("battery", "portfolio")),
+        pytest.param("battery", marks=pytest.mark.prove),
+        pytest.param("portfolio", marks=pytest.mark.study),
     ],
 )
 def test_the_low_level_gives_the_numbers_of_the_full_one(name):

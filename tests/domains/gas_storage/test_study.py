@@ -280,7 +280,7 @@ def stop(folder: Path, out: Path, how: int) -> int:
 
 @pytest.mark.prove
 @pytest.mark.parametrize(
-    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.prove)]
+    "how", [signal.SIGKILL, pytest.param(signal.SIGINT, marks=pytest.mark.study)]
 )
 def test_a_stopped_run_goes_on_bit_for_bit(whole, folder, tmp_path, how):
     out = tmp_path / "run"

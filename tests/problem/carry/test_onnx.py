@@ -101,6 +101,7 @@ def test_the_head_of_a_store_and_one_state_alone():
     agree(policy, seen, dtype="float64", tolerance=1e-12)
 
 
+@pytest.mark.study
 def test_the_limits_of_a_fund(tmp_path):
     commands.new("pension", tmp_path / "fund", "small")
     case = commands.load(commands.Asked(tmp_path / "fund")).case

@@ -171,7 +171,7 @@ def test_matrix_against_differences_of_the_adaptive_solution(forward):
     assert gap.max() < 1e-5
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_convergence_of_values_and_gradients(process):
     found = convergence(process)
     assert found.passed and len(found.rows) == 6 * 7

@@ -52,7 +52,7 @@ def test_one_temperature_does_not_identify_both():
     assert np.isnan(found.low).any()
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_intervals_cover():
     """200 noisy repeats: a 95 % interval holds the truth in 95 % of them, give or take 3 errors."""
     held = 0
