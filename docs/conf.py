@@ -24,6 +24,7 @@ extensions = [
     "case_tables",
     "public_names",
     "outside",
+    "streams",
 ]
 exclude_patterns = ["site", "README.md"]
 html_theme = "pydata_sphinx_theme"
@@ -37,7 +38,7 @@ html_theme_options = {
     "footer_start": ["copyright"],
     "footer_end": [],
 }
-html_sidebars = {"index": [], "gallery": []}
+html_sidebars = {"*": [], "first/*": [], "formats/*": []}  # whose navigation would be empty
 html_show_sourcelink = False
 
 # Plain Markdown with equations; headings are targets of links.

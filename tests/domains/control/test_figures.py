@@ -16,7 +16,7 @@ pytestmark = pytest.mark.study
 # Half of Pendulum's horizon: nearly all of the second half is spent upright, and teaches little.
 # A mountain car that gets home in 500 steps gets home in 999.
 RECIPES = {
-    Pendulum: (100, {"steps": 600, "paths": 256, "learning_rate": 0.03, "window": 20}),
+    Pendulum: (100, {"steps": 150, "paths": 256, "learning_rate": 0.02, "window": 25}),
     MountainCar: (
         500,
         {"steps": 100, "paths": 64, "learning_rate": 0.005, "temperature_start": 0.03,
@@ -40,10 +40,10 @@ def real_mean(kind, seed: int, starts: int) -> float:
     return played.mean
 
 
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(10))
 def test_pendulum_in_the_real_environment(seed):
-    """Seen: -148.9 with seed 1; starts spread by 80, so that the mean of 2,000 errs by 2."""
-    assert real_mean(Pendulum, seed, 2000) > -160
+    """Seen: -144.2 to -146.6; the settings were chosen on seeds 1 and 2."""
+    assert real_mean(Pendulum, seed, 2000) > -147
 
 
 @pytest.mark.parametrize("seed", [0, 1, 2])
