@@ -37,7 +37,7 @@ WRITTEN = (
     RUN, RESULT, REPORT, PDF, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
     GROWTH, "profile.csv", "decisions.csv",
 )  # fmt: skip
-LAYOUT = 2  # of the folder; it grows when older runs can no longer be read
+LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
 ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 

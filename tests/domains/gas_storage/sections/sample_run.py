@@ -11,6 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from snapo.report.folder import SENSITIVITIES
+from snapo.study.run_folder import LAYOUT
 
 FIRST, END = datetime.date(2021, 4, 25), datetime.date(2022, 4, 1)
 PRICES = [16.61, 15.68, 15.42, 15.31, 15.27, 15.13, 15.96, 17.22, 17.32, 17.66, 17.59, 16.81]
@@ -32,7 +33,7 @@ def write_run(folder: Path, **changes) -> Path:
     details = {key: value for key, value in details.items() if value is not None}
     about = {key: details.pop(key) for key in ABOUT if key in details}
     states = {part: {"state": "done", "note": "", "seconds": 1.0} for part in PARTS}
-    _write(folder / "run.json", json.dumps({"layout": 2, "about": about, "parts": states}))
+    _write(folder / "run.json", json.dumps({"layout": LAYOUT, "about": about, "parts": states}))
     _write(folder / "parts" / "profile.json", json.dumps(details))
     _write(folder / "result.json", json.dumps(RESULT))
     _table(folder / "sensitivities.csv", _sensitivities())
