@@ -71,6 +71,11 @@ class ObjectiveTable(Table):
     wealth: Positive | None = Field(None, description="a number above 0")
     target: float | None = Field(None, description="a number")
 
+    @property
+    def keeps_unit(self) -> bool:
+        """Whether the figure has the unit of the output."""
+        return self.kind in ("mean", "cvar", "entropic")
+
 
 OBJECTIVE_KEYS = {
     "mean": (),

@@ -6,7 +6,6 @@ import jax
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.engine import choose
 from snapo.problem.inputs import named
 from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
@@ -17,7 +16,7 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import profile_part
-from snapo.study.same import same_program
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -87,10 +86,8 @@ def study(case: ControlCase, options: Options) -> Study:
     }
 
     def moved(before: Setup, other: ControlCase) -> Setup:
-        if not same_program(before.problem, other.plant):
-            return make_setup(other, options.engine)
         values = {each.name: each.input.value for each in named(other.inputs)}
-        return before._replace(problem=before.problem.at(values))
+        return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
 
     return Study("control", about, tuple(parts), _result, lambda: setup, moved=moved)
 
@@ -110,8 +107,5 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
     policy = MLP(hidden=case.hidden).for_problem(problem.interface, jax.random.key(training.seed))
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)

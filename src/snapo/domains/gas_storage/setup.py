@@ -5,9 +5,8 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.engine import Choice, Engines, choose
+from snapo.engine import Choice, Engines
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -16,6 +15,7 @@ from snapo.solver.by_block.passes import Way
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
+from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
 from .bounds.guide import fitted_marginal
@@ -54,10 +54,7 @@ def make_setup(
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = _guided(replace(problem, sources=sources), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(_hedged(problem, engines, seed), policy, training, evaluation, engines)
 
 

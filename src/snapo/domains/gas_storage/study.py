@@ -23,7 +23,6 @@ from .results.values import VALUES
 from .setup import bare_problem, case_of, factors, fitted_value, make_setup, moved_setup
 
 KIND = "gas-storage"
-IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of the cash flow
 
 
 def lines(case: StorageCase) -> list[str]:
@@ -103,7 +102,7 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "days": [day.isoformat() for day in case.days],
         "model": case.model.words(),
         "objective": case.objective.kind,
-        "value_unit": case.currency if case.objective.kind in IN_MONEY else "",
+        "value_unit": case.currency if case.objective.keeps_unit else "",
         "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)
         | dict.fromkeys(("cash_flow", "costs"), case.currency),
         "notes": [*notes, *case.notes],

@@ -4,13 +4,12 @@ import jax
 import numpy as np
 from scipy import stats
 
-from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.engine import Choice, choose
+from snapo.engine import Choice
 from snapo.problem.problem import Problem
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
-from snapo.study.same import same_program
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
 from .item.records import InventoryCase
@@ -27,20 +26,16 @@ def make_setup(case: InventoryCase, engine: Choice = "auto") -> Setup:
     sources = evaluation.sources(training.seed)
     problem = Problem(simulator, inputs_of(case), objective, sources)
     policy = first_policy(problem, case, training.seed)
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
 
 
 def moved_setup(setup: Setup, case: InventoryCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
-    if not same_program(setup.problem, simulator):
-        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
     values = {name: given.value for name, given in inputs_of(case).items()}
-    return setup._replace(problem=setup.problem.at(values))
+    engine: Choice = setup.engines.name  # pyright: ignore[reportAssignmentType]
+    return at_values(setup, simulator, values, lambda: make_setup(case, engine))
 
 
 def first_policy(problem: Problem, case: InventoryCase, seed: int) -> OrderUpTo:

@@ -2,15 +2,14 @@
 
 from typing import Any
 
-from snapo.case.error import CaseError
 from snapo.problem.problem import Problem
 from snapo.study.domain import Options
 from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import profile_part
-from snapo.study.study import Study, StudyRun
-from snapo.study.training import TRAINING, trained
+from snapo.study.study import Study
+from snapo.study.training import TRAINING
 
 from .item.records import InventoryCase
 from .item.simulator import AVERAGES, OUTPUTS, InventorySimulator, inputs_of
@@ -19,9 +18,9 @@ from .results.levels import LEVELS, today
 from .results.rivals import RIVALS
 from .results.service import SERVICE
 from .setup import make_setup, moved_setup
+from .told import about, result, without_references
 
 KIND = "inventory"
-IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of a cost
 
 
 def lines(case: InventoryCase) -> list[str]:
@@ -50,9 +49,7 @@ def _level(case: InventoryCase) -> float:
 
 def study(case: InventoryCase, options: Options) -> Study:
     """Training, service and costs, the rule as a table, rivals, lead time, moves, certificate."""
-    if options.reference:
-        what = "an inventory has no references to compute; its rivals are in every run"
-        raise CaseError("--reference", "", None, what)
+    without_references(options)
     setup = make_setup(case, options.engine)
     units = units_of(case)
     parts = [
@@ -70,7 +67,7 @@ def study(case: InventoryCase, options: Options) -> Study:
         KIND,
         _about(case, units),
         tuple(parts),
-        _result,
+        result,
         lambda: setup,
         moved=moved_setup,
         today=today,  # pyright: ignore[reportArgumentType]
@@ -86,30 +83,9 @@ def units_of(case: InventoryCase) -> dict[str, str]:
 
 
 def _about(case: InventoryCase, units: dict[str, str]) -> dict[str, Any]:
-    """Known before any work: title, units, and the objective in words."""
-    item, kind = case.item, case.objective.kind
-    per = f" of a {case.period}" if case.discount == 1 else ", discounted"
-    unit = case.value_unit if kind in IN_MONEY else ""
-    return {
-        "title": case.title,
-        "unit": unit,
-        "value_unit": unit,
-        "units": units,
-        "currency": case.currency,
-        "item_unit": case.unit,
-        "step": case.period,
-        "horizon": case.horizon,
-        "warm_up": case.warm_up,
-        "lead_time": item.lead,
+    return about(case, units) | {
+        "lead_time": case.item.lead,
         "other_leads": case.other_leads,
-        "lost": item.lost,
+        "lost": case.item.lost,
         "demand": case.demand.words(),
-        "objective": f"{kind} of the result{per}: all costs with a minus",
-        "objective_output": "result",
-        "notes": list(case.notes),
     }
-
-
-def _result(run: StudyRun) -> dict[str, Any]:
-    rivals = run.get("rivals") or []
-    return trained(run, {row["rule"]: row["value"] for row in rivals if row["rule"] != "trained"})

@@ -22,8 +22,6 @@ from .load import beside, load_class, readable
 from .records import OwnCase
 from .tables import OwnTable
 
-IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of their output
-
 
 def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> OwnCase:
     """Reads all tables, then the code, so that a mistake in the file is found first."""
@@ -52,7 +50,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
         objective=make_objective(objective, output),
         objective_words=_words(objective, output),
         output=output,
-        unit=table.units.get(output, "") if objective.kind in IN_MONEY else "",
+        unit=table.units.get(output, "") if objective.keeps_unit else "",
         units=table.units,
         training=training,
         evaluation=evaluation,

@@ -7,7 +7,6 @@ import jax
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
-from snapo.engine import choose
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
@@ -21,7 +20,7 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import leaves, profile_part
-from snapo.study.same import same_program
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -112,10 +111,8 @@ def study(case: OwnCase, options: Options) -> Study:
     relaxation = _relaxation(setup.problem)
 
     def moved(before: Setup, other: OwnCase) -> Setup:
-        if not same_program(before.problem, other.simulator):
-            return make_setup(other, options.engine)
         values = {name: given.value for name, given in other.inputs.items()}
-        return before._replace(problem=before.problem.at(values))
+        return at_values(before, other.simulator, values, lambda: make_setup(other, options.engine))
 
     return Study("own", about, tuple(parts), _result, lambda: setup, relaxation, moved=moved)
 
@@ -143,8 +140,5 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
         got = Unquoted(f"a {type(recipe).__name__}")
         raise CaseError(":".join(case.place), "policy", got, "allowed is a policy, snapo.MLP()")
     policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)

@@ -14,6 +14,7 @@ from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, worth, worth_of_groups
 from snapo.study.study import Part, Setup, StudyRun
 
+from ..results.measured import Measured, said
 from ..results.search import search
 from .policy import EchelonRule
 from .setup import network_of
@@ -26,33 +27,19 @@ FINEST = 1 / 16  # of a level, in deviations of demand
 def service_and_places(run: StudyRun) -> dict[str, Any]:
     """ "service" and "costs" as for one item, and "places": one row per place with its stock and,
     where it sells, its fill rate and demand, each with its standard error."""
-    case, totals = network_of(run.setup), run.solution.totals
-    groups = run.setup.problem.sources.evaluation.groups(np.arange(run.solution.paths["evaluate"]))
-
-    def mean(values) -> dict[str, float]:
-        return _said(statistics.mean(np.asarray(values, np.float64), groups))
-
-    def ratio(top: str, bottom: str) -> dict[str, float]:
-        return _said(statistics.ratio(totals[top], totals[bottom], groups))
-
-    service = {
-        "fill_rate": ratio("sold", "demand"),
-        "cycle_service": mean(1 - np.asarray(totals["short"], np.float64)),
-        "stock": mean(totals["stock"]),
-        "demand": mean(totals["demand"]),
-    }
-    costs = [{"name": name, **mean(totals[name])} for name in ("holding", "shortage")]
+    case, found = network_of(run.setup), Measured(run)
+    costs = [{"name": name, **found.total(name)} for name in ("holding", "shortage")]
     places = []
     levels = run.setup.problem.schedule.constants["level"]
     for place, level in zip(case.places, levels):
         row: dict[str, Any] = {"name": place.name, "level": float(level)}
         row["supplier"] = "" if place.supplier is None else case.places[place.supplier].name
-        row["stock"] = mean(totals[f"stock_{place.name}"])
+        row["stock"] = found.total(f"stock_{place.name}")
         if place.demand is not None:
-            row["demand"] = mean(totals[f"demand_{place.name}"])
-            row["fill_rate"] = ratio(f"sold_{place.name}", f"demand_{place.name}")
+            row["demand"] = found.total(f"demand_{place.name}")
+            row["fill_rate"] = found.ratio(f"sold_{place.name}", f"demand_{place.name}")
         places.append(row)
-    return {"service": service, "costs": costs, "places": places}
+    return {"service": found.service(), "costs": costs, "places": places}
 
 
 SERVICE = Part("service", service_and_places, needs=("training",))
@@ -65,7 +52,7 @@ def rivals(run: StudyRun) -> dict[str, Any]:
     problem, paths = setup.problem, run.solution.paths["evaluate"]
     source = problem.sources.evaluation
     trained = worth_of_groups(problem.objective, run.solution.totals, source)
-    rows = [{"rule": "trained", **_said(statistics.of_shares(trained)),
+    rows = [{"rule": "trained", **said(statistics.of_shares(trained)),
              "difference": None, "difference_error": None}]  # fmt: skip
     constants = problem.schedule.constants
     start = (0.0,) * len(case.places)
@@ -76,7 +63,7 @@ def rivals(run: StudyRun) -> dict[str, Any]:
         paired = statistics.of_shares(found - trained)
         reached = constants["level"] + np.array(levels) * constants["unit"]
         told = {place.name: float(level) for place, level in zip(case.places, reached)}
-        rows.append({"rule": name, **_said(statistics.of_shares(found)), "numbers": told,
+        rows.append({"rule": name, **said(statistics.of_shares(found)), "numbers": told,
                      "difference": paired.value,
                      "difference_error": paired.standard_error})  # fmt: skip
         run.tell(f"{name}: {rows[-1]['value']:,.6g}, {paired.value:+,.3g} to the trained rule")
@@ -105,7 +92,3 @@ def best_levels(setup: Setup, start: Sequence[float]) -> tuple[float, ...]:
         return -worth(problem.objective, totals)
 
     return search(cost, start, 0.5, FINEST)
-
-
-def _said(found: statistics.Sampled) -> dict[str, float]:
-    return {"value": found.value, "standard_error": found.standard_error}

@@ -2,13 +2,12 @@
 
 import jax
 
-from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.engine import Choice, choose
+from snapo.engine import Choice
 from snapo.problem.problem import Problem
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
-from snapo.study.same import same_program
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
 from .policy import EchelonRule
@@ -25,20 +24,16 @@ def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
     objective = make_objective(case.objective, "result")
     problem = Problem(simulator, network_inputs(case), objective, sources)
     policy = EchelonRule(len(case.places), problem.features, key=jax.random.key(training.seed))
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
 
 
 def moved_setup(setup: Setup, case: NetworkCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     simulator = NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
-    if not same_program(setup.problem, simulator):
-        return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
     values = {name: given.value for name, given in network_inputs(case).items()}
-    return setup._replace(problem=setup.problem.at(values))
+    engine: Choice = setup.engines.name  # pyright: ignore[reportAssignmentType]
+    return at_values(setup, simulator, values, lambda: make_setup(case, engine))
 
 
 def network_of(setup: Setup) -> NetworkCase:

@@ -2,21 +2,19 @@
 
 from typing import Any
 
-from snapo.case.error import CaseError
 from snapo.study.domain import Options
 from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import profile_part
-from snapo.study.study import Study, StudyRun
-from snapo.study.training import TRAINING, trained
+from snapo.study.study import Study
+from snapo.study.training import TRAINING
 
+from ..told import about, result, without_references
 from .records import NetworkCase
 from .results import RIVALS, SERVICE
 from .setup import make_setup, moved_setup
 from .simulator import AVERAGES, OUTPUTS, network_inputs
-
-IN_MONEY = ("mean", "cvar", "entropic")  # objectives with the unit of a cost
 
 
 def lines(case: NetworkCase) -> list[str]:
@@ -34,9 +32,7 @@ def lines(case: NetworkCase) -> list[str]:
 
 def study(case: NetworkCase, options: Options) -> Study:
     """Training, service by place, rivals, moves, distribution, bands, certificate."""
-    if options.reference:
-        what = "an inventory has no references to compute; its rivals are in every run"
-        raise CaseError("--reference", "", None, what)
+    without_references(options)
     setup = make_setup(case, options.engine)
     money = dict.fromkeys(OUTPUTS, case.value_unit)
     amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
@@ -47,37 +43,13 @@ def study(case: NetworkCase, options: Options) -> Study:
         "inventory",
         _about(case, units),
         tuple(parts),
-        _result,
+        result,
         lambda: setup,
         moved=moved_setup,
     )
 
 
 def _about(case: NetworkCase, units: dict[str, str]) -> dict[str, Any]:
-    kind = case.objective.kind
-    unit = case.value_unit if kind in IN_MONEY else ""
-    per = f" of a {case.period}" if case.discount == 1 else ", discounted"
     sells = [case.places[i] for i in case.sellers]
     demand = "; ".join(f"{each.name}: {each.demand.words()}" for each in sells if each.demand)
-    return {
-        "title": case.title,
-        "unit": unit,
-        "value_unit": unit,
-        "units": units,
-        "currency": case.currency,
-        "item_unit": case.unit,
-        "step": case.period,
-        "horizon": case.horizon,
-        "warm_up": case.warm_up,
-        "network": True,
-        "lost": case.lost,
-        "demand": demand,
-        "objective": f"{kind} of the result{per}: all costs with a minus",
-        "objective_output": "result",
-        "notes": list(case.notes),
-    }
-
-
-def _result(run: StudyRun) -> dict[str, Any]:
-    rows = run.get("rivals") or []
-    return trained(run, {row["rule"]: row["value"] for row in rows if row["rule"] != "trained"})
+    return about(case, units) | {"network": True, "lost": case.lost, "demand": demand}

@@ -9,11 +9,11 @@ import numpy as np
 from snapo.case.csv import Mention, read_rows
 from snapo.case.error import CaseError
 from snapo.case.given import Given
-from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
 from snapo.case.table import Section, parse
 
 from ..demand.registry import read_demand
 from ..item.records import InventoryCase, Item
+from .settings import read_settings
 from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable, SeasonTable
 
 LONGEST_SEASON = 366
@@ -37,7 +37,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         table,
         demand.whole or (demand.integral() and len(season.values) == 1),
     )
-    case = InventoryCase(
+    return InventoryCase(
+        **read_settings(top, name),
         file=file,
         notes=tuple(notes),
         title=top.title,
@@ -50,16 +51,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         discount=horizon.discount,
         demand=demand,
         season=season,
-        objective=read_objective(top.objective, name),
-        training=read_training(top.training, name),
-        evaluation=read_evaluation(top.evaluation, name),
         other_leads=parse(ReportTable, top.report, name, "report").lead_time,
     )
-    check_window(case.training, [case.objective.kind], name)
-    if case.objective.kind == "crra":
-        what = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
-        raise CaseError(name, "objective.kind", "crra", what)
-    return case
 
 
 def _item(section: Section, table: ItemTable, whole: bool) -> Item:

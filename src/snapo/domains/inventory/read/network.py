@@ -8,11 +8,11 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.given import Given
-from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
 from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
 from ..demand.registry import read_demand
 from ..network.records import NetworkCase, Place
+from .settings import read_settings
 from .tables import LONGEST_LEAD, NAME, HorizonTable, Name
 
 MOST = 12  # places
@@ -84,7 +84,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
                    "of a unit of unmet demand")  # fmt: skip
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
-    case = NetworkCase(
+    return NetworkCase(
+        **read_settings(top, name),
         file=file,
         notes=tuple(notes),
         title=top.title,
@@ -98,12 +99,7 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
         discount=horizon.discount,
-        objective=read_objective(top.objective, name),
-        training=read_training(top.training, name),
-        evaluation=read_evaluation(top.evaluation, name),
     )
-    check_window(case.training, [case.objective.kind], name)
-    return case
 
 
 def _check(rows: list[PlaceTable], sections: list[Section], whole: Section, unmet: str) -> None:

@@ -2,12 +2,10 @@
 
 from typing import Any
 
-import numpy as np
-
-from snapo.solver import statistics
 from snapo.study.study import Part, StudyRun
 
 from ..setup import case_of
+from .measured import Measured
 
 COSTS = ("holding", "shortage", "purchase", "ordering")
 
@@ -16,31 +14,11 @@ def work(run: StudyRun) -> dict[str, Any]:
     """ "service": {name: {"value", "standard_error"}} of fill rate (demand met from stock at once),
     cycle service (periods without unmet demand), stock at the end of a period, orders a period,
     units of an order, demand a period; "costs": one row per part of the cost."""
-    case, totals = case_of(run.setup), run.solution.totals
-    source = run.setup.problem.sources.evaluation
-    groups = source.groups(np.arange(run.solution.paths["evaluate"]))
-
-    def mean(values) -> dict[str, float]:
-        return _said(statistics.mean(np.asarray(values, np.float64), groups))
-
-    def ratio(top: str, bottom: str) -> dict[str, float]:
-        return _said(statistics.ratio(totals[top], totals[bottom], groups))
-
-    service = {
-        "fill_rate": ratio("sold", "demand"),
-        "cycle_service": mean(1 - np.asarray(totals["short"], np.float64)),
-        "stock": mean(totals["stock"]),
-        "orders": mean(totals["orders"]),
-        "order_size": ratio("ordered", "orders"),
-        "demand": mean(totals["demand"]),
-    }
+    case, found = case_of(run.setup), Measured(run)
+    more = {"orders": found.total("orders"), "order_size": found.ratio("ordered", "orders")}
     kept = [name for name in COSTS if case.item.cost(name) > 0]
-    costs = [{"name": name, **mean(totals[name])} for name in kept]
-    return {"service": service, "costs": costs}
+    costs = [{"name": name, **found.total(name)} for name in kept]
+    return {"service": found.service() | more, "costs": costs}
 
 
 SERVICE = Part("service", work, needs=("training",))
-
-
-def _said(found: statistics.Sampled) -> dict[str, float]:
-    return {"value": found.value, "standard_error": found.standard_error}

@@ -3,15 +3,13 @@
 import jax
 import numpy as np
 
-from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.engine import choose
 from snapo.problem.objective import Objective, Weighted
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources, Supplied
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
-from snapo.study.same import same_program
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup, StudyRun
 
 from ..fund.simulator import PensionSimulator
@@ -31,10 +29,7 @@ def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
     problem = Problem(simulator, pension_inputs(case), objective_of(case), sources)
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(training.seed))
-    try:
-        engines = choose(engine, problem, policy)
-    except ValueError as error:
-        raise CaseError("--engine", "", engine, str(error).removeprefix("engine: ")) from None
+    engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
 
 
@@ -44,10 +39,8 @@ def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
     Nothing is compiled where the fund takes these numbers from its inputs only.
     """
     other = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
-    if not same_program(setup.problem, other):
-        return make_setup(case, engine)
     values = {name: given.value for name, given in pension_inputs(case).items()}
-    return setup._replace(problem=setup.problem.at(values))
+    return at_values(setup, other, values, lambda: make_setup(case, engine))
 
 
 def case_of(run: StudyRun) -> PensionCase:

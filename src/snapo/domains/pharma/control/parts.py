@@ -6,14 +6,14 @@ from typing import Any
 import jax
 import numpy as np
 
-from snapo.case.error import CaseError
-from snapo.engine import Engines, choose
+from snapo.engine import Engines
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
+from snapo.study.ready import engines_for
 from snapo.study.study import Part, Setup, StudyRun
 from snapo.study.training import train
 
@@ -53,13 +53,10 @@ class ClosedLoop:
     def engines(self) -> Engines:
         # A step of a process is far more than the native engine takes, and asking it costs a trace.
         name = "xla" if self.engine == "auto" else self.engine
-        try:
-            found = choose(name, self.problem, self.loop.policy)
-            if self.engine != "auto":
-                return found
-            return found._replace(reason=found.reason.replace("it was asked for", TOO_LONG))
-        except ValueError as error:
-            raise CaseError("--engine", "", name, str(error).removeprefix("engine: ")) from None
+        found = engines_for(name, self.problem, self.loop.policy)
+        if self.engine != "auto":
+            return found
+        return found._replace(reason=found.reason.replace("it was asked for", TOO_LONG))
 
     @cached_property
     def _setups(self) -> dict[bool, Setup]:

@@ -1,0 +1,32 @@
+"""Objective, training and evaluation of an inventory case, of one item or of a network."""
+
+from typing import Any, Protocol
+
+from snapo.case.error import CaseError
+from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
+
+
+class Whole(Protocol):
+    """A file with these tables."""
+
+    objective: dict
+    training: dict
+    evaluation: dict
+
+
+def read_settings(top: Whole, file: str) -> dict[str, Any]:
+    """Objective, training and evaluation, as a case holds them.
+
+    **Raises:** `CaseError` for every mistake, and for an objective that costs do not have.
+    """
+    found = {
+        "objective": read_objective(top.objective, file),
+        "training": read_training(top.training, file),
+        "evaluation": read_evaluation(top.evaluation, file),
+    }
+    kind = found["objective"].kind
+    check_window(found["training"], [kind], file)
+    if kind == "crra":
+        what = "costs are no wealth; use mean, cvar, mean-variance, entropic or target"
+        raise CaseError(file, "objective.kind", "crra", what)
+    return found
