@@ -56,6 +56,11 @@ def test_one_place_is_the_newsvendor():
     assert found.cost == pytest.approx(10 * 0.17549833 * np.sqrt(2), rel=1e-4)
 
 
+def test_a_utility_is_refused_as_costs_are_no_wealth():
+    with pytest.raises(CaseError, match="costs are no wealth"):
+        network(*LINE, objective={"kind": "crra", "risk_aversion": 2.0, "wealth": 9.0})
+
+
 def test_periods_to_cover():
     assert network(*LINE).cover.tolist() == [1, 2, 4]
     assert network(*STORES).cover.tolist() == [5, 2, 1]

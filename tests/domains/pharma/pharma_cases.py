@@ -66,6 +66,24 @@ def attribute(name: str, measure: str, unit: str, *limits: str) -> str:
     return "\n".join((*rows, *limits, *cited)) + "\n"
 
 
+# A continuous crystalliser of 30 L whose steady state has a closed form (Randolph and Larson).
+COLD = """
+type = "msmpr"
+solute = "P"
+volume = "30 L"
+temperature = "283.15 K"
+growth = "0.2 um/s"
+growth_order = 1.3
+nucleation = "1e6 1/m^3/s"
+reference_growth = "0.05 um/s"
+reference_suspension = "20 kg/m^3"
+growth_power = 2
+suspension_power = 0.7
+shape = 0.5236
+density = "1200 kg/m^3"
+solubility = { coefficients = [226.9, -1.88, 3.89e-3] }
+"""
+
 # A -> B for an hour: at 0.26 1/s explicit steps on 320 pieces are not stable.
 FAST = (
     """kind = "pharma"

@@ -24,12 +24,12 @@ def headline(run: Folder) -> Section:
     objective = str(run.get("objective", "the objective"))
     note = f"{objective}, of the exact simulator on fresh paths; ± one standard error"
     known = plus_minus(error, places)
-    blocks: list[Block] = [Headline("Value", text, known, note, marks=_marks(run)), *notes(run)]
+    blocks: list[Block] = [Headline("Value", text, known, note, marks=marks(run)), *notes(run)]
     facts = _facts(run, value, places)
     return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
 
 
-def _marks(run: Folder) -> list[Mark]:
+def marks(run: Folder) -> list[Mark]:
     """The state of the run, and of its checks together."""
     status = str(run.result.get("status", ""))
     found = [Mark(status in STATUS, STATUS.get(status, status))] if status else []

@@ -6,15 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.pension.fund.test_merton import (
-    DRIFT,
-    EQUIVALENT,
-    GAMMA,
-    OBJECTIVE,
-    VOLATILITY,
-    WEIGHT,
-)
-from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows
+from tests.domains.pension.fund.test_merton import EQUIVALENT, GAMMA, OBJECTIVE, WEIGHT, fund
 
 from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.bounds.conjugate import conjugate
@@ -28,23 +20,11 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.solver.bound import bound
 
-STEPS = 120
-
 
 @pytest.fixture(scope="module")
 def merton():
-    held = assets(
-        STEPS,
-        [CASH, EQUITY],
-        mean=[np.expm1(DRIFT)],
-        volatility=[VOLATILITY],
-        weight=[0.5, 0.5],
-        return_kind="total",
-        mean_kind="arithmetic",
-        amount=1.0,
-    )
-    fund = case(STEPS, held_assets=held, flows=cash_flows([0.0], [0]))
-    simulator, inputs = PensionSimulator(fund), pension_inputs(fund)  # pyright: ignore
+    one = fund()
+    simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
     problem = Problem(simulator, inputs, OBJECTIVE, Sources.of(Pseudo(3)))
     policy = Constant(np.array([1 - WEIGHT, WEIGHT]))
     return problem, policy, FundRelaxation(problem, policy, 512)

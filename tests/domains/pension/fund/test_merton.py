@@ -62,9 +62,8 @@ def slopes(weights):
     return {name: float(np.sum(pull * each)) for name, each in moved.items()}
 
 
-@pytest.fixture(scope="module")
-def solved():
-    """The network, trained on time alone."""
+def fund():
+    """Cash and the stock, worth 1, without members."""
     held = assets(
         STEPS,
         [CASH, EQUITY],
@@ -75,7 +74,13 @@ def solved():
         mean_kind="arithmetic",
         amount=1.0,
     )
-    one = case(STEPS, held_assets=held, flows=cash_flows([0.0], [0]))
+    return case(STEPS, held_assets=held, flows=cash_flows([0.0], [0]))
+
+
+@pytest.fixture(scope="module")
+def solved():
+    """The network, trained on time alone."""
+    one = fund()
     simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
     problem = Problem(simulator, inputs, OBJECTIVE)
     start = new_policy(one, simulator, problem.schedule, jax.random.key(0))

@@ -6,7 +6,14 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import brentq
-from tests.domains.pharma.pharma_cases import TEMPLATE, attribute, connections, feed, parameter
+from tests.domains.pharma.pharma_cases import (
+    COLD,
+    TEMPLATE,
+    attribute,
+    connections,
+    feed,
+    parameter,
+)
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.derivatives.attribution import split
@@ -18,22 +25,6 @@ from snapo.domains.pharma.read.case import resolve
 
 # Fresh flow 120 L in 4 h into 30 L; what of the flow through the crystalliser comes back is the
 # case's own: the slurry as it is, its clear liquor, or its crystals.
-COLD = """
-type = "msmpr"
-solute = "P"
-volume = "30 L"
-temperature = "283.15 K"
-growth = "0.2 um/s"
-growth_order = 1.3
-nucleation = "1e6 1/m^3/s"
-reference_growth = "0.05 um/s"
-reference_suspension = "20 kg/m^3"
-growth_power = 2
-suspension_power = 0.7
-shape = 0.5236
-density = "1200 kg/m^3"
-solubility = { coefficients = [226.9, -1.88, 3.89e-3] }
-"""
 CASE = (
     """kind = "pharma"
 [species]

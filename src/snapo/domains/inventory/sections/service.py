@@ -1,10 +1,10 @@
 """The cost that a planner came for, with the service it buys; and the parts of the cost."""
 
-from snapo.report.evidence import checks, notes
+from snapo.report.evidence import notes
 from snapo.report.folder import Folder
-from snapo.report.page import Block, Facts, Headline, Mark, Section, Table
+from snapo.report.page import Block, Facts, Headline, Section, Table
 from snapo.report.quantity import decimals, finite, number, percent, plus_minus, quantity
-from snapo.report.sections.headline import STATUS
+from snapo.report.sections.headline import marks
 from snapo.report.sections.lacking import lacking
 
 SHARES = {
@@ -34,19 +34,10 @@ def service(run: Folder) -> Section:
         f"{run.get('objective', 'the objective')}; on fresh paths of the exact simulator, "
         "± one standard error"
     )
-    top = Headline(label, shown, plus_minus(error, places), note, marks=_marks(run))
+    top = Headline(label, shown, plus_minus(error, places), note, marks=marks(run))
     blocks: list[Block] = [top, *notes(run)]
     blocks += [_facts(run), _costs(run)] if run.get("service") else [lacking(run, "service")]
     return Section("value", title, "Cost", blocks)
-
-
-def _marks(run: Folder) -> list[Mark]:
-    status = str(run.result.get("status", ""))
-    found = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
-    held = [passed for _, passed in checks(run)]
-    if held:
-        found.append(Mark(all(held), f"{sum(held)} of {len(held)} checks hold"))
-    return found
 
 
 def _facts(run: Folder) -> Facts:

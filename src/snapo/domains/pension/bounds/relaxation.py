@@ -39,11 +39,10 @@ SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
 class Paths(NamedTuple):
-    """What a bound is made of, whatever the prices: leaves [T, N, …], `extremes` [N, …]."""
+    """The market of paths, whatever the prices: leaves [T, N, …]."""
 
     returns: Returns
     noise: Float[Array, "T N Z"]
-    extremes: Extremes
 
 
 class Deflated(NamedTuple):
@@ -78,7 +77,8 @@ class FundRelaxation:
         if not scale.all():
             raise ValueError('nothing limits a fund\'s assets in hindsight: take --penalty "value"')
         with jax.enable_x64(True):
-            value, money = self._split(self.price, self._paths(rolled, draws))
+            known = self._paths(rolled, draws), self._extremes(rolled)
+            value, money = self._split(self.price, *known)
             y = scale[0] * self.y
             return np.asarray(self.conjugate(y * value) + y * money)
 
@@ -87,7 +87,8 @@ class FundRelaxation:
             return scale[0] * self.y * np.asarray(self._surprises(rolled, draws))
 
     def _fitted(self, problem: Problem, policy: Policy, paths: int) -> tuple[np.ndarray, float]:
-        """Prices of risk [Z] of a step's normals, and y: by descent."""
+        """Prices of risk [Z] of a step's normals, the share of the fair ones at which the bound is
+        lowest, and y there."""
         source = Pseudo(
             getattr(problem.sources.evaluation, "seed", 0), stream=stream(EVALUATE, STREAM)
         )
@@ -96,10 +97,10 @@ class FundRelaxation:
         engine = Xla(precision="float64").bind(problem)
         rolled = engine.values(policy, draws, Exact(), record=("state",))
         with jax.enable_x64(True):
-            known = self._paths(rolled, draws)
-            fair = _fair(jax.tree.map(lambda leaf: leaf[0, 0], known.returns))
+            known = self._paths(rolled, draws), self._extremes(rolled)
+            fair = _fair(jax.tree.map(lambda leaf: leaf[0, 0], known[0].returns))
             split = jax.jit(self._split)
-            found = [self._lowest(*split(share * fair, known)) for share in SHARES]
+            found = [self._lowest(*split(share * fair, *known)) for share in SHARES]
         least = int(np.argmin([value for value, _ in found]))
         return SHARES[least] * fair, found[least][1]
 
@@ -113,18 +114,20 @@ class FundRelaxation:
         return float(found.fun), float(np.exp(found.x))
 
     def _paths(self, rolled: Rollout, draws: Draws) -> Paths:
-        """What no decision moves on these paths, and the extremes of what one does."""
-        case, steps = self.simulator.case, self.schedule.steps
-        constants = self.schedule.constants
+        before = rolled.record["state"].market
+        across = jax.vmap(gaussian_returns, (None, None, None, 0))
+        terms, steps = self.schedule.constants, self.schedule.steps
+        returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.case, terms, steps, before)
+        return Paths(returns, self._noise(draws))
+
+    def _extremes(self, rolled: Rollout) -> Extremes:
+        """[N, …] the least and the most that decisions can bring about on these paths."""
         before = rolled.record["state"].market
         after = jax.tree.map(
             lambda a, b: jnp.concatenate([a[1:], b[None]]), before, rolled.state.market
         )
-        across = jax.vmap(gaussian_returns, (None, None, None, 0))
-        returns = jax.vmap(across, (None, None, 0, 0))(case, constants, steps, before)
         each = jax.vmap(extremes, (None, None, None, 1, 1))
-        found = each(self.simulator, constants, steps, before, after)
-        return Paths(returns, self._noise(draws), found)
+        return each(self.simulator, self.schedule.constants, self.schedule.steps, before, after)
 
     def _noise(self, draws: Draws) -> Array:
         steps = draws.steps(jnp.zeros((), jnp.uint32), self.simulator.horizon)
@@ -149,12 +152,12 @@ class FundRelaxation:
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
         return Deflated(before / most, after, units)
 
-    def _split(self, price: Any, paths: Paths) -> tuple[Array, Array]:
+    def _split(self, price: Any, paths: Paths, bounds: Extremes) -> tuple[Array, Array]:
         """[N] each, over the assets now: D L at the end, or D where the objective is in money;
         these assets and all money received, deflated."""
         found, assets = self._deflated(price, paths), self.schedule.constants.assets
-        received = jnp.sum(self._counts(found) * paths.extremes.received.T, axis=0)
-        least = 1.0 if self.in_money else paths.extremes.liability
+        received = jnp.sum(self._counts(found) * bounds.received.T, axis=0)
+        least = 1.0 if self.in_money else bounds.liability
         return found.after[-1] * least / assets, 1 + received / assets
 
     def _counts(self, found: Deflated) -> Array:
