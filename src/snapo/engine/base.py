@@ -18,6 +18,8 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 
+from .uncontrolled import uncontrolled
+
 
 class Window(NamedTuple):
     """Steps `first` … `first + length - 1`.
@@ -34,12 +36,16 @@ class Window(NamedTuple):
         return self.first + self.length == horizon if self.terminal is None else self.terminal
 
 
+# All of a path's course. A record of less is compiled anew, and saves memory alone.
+COURSE = ("state", "action", "outputs", "slack")
+
+
 class Rollout(NamedTuple):
     """What a forward sweep gives.
 
     - `totals`: {output: [N]} per path.
     - `state`: the final state, every leaf with a leading axis of paths.
-    - `record`: of the names asked for ("state", "action", "outputs", "slack"): leaves [T, N, …].
+    - `record`: of the names asked for, each one of `COURSE`: leaves [T, N, …].
     """
 
     totals: dict[str, Float[Array, " N"]]
@@ -126,9 +132,15 @@ class Engine(abc.ABC):
         """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
-    def bind(self, problem: Problem) -> "Bound":
-        """This engine on a problem: its simulator and its schedule."""
-        return Bound(self, problem.simulator, problem.schedule)
+    def bind(self, problem: Problem, *, controls: bool = True) -> "Bound":
+        """This engine on a problem: its simulator and its schedule.
+
+        `controls`: whether the outputs that are control variates alone are computed too.
+        """
+        simulator = problem.simulator
+        if not controls:
+            simulator = uncontrolled(simulator, problem.objective.outputs)
+        return Bound(self, simulator, problem.schedule)
 
     @abc.abstractmethod
     def values(

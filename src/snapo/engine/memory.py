@@ -24,7 +24,7 @@ def with_memory(
     size = 0 if actions is not None else remembered(policy)
     if not size or remembers(simulator):
         return simulator, start
-    around = Remembering(simulator, size)
+    around = Remembering(simulator, size)  # pyright: ignore
     if start is not None:
         start = {"memory": np.zeros((paths, size)), "own": start}
     return around, start

@@ -16,7 +16,7 @@ from jaxtyping import Array, Float, PyTree
 from .actions import Actions, Box
 from .policy import MLP, Network, Policy
 from .problem import Problem
-from .simulator import Interface, Simulator
+from .simulator import Around, Interface, Simulator
 
 
 class Memory(Policy):
@@ -158,36 +158,17 @@ def remembered(policy: Policy | None) -> int:
     return policy.memory if isinstance(policy, Memory) else 0
 
 
-class Remembering(Simulator):
+class Remembering(Around):
     """A simulator whose state holds a policy's memory as well, for the engines.
 
     Its observation ends with the memory, and its action with the next one.
     """
 
-    own: Simulator
     memory: int = eqx.field(static=True)
-
-    def __init__(self, own: Simulator, memory: int):
-        self.own, self.memory = own, memory
-
-    @property
-    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.horizon
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
         return Box(self.own.action.size + self.memory)
-
-    @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.initial_noise_size
-
-    def prepare(self, inputs):
-        return self.own.prepare(inputs)
 
     def initial(self, constants, noise):
         return self.begun(self.own.initial(constants, noise))
@@ -208,12 +189,6 @@ class Remembering(Simulator):
 
     def terminal(self, constants, state, smooth):
         return self.own.terminal(constants, state["own"], smooth)
-
-    def totals(self):
-        return self.own.totals()
-
-    def control_variates(self):
-        return self.own.control_variates()
 
     def state_scale(self, constants):
         scale = self.own.state_scale(constants)
@@ -237,7 +212,7 @@ def remembering(problem: Problem, policy: Policy) -> Problem:
     size, simulator = remembered(policy), problem.simulator
     if not size or remembers(simulator):
         return problem
-    return replace(problem, simulator=Remembering(simulator, size))
+    return replace(problem, simulator=Remembering(simulator, size))  # pyright: ignore[reportCallIssue]
 
 
 def _scaled(network: Network, factor: float) -> Network:

@@ -107,6 +107,56 @@ class Simulator(eqx.Module):
         return Interface(self.action, probe(self, schedule)[1].shape[0])
 
 
+class Around(Simulator):
+    """A simulator around another one, for the engines: every member is that of `own`, but for those
+    that a subclass replaces."""
+
+    own: Simulator
+
+    @property
+    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.horizon
+
+    @property
+    def action(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.action
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.noise_size
+
+    @property
+    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.initial_noise_size
+
+    def prepare(self, inputs):
+        return self.own.prepare(inputs)
+
+    def initial(self, constants, noise):
+        return self.own.initial(constants, noise)
+
+    def observe(self, constants, now, state):
+        return self.own.observe(constants, now, state)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return self.own.step(constants, now, state, action, noise, smooth)
+
+    def terminal(self, constants, state, smooth):
+        return self.own.terminal(constants, state, smooth)
+
+    def totals(self):
+        return self.own.totals()
+
+    def control_variates(self):
+        return self.own.control_variates()
+
+    def state_scale(self, constants):
+        return self.own.state_scale(constants)
+
+    def slack(self, constants, now, state, outputs):
+        return self.own.slack(constants, now, state, outputs)
+
+
 def at(steps: PyTree, t: Any) -> PyTree:
     """The schedule's step `t` (a view of every leaf)."""
     return jax.tree.map(lambda leaf: leaf[t], steps)

@@ -17,7 +17,7 @@ from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
 
 import numpy as np
 
-from snapo.engine import Engine, Rollout, Xla
+from snapo.engine import COURSE, Engine, Rollout, Xla
 from snapo.problem.noise import Draws
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -209,7 +209,7 @@ class _Paths:
         found: Sample = []
         for block in source.blocks(paths, max(1, -(-paths // CHUNK))):
             draws = source.draws(block, self.problem.simulator)
-            rolled = self.bound.values(self.policy_, draws, Exact(), record=("state", "action"))
+            rolled = self.bound.values(self.policy_, draws, Exact(), record=COURSE)
             found.append((block, draws, rolled))
         return found
 

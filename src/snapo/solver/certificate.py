@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine import Engine, Xla
+from snapo.engine import COURSE, Engine, Xla
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Weights
@@ -172,7 +172,7 @@ class _Replay(NamedTuple):
     def of(cls, engine: Engine, problem: Problem, policy, draws, smooth):
         held, smooth = smooth is None, smooth or Exact()
         record = ("action",) if held else ()
-        first = engine.bind(problem).values(policy, draws, smooth, record=record)
+        first = engine.bind(problem, controls=False).values(policy, draws, smooth, record=record)
         decider, actions = (None, first.record["action"]) if held else (policy, None)
         weights = problem.objective.weights(float64(first.totals))
         return cls(engine, problem, decider, draws, smooth, actions, weights)
@@ -181,14 +181,14 @@ class _Replay(NamedTuple):
         """The share of each path in the weighted value, [paths], with these inputs shifted."""
         named = self.problem.named
         moved = self.problem.at({name: named[name].value + bump for name, bump in bumps.items()})
-        bound = self.engine.bind(moved)
+        bound = self.engine.bind(moved, controls=False)
         found = bound.values(self.policy, self.draws, self.smooth, actions=self.actions)
         totals = float64(found.totals)
         return np.sum([w * totals[name] for name, w in self.weights.items()], axis=0)
 
     def gradient(self, keep: np.ndarray | None = None) -> dict[str, np.ndarray]:
         """The adjoint by every input, of all paths or of those to `keep`."""
-        bound = self.engine.bind(self.problem)
+        bound = self.engine.bind(self.problem, controls=False)
         weights = {n: w if keep is None else w * keep for n, w in self.weights.items()}
         given = (self.policy, self.draws, self.smooth, weights)
         passed = bound.adjoint(*given, actions=self.actions, wrt=("schedule",))
@@ -259,7 +259,7 @@ def feasibility(
     worst: dict[str, Feasibility] = {}
     for block in source.blocks(source.available(paths)):
         draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy, draws, Exact(), record=("slack",))
+        rolled = bound.values(policy, draws, Exact(), record=COURSE)
         for name, slack in rolled.record["slack"].items():
             slack = np.asarray(slack)
             step, path = np.unravel_index(np.argmin(slack), slack.shape)

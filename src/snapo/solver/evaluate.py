@@ -53,12 +53,14 @@ def path_totals(
     smooth: Any = None,
     engine: Engine | None = None,
     source: Scenarios | None = None,
+    controls: bool = True,
 ) -> dict[str, np.ndarray]:
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
+    `controls`: with the outputs that are control variates alone.
     """
-    bound = (engine or Xla(precision="float64")).bind(problem)
+    bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source, smooth = source or problem.sources.evaluation, smooth or Exact()
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}

@@ -113,14 +113,16 @@ def judge(
     An input whose numbers are all zero moves by its own `move`; without one it has no verdict. Nor
     has any where the value is no number, as after a ruin.
     """
-    centre = path_totals(problem, policy, paths, engine=engine)
+    centre = path_totals(problem, policy, paths, engine=engine, controls=False)
     if not np.isfinite(problem.objective.value(centre)):
         return {}
 
     def sides(name: str, by: np.ndarray) -> tuple[float, float, float]:
         value = problem.named[name].value
         low, high = (
-            path_totals(problem.at({name: value + move}), policy, paths, engine=engine)
+            path_totals(
+                problem.at({name: value + move}), policy, paths, engine=engine, controls=False
+            )
             for move in (-by, by)
         )
         return _differences(problem, low, centre, high)

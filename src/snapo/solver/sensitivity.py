@@ -176,7 +176,8 @@ def sensitivities(
     paths. `earlier` is a policy from halfway through training: its held derivatives on the same
     paths tell how far they still moved.
     """
-    bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
+    bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
+    source = problem.sources.evaluation
     paths = source.available(paths)
     blocks = source.blocks(paths)
     held = Way(problem, bound, policy, Exact(), held=True).derivatives(blocks)

@@ -32,7 +32,8 @@ class Solution:
     """What `solve` found.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
-    - `smooth_value`, `smoothing_gap`: the smooth simulator on the same paths, and exact - smooth.
+    - `smoothing_gap`: exact less smooth, on the first of the same paths; `smooth_value`: the value
+      less it.
     - `policy`: the trained policy; `policy_gradient_norm`: it vanishes at an optimum. The noise in
       it, `policy_gradient_noise`, is taken off: a norm below its noise may be zero.
     - `sensitivities`: held and smooth derivatives by every input, with standard errors.

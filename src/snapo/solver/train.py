@@ -63,7 +63,7 @@ def train(
     of the result is "trained", "stopped early" or "diverged".
     """
     problem = remembering(problem, progress.policy)
-    loop = Loop(problem, training, engine.bind(problem), *_updaters(training))
+    loop = Loop(problem, training, engine.bind(problem, controls=False), *_updaters(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:

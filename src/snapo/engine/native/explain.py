@@ -13,7 +13,7 @@ from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
-from ..base import Window
+from ..base import COURSE, Window
 from .call import Call
 from .engine import Native
 from .functions import Setup
@@ -84,13 +84,10 @@ def unsupported(
     Nothing is compiled; tracing takes some tenths of a second.
     """
     try:
-        _kernel(Native(precision), simulator, schedule, policy, smooth, RECORDS, True)
+        _kernel(Native(precision), simulator, schedule, policy, smooth, COURSE, True)
     except Unsupported as reason:
         return str(reason)
     return None
-
-
-RECORDS = ("state", "action", "outputs", "slack")
 
 
 def _kernel(

@@ -113,7 +113,7 @@ def _over_constant(
     problem: Problem, policy: Policy, exact: Totals, held_paths: int, engine: Engine
 ) -> tuple[np.ndarray, Gain]:
     """The decisions [T, paths, size], and the gain over the mean of them all, taken everywhere."""
-    bound, source = engine.bind(problem), problem.sources.evaluation
+    bound, source = engine.bind(problem, controls=False), problem.sources.evaluation
     blocks = _first(source.blocks(source.available(held_paths)))
     drawn = [source.draws(block, problem.simulator) for block in blocks]
     taken = [

@@ -22,7 +22,7 @@ from snapo.engine import Adjoint, Bound, Window
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Schedule, Simulator, at
+from snapo.problem.simulator import Around, Schedule, Simulator, at
 
 from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
@@ -32,29 +32,8 @@ UPDATES = 8  # windows that one sweep over the horizon serves
 AHEAD = "worth ahead"  # the output that a critic adds to a window
 
 
-class Windowed(Simulator):
+class Windowed(Around):
     """A simulator whose `terminal` is the critic's value of the state at a window's end."""
-
-    own: Simulator
-
-    def __init__(self, own: Simulator):
-        self.own = own
-
-    @property
-    def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.horizon
-
-    @property
-    def action(self):  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.action
-
-    @property
-    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.noise_size
-
-    @property
-    def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return self.own.initial_noise_size
 
     def prepare(self, inputs):
         raise NotImplementedError("its schedule is made of the simulator's own, by `_ending`")
@@ -74,11 +53,11 @@ class Windowed(Simulator):
         later = dict.fromkeys(self.own.terminal(constants["own"], state, smooth), jnp.zeros(()))
         return later | {AHEAD: constants["critic"](seen, constants["left"])}
 
-    def totals(self):
-        return self.own.totals()
-
     def state_scale(self, constants):
         return self.own.state_scale(constants["own"])
+
+    def slack(self, constants, now, state, outputs):
+        return self.own.slack(constants["own"], now, state, outputs)
 
 
 def starts(horizon: int, length: int) -> np.ndarray:
@@ -156,4 +135,4 @@ def _ending(problem: Problem, critic: Critic, end: int) -> tuple[Simulator, Sche
     left = np.asarray((horizon - end) / horizon)
     now = at(schedule.steps, end)
     constants = {"own": schedule.constants, "critic": critic, "end": now, "left": left}
-    return Windowed(problem.simulator), Schedule(constants, schedule.steps)
+    return Windowed(problem.simulator), Schedule(constants, schedule.steps)  # pyright: ignore

@@ -6,6 +6,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from snapo.engine import COURSE
 from snapo.problem.smooth import Exact
 
 from ..study import Part, Setup, StudyRun
@@ -52,7 +53,7 @@ def recorded(setup: Setup, policy, wanted: int) -> Iterator[tuple[str, str, np.n
     found: dict[tuple[str, str], list[np.ndarray]] = {}
     for block in source.blocks(source.available(wanted), 8):
         draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy, draws, Exact(), record=KINDS)
+        rolled = bound.values(policy, draws, Exact(), record=COURSE)
         last = leaves(rolled.state)
         for kind in KINDS:
             for name, values in leaves(rolled.record[kind]).items():

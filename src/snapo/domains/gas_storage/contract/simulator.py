@@ -296,6 +296,8 @@ def _discounts(case: StorageCase, inputs: dict[str, Any]):
 
     def discount(day: np.ndarray):
         day = np.maximum(day, 0).astype(float)
-        return jnp.exp(-jnp.interp(day, nodes, rates) * day / YEAR)
+        # The days are known, so the weights of the nodes are numbers: one product, soon compiled.
+        weights = np.stack([np.interp(day, nodes, one) for one in np.eye(len(nodes))], axis=-1)
+        return jnp.exp(-(weights @ rates) * day / YEAR)
 
     return discount

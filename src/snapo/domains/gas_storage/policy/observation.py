@@ -95,6 +95,11 @@ def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
         last = np.maximum(np.minimum(np.arange(t) + days + 1, t), first + 1)
         return middle + (sums[last] - sums[first]) / (last - first)
 
-    high, low = jax.lax.cummax(forward, reverse=True), jax.lax.cummin(forward, reverse=True)
+    def extremes(found, price):
+        both = jnp.maximum(found[0], price), jnp.minimum(found[1], price)
+        return both, both
+
+    # By a loop: the derivative of a running maximum takes a thousand operations to compile.
+    _, (high, low) = jax.lax.scan(extremes, (forward[-1], forward[-1]), forward, reverse=True)
     columns = [mean(30), mean(120), mean(t), high, low]
     return 2 * (jnp.stack(columns, axis=1) - forward[:, None]) / scale

@@ -135,7 +135,13 @@ def use(inputs: dict[str, Any], given: Given):
     """The numbers of an input where they are used: its values at `given.index`."""
     if not given.values.size:
         return jnp.zeros(given.index.shape)
-    return jnp.asarray(inputs[given.name])[given.index]
+    numbers = jnp.asarray(inputs[given.name])
+    # Most numbers hold on all days, and most curves have one for each day: nothing to gather.
+    if given.values.size == 1:
+        return jnp.broadcast_to(numbers.reshape(()), given.index.shape)
+    if np.array_equal(given.index, np.arange(given.values.size)):
+        return numbers
+    return numbers[given.index]
 
 
 KINDS: dict[str, type[PriceProcess]] = {}

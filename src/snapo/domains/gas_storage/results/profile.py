@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from snapo.engine import COURSE
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver.solution import Solution
@@ -81,7 +82,7 @@ def _paths(setup: Setup, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     inventories, flows = [], []
     for block in source.blocks(source.available(PATHS), 8):
         draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy_of(solution), draws, Exact(), record=("state", "outputs"))
+        rolled = bound.values(policy_of(solution), draws, Exact(), record=COURSE)
         start = np.asarray(rolled.record["state"].inventory)
         inventories.append(np.concatenate([start, np.asarray(rolled.state.inventory)[None]]))
         outputs = rolled.record["outputs"]

@@ -48,7 +48,8 @@ class _Replay:
 
     def __init__(self, setup: Setup, policy: Policy):
         self.problem, self.engine = beside(setup), setup.engines.evaluate
-        source, bound = self.problem.sources.evaluation, self.engine.bind(self.problem)
+        source = self.problem.sources.evaluation
+        bound = self.engine.bind(self.problem, controls=False)
         paths = source.available(PATHS)
         blocks = source.blocks(paths, max(1, paths // 512))
         self.draws = [source.draws(block, self.problem.simulator) for block in blocks]
@@ -66,7 +67,7 @@ class _Replay:
         moved = self.problem.at(values)
         if np.any(moved.schedule.steps.low > moved.schedule.steps.high):
             return float("nan")
-        bound = self.engine.bind(moved)
+        bound = self.engine.bind(moved, controls=False)
         totals = [
             bound.values(None, draws, Exact(), actions=actions).totals[OUTPUT]
             for draws, actions in zip(self.draws, self.actions)
