@@ -6,8 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.pharma.control.rivals import readings
+from snapo.domains.pharma.control.records import Measurement
+from snapo.domains.pharma.control.rivals import readings, respond
 from snapo.domains.pharma.control.rules import Loops, Wire
+from snapo.domains.pharma.control.sensors import begun, moved, reading
 from snapo.domains.pharma.control.tuning import FirstOrder, first_order, simc, ziegler_nichols
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box
@@ -27,8 +29,8 @@ class Delayed(Simulator):
     It is exact: y' = a y + k (1 - a) (u a dead time ago - recipe), a = exp(-seconds / tau).
     """
 
-    horizon: int
-    seconds: float
+    horizon: int  # pyright: ignore[reportIncompatibleVariableOverride]
+    seconds: float = 1.0
     high: float = 1.0
     ramp: float = 1e9
     load: float = 0.0
@@ -104,7 +106,7 @@ def apart(seconds: float) -> float:
     """The largest distance of the loop's response from the closed form."""
     horizon = round(60 / seconds)
     loop = rule(horizon, seconds, 0.5).tuned(0, *simc(FirstOrder(GAIN, LAG, DEAD)))
-    seen = readings(problem(Delayed(horizon, seconds)), loop)[:, 2]
+    seen = readings(problem(Delayed(horizon, seconds=seconds)), loop)[:, 2]
     return float(np.abs(seen - 0.5 * response(np.arange(horizon) * seconds)).max())
 
 
@@ -134,7 +136,7 @@ def test_an_integral_does_not_wind_up_at_a_limit():
 
 @pytest.mark.prove
 def test_a_load_is_taken_out_and_limits_and_ramps_are_kept():
-    simulator = Delayed(400, 0.5, high=0.6, ramp=0.01, load=-0.1)
+    simulator = Delayed(400, seconds=0.5, high=0.6, ramp=0.01, load=-0.1)
     loop = rule(400, 0.5, 0.4).tuned(0, *simc(FirstOrder(GAIN, LAG, DEAD)))
     seen = readings(problem(simulator), loop)
     assert seen[-1, 2] == pytest.approx(0.4, abs=1e-3)
@@ -146,7 +148,7 @@ def test_a_load_is_taken_out_and_limits_and_ramps_are_kept():
 @pytest.mark.prove
 def test_both_engines_run_a_loop_and_give_the_slope_of_its_settings():
     """Gain and integral time by one adjoint pass, against central differences."""
-    simulator = Delayed(60, 1.0, high=0.9)
+    simulator = Delayed(60, seconds=1.0, high=0.9)
     loop = rule(60, 1.0).tuned(0, *simc(FirstOrder(GAIN, LAG, DEAD)))
     asked = problem(simulator)
     draws = Pseudo(0).draws(np.arange(2), simulator)
@@ -167,6 +169,58 @@ def test_both_engines_run_a_loop_and_give_the_slope_of_its_settings():
     h = 1e-3
     by_gain = (value(gain * math.exp(h), time) - value(gain * math.exp(-h), time)) / (2 * h)
     by_time = (value(gain, time * math.exp(h)) - value(gain, time * math.exp(-h))) / (2 * h)
+    # A policy's numbers are float32: a step of 1e-3 is known to 1e-4 of itself.
     for found in slopes:
         assert float(found.log_gain[0]) == pytest.approx(by_gain, rel=2e-3)
         assert float(found.log_time[0]) == pytest.approx(by_time, rel=2e-3)
+
+
+def test_a_sensor_shows_the_state_a_dead_time_ago():
+    """Of a state that rises evenly it shows t - delay, also between two decisions; its first
+    reading before that."""
+    sensors = [Measurement("reactor.x", 0.0, 0.0, 1.0, 7.0), Measurement("reactor.y", 0, 0, 1)]
+    past = begun(jnp.array([0.0, 5.0]), sensors, 3.0)
+    seen = []
+    for t in np.arange(1, 8) * 3.0:
+        past = moved(jnp.array([t, 5.0]), past)
+        seen.append(float(reading(t, past[0], sensors[0], 3.0)))
+        assert reading(5.0, past[1], sensors[1], 3.0) == 5.0
+    assert seen == pytest.approx(np.maximum(np.arange(1, 8) * 3.0 - 7.0, 0.0), abs=1e-6)
+
+
+class Jacketed(Delayed):
+    """The process behind a jacket: u moves the jacket j (4 s), and j what is to be held (40 s)."""
+
+    def initial(self, constants, noise):
+        return {"y": jnp.zeros(()), "j": jnp.zeros(()), "u": jnp.full(1, RECIPE)}
+
+    def observe(self, constants, now, state):
+        return jnp.stack([now["clock"], now["clock"], state["y"], state["j"], state["u"][0]])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        jacket, share = jnp.exp(-self.seconds / 4.0), jnp.exp(-self.seconds / 40.0)
+        j = jacket * state["j"] + (1 - jacket) * (3 * (action[0] - RECIPE) + self.load)
+        y = share * state["y"] + (1 - share) * j
+        return {"y": y, "j": j, "u": action}, {"error": self.seconds * jnp.abs(1 - y)}
+
+
+@pytest.mark.prove
+def test_a_cascade_is_tuned_from_the_inside_and_holds_its_setpoint():
+    """The jacket's load is taken out, and the outer loop asks for no more than it may."""
+    horizon, most = 400, 1.3
+    wires = (
+        Wire(0, horizon, 1.0, 2, 4, 0, 1, -most, most),
+        Wire(0, horizon, 1.0, 3, 4, 0, -1, 0.0, 1.0),
+    )
+    recipe = np.full((horizon, 1), RECIPE)
+    loops = Loops(np.zeros((horizon, 1)), wires, np.zeros((2, horizon))).on(recipe)
+    quiet = problem(Jacketed(horizon))
+    inner = respond(quiet, loops, recipe, 1)
+    assert inner.gain == pytest.approx(3.0, rel=0.02) and inner.lag == pytest.approx(4.0, rel=0.2)
+    loops = loops.tuned(1, *simc(inner))
+    outer = respond(quiet, loops, recipe, 0)
+    assert outer.gain == pytest.approx(1.0, rel=0.05)
+    loops = loops.tuned(0, *simc(outer)).following(np.stack([np.ones(horizon), np.zeros(horizon)]))
+    seen = readings(problem(Jacketed(horizon, load=-0.5)), loops)
+    assert seen[-1, 2] == pytest.approx(1.0, abs=2e-3)
+    assert seen[:, 3].max() < 1.1 * most and seen[:, 2].max() < 1.1

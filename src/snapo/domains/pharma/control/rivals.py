@@ -75,7 +75,7 @@ def first_settings(
             share = (np.arange(wire.count) + 0.5) / wire.count
             row = np.interp(share, np.linspace(0, 1, len(nodes)), nodes)
             wanted[i, wire.first : wire.first + wire.count] = row
-    policy, processes = policy.following(wanted), [None] * len(wires)
+    policy, processes = policy.following(wanted), list[FirstOrder | None]([None] * len(wires))
     # An inner loop is closed before the outer one is tuned.
     for i in reversed(range(len(wires))):
         loop, wire = loops[i], wires[i]
@@ -84,11 +84,13 @@ def first_settings(
             gain = gain * _scale(control, wire, wires)
         if gain is None or time is None:
             try:
-                processes[i] = respond(problem, policy, recipe, i)
+                processes[i] = seen = respond(problem, policy, recipe, i)
             except ValueError as error:
                 raise ValueError(f"rule {rule.name!r}, loop {i + 1}: {error}") from None
-            found = FORMULAS[rule.tuning](processes[i])
+            found = FORMULAS[rule.tuning](seen)
             gain, time = (a if a is not None else b for a, b in zip((gain, time), found))
+            # Within one decision an integral cannot do more than all of its work.
+            time = max(time, wire.seconds)
         policy = policy.tuned(i, gain, time)
     return Tuned(policy, tuple(processes), tuple(loops))
 
@@ -142,13 +144,16 @@ def readings(problem: Problem, policy: Loops) -> np.ndarray:
 def _followed(simulator, policy, constants, steps):
     quiet = jnp.zeros(simulator.noise_size)
     first = simulator.initial(constants, jnp.zeros(simulator.initial_noise_size))
+    first = jax.tree.map(jnp.asarray, first)
 
     def step(carry, now):
         state, memory = carry
         seen = simulator.observe(constants, now, state)
         action, memory = policy.decide(seen, memory, Exact())
         after, _ = simulator.step(constants, now, state, action, quiet, Exact())
-        after = jax.tree.map(lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), after, state)
+        after = jax.tree.map(
+            lambda new, old: jnp.asarray(new, jnp.asarray(old).dtype), after, state
+        )
         return (after, memory), seen
 
     start = first, jnp.zeros(policy.memory)

@@ -43,7 +43,7 @@ def first_order(times: np.ndarray, response: np.ndarray, step: float) -> FirstOr
 
 
 def simc(process: FirstOrder, closed: float | None = None) -> tuple[float, float]:
-    """Gain and integral time in s: Kc = tau / k / (tau_c + theta), Ti = min(tau, 4 (tau_c + theta)).
+    """Gain and integral time in s: Kc = tau / k / s and Ti = min(tau, 4 s), s = tau_c + theta.
 
     `closed`: tau_c in s, by default theta. S. Skogestad, J. Process Control 13 (2003) 291.
     """
