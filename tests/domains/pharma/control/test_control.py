@@ -89,7 +89,11 @@ def test_a_rule_is_read_in_its_units():
     )
     assert found.control is not None and found.control.measurements[0].delay == 120
     pi = found.control.rules[0].loops[0].outer
-    assert pi.gain == pytest.approx(-5e5) and pi.integral == 600 and pi.setpoint == pytest.approx((6e-5,))
+    assert (
+        pi.gain == pytest.approx(-5e5)
+        and pi.integral == 600
+        and pi.setpoint == pytest.approx((6e-5,))
+    )
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ from .crystalliser import Crystalliser
 from .dissolution import Dissolution
 from .dryer import Dryer
 from .filter import Filter
+from .hydrogenation import Hydrogenation
 from .msmpr import Msmpr
 from .operation import Unit
 from .reactor import Reactor
@@ -24,6 +25,7 @@ from .wet_mill import WetMill
 
 OPERATIONS = (
     Reactor,
+    Hydrogenation,
     Crystalliser,
     Msmpr,
     WetMill,
