@@ -13,6 +13,7 @@ from .crystalliser import Crystalliser
 from .dissolution import Dissolution
 from .dryer import Dryer
 from .filter import Filter
+from .filter_dryer import FilterDryer
 from .hydrogenation import Hydrogenation
 from .msmpr import Msmpr
 from .operation import Unit
@@ -30,6 +31,7 @@ OPERATIONS = (
     Msmpr,
     WetMill,
     Filter,
+    FilterDryer,
     Dryer,
     TrayDryer,
     Dissolution,
