@@ -77,10 +77,57 @@ def test_the_headline_says_which_rival_is_better(gain, error, which, words):
     assert said.startswith(words)
 
 
+LOOPS = [{"of": "crystalliser.temperature", "measure": "crystalliser.d43"}]
+
+
+def test_a_rule_is_read_in_its_units():
+    """K per um is 1e6 K/m, and a dead time has its unit."""
+    loop = LOOPS[0] | {"gain": "-0.5 K/um", "integral_time": "10 min", "setpoint": ["60 um"]}
+    sensor = {"state": "crystalliser.d43", "error": "1 um", "centre": "60 um", "width": "40 um"}
+    found = control(
+        rules=[{"name": "PI", "loops": [loop]}], measurements=[sensor | {"delay": "2 min"}]
+    )
+    assert found.control is not None and found.control.measurements[0].delay == 120
+    pi = found.control.rules[0].loops[0].outer
+    assert (
+        pi.gain == pytest.approx(-5e5)
+        and pi.integral == 600
+        and pi.setpoint == pytest.approx((6e-5,))
+    )
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        ({"loops": [LOOPS[0] | {"of": "filter.wash_ratio"}]}, "there is no such control"),
+        ({"loops": [LOOPS[0] | {"measure": "crystalliser.d32"}]}, "there is no such measurement"),
+        ({"loops": [LOOPS[0] | {"gain": "0 K/um"}]}, "a gain that is not 0"),
+        ({"loops": [LOOPS[0] | {"gain": "2 K"}]}, r"loops\[0\].gain.*2 K"),
+        ({"loops": LOOPS * 2}, "one control has one loop"),
+        ({"loops": [], "tuning": "simc"}, "loops"),
+        ({"loops": LOOPS, "tuning": "by hand"}, "ziegler-nichols"),
+    ],
+)
+def test_a_rule_that_cannot_be_is_refused(rule, words):
+    with pytest.raises(CaseError, match=words):
+        control(rules=[{"name": "PI"} | rule])
+
+
+PI = """[[control.rules]]
+name = "PI"
+[[control.rules.loops]]
+of = "reactor.temperature"
+measure = "reactor.concentration.C"
+gain = "-50 K/(mol/L)"
+"""
+
+
 @pytest.fixture(scope="module")
 def whole(tmp_path_factory):
     folder = tmp_path_factory.mktemp("control")
-    (folder / "case.toml").write_text(small(CASE + LOOP))
+    loop = LOOP.replace("[optimise]", PI + "[optimise]", 1)
+    loop = loop.replace('width = "0.05', 'delay = "7 min"\nwidth = "0.05')
+    (folder / "case.toml").write_text(small(CASE + loop))
     out = folder / "run"
     result, found = solve(folder, out, "training.seed=3")
     return result, found.details, out
@@ -111,6 +158,14 @@ def test_a_closed_loop_runs_from_the_file_to_the_report(whole):
     assert "All limits, best fixed recipe" in head
     assert "Out of specification, recipe as given" in head
     assert "reactor.temperature, K" in page and "Policy, median" in page
+    # The controller on the same batches, as given and trained.
+    first, tuned = loop["rules"]
+    assert (first["name"], tuned["name"]) == ("PI, first settings", "PI")
+    assert first["gains_own"][0] == pytest.approx(-50) and tuned["gains_own"][0] != -50
+    for each in (first, tuned):
+        assert each["policy_gain"] == pytest.approx(loop["value"] - each["value"], abs=1e-12)
+        assert each["policy_gain_error"] >= 0 and each["times"][0] > 0
+    assert "Rules on the same batches, paired" in page
     reason = found["engine"]["reason"]
     assert "asked for" not in reason and "more than the native engine takes" in reason
     assert loop["goal"].startswith("mean of product") and loop["goal"] in page

@@ -146,6 +146,39 @@ def test_a_steady_state_and_its_derivatives(flow):
 
 
 @pytest.mark.prove
+def test_both_engines_close_a_loop():
+    """What leaves the loop is dried over time: many batches with derivatives, on both engines."""
+    given = data("liquor")
+    given["units"] |= {
+        "cake": {
+            "type": "filter", "area": "0.5 m^2", "pressure": "1 bar", "viscosity": "0.5 mPa*s",
+            "medium_resistance": "1e10 1/m", "porosity": 0.4, "saturation": 0.2,
+            "wash": "exponential", "wash_ratio": 1.0, "efficiency": 0.9,
+        },
+        "dry": {
+            "type": "dryer", "duration": "1 h", "temperature": "320 K", "rate": "1e-3 1/s",
+            "activation": "40 kJ/mol", "reference_temperature": "320 K", "reference_size": "100 um",
+        },
+    }  # fmt: skip
+    given["connections"] += [
+        {"from": "thick.thick", "to": "cake.slurry"},
+        {"from": "cake.cake", "to": "dry.cake"},
+    ]
+    given["attributes"].append({"name": "solvent", "measure": "dry.solvent", "unit": "1"})
+    given["numerics"] = {"method": "mesh", "steps": 16}
+    process = Process(resolve(TEMPLATE, given))
+    entries = (("cold.volume", 0), ("divide.share", 0))
+    rows = np.array([[0.03, 0.4], [0.025, 0.2], [0.05, 0.7]])
+    by = entries[1:]
+    native, plain = (process.batch(entries, rows, by, engine=each) for each in ("native", "xla"))
+    assert native.ok.all() and plain.ok.all()
+    np.testing.assert_allclose(native.values, plain.values, rtol=1e-11)
+    size = np.abs(plain.jacobian).max((0, 2), keepdims=True)
+    np.testing.assert_allclose(native.jacobian / size, plain.jacobian / size, atol=1e-10)
+    assert np.abs(plain.jacobian[:, -1]).min() > 0  # the loop reaches through to the dryer
+
+
+@pytest.mark.prove
 def test_paths_add_up():
     """Of attribution the loop is one unit."""
     process = made("liquor")

@@ -12,7 +12,8 @@ from snapo.problem.smooth import Exact
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
+from snapo.solver.train import Training, begin
+from snapo.solver.train import train as climb
 from snapo.study.ready import engines_for
 from snapo.study.study import Part, Setup, StudyRun
 from snapo.study.training import train
@@ -23,8 +24,10 @@ from .closed_loop import best_recipe, in_words, objective
 from .course import courses, side_by_side
 from .loop import Loop, closed_loop
 from .policy import Feedback
+from .rivals import first_settings, in_units
+from .rules import Loops, Wire
 
-RECIPE, TRAINED = "best fixed recipe", "training"
+RECIPE, TRAINED, RULES = "best fixed recipe", "training", "rules"
 TOO_LONG = "a step of a process is more than the native engine takes"
 SETPOINTS = "setpoints_closed_loop.csv"
 SHOWN = 256  # batches from which the policy's course over time is drawn
@@ -74,10 +77,13 @@ class ClosedLoop:
 
     def parts(self) -> list[Part]:
         """In the order in which they are done."""
+        control = self.case.control
+        rules = [Part(RULES, self.tune_rules, (RECIPE,))] if control and control.rules else []
         return [
             Part(RECIPE, self.tune),
             Part(TRAINED, self.train, (RECIPE,)),
-            Part("closed loop", self.compare, (TRAINED,)),
+            *rules,
+            Part("closed loop", self.compare, (TRAINED, *(each.name for each in rules))),
         ]
 
     def tune(self, run: StudyRun) -> dict[str, Any]:
@@ -95,8 +101,36 @@ class ClosedLoop:
         self.first = self.recipe(run, "first")
         return train(run)
 
+    def tune_rules(self, run: StudyRun) -> dict[str, Any]:
+        """Every rule with its first settings, and trained from there as long as the policy is."""
+        case, found = self.case, []
+        control = case.control
+        assert control is not None
+        recipe = np.asarray(self.recipe(run, "first").actions(), float)
+        for rule in control.rules:
+            tuned = first_settings(case, self.loop.stages, self.problem, rule, recipe)
+            first, plan = tuned.policy, self.training
+            best = climb(self.problem, begin(first, plan), plan, self.engines.train).best
+            assert isinstance(best, Loops)
+            for name, each in ((f"{rule.name}, first settings", first), (rule.name, best)):
+                found.append(
+                    {
+                        "name": name,
+                        "table": np.asarray(each.table),
+                        "setpoints": np.asarray(each.setpoints.array),
+                        "gains": each.gains(),
+                        "gains_own": in_units(control, each),
+                        "times": each.times(),
+                        "wires": [tuple(wire) for wire in each.wires],
+                        "sensors": [control.measurements[x.sensor].state for x in tuned.loops],
+                        "of": [control.manipulated[x.of].input for x in rule.loops],
+                    }
+                )
+            run.tell(f"{rule.name}: gains {in_units(control, best)}, times {best.times()} s")
+        return {"rules": found}
+
     def compare(self, run: StudyRun) -> dict[str, Any]:
-        """Policy and best recipe on the same fresh batches."""
+        """Policy, rules and best recipe on the same fresh batches."""
         best, goal, solution = self.recipe(run, "best"), self.problem.objective, run.solution
         evaluate, paths = self.engines.evaluate, self.evaluation.paths
         fixed = path_totals(self.problem, best, paths, engine=evaluate)
@@ -107,6 +141,7 @@ class ClosedLoop:
         with jax.enable_x64(True):
             baseline_goal = float(goal.value(fixed))
         groups = self.problem.sources.evaluation.groups(np.arange(ours.size))
+        rules = [self.beside(each, ours, theirs, groups) for each in run.get("rules", [])]
         recipe = self.decided(best, run)
         run.write_csv(SETPOINTS, HEADER, decided(recipe))
         table = {
@@ -116,11 +151,27 @@ class ClosedLoop:
             "objective_error": solution.standard_error,
             "baseline_objective": baseline_goal,
             "recipe": recipe,
+            "rules": rules,
             "engine": solution.engine,
             "paths": dict(solution.paths),
             "status": solution.status,
         }
         return {"closed_loop": table}
+
+    def beside(self, rule: dict[str, Any], ours, theirs, groups) -> dict[str, Any]:
+        """A rule on the same batches: its share, and the policy's and the recipe's beside it."""
+        found = path_totals(
+            self.problem, restored(rule), self.evaluation.paths, engine=self.engines.evaluate
+        )
+        own = np.asarray(found["success"])
+        wanted = {"": own, "policy_gain": ours - own, "recipe_gain": theirs - own}
+        row: dict[str, Any] = {"name": rule["name"]}
+        for name, each in wanted.items():
+            share = statistics.mean(each, groups)
+            row[name or "value"] = share.value
+            row[f"{name}_error" if name else "standard_error"] = share.standard_error
+        kept = ("gains_own", "times", "sensors", "of")
+        return row | {key: rule[key] for key in kept}
 
     def decided(self, best: Feedback, run: StudyRun) -> list[dict[str, Any]]:
         """Every control over time, of the policy and of both recipes, in the domain's units."""
@@ -133,6 +184,15 @@ class ClosedLoop:
         actions += [each.actions()[:, None] for each in (best, self.loop.baseline)]
         inputs, stages = self.loop.inputs, self.loop.stages
         return side_by_side(*(courses(self.case, stages, inputs, each) for each in actions))
+
+
+def restored(rule: dict[str, Any]) -> Loops:
+    """A rule as its part left it."""
+    wires = tuple(Wire(*each) for each in rule["wires"])
+    policy = Loops(np.asarray(rule["table"]), wires, np.asarray(rule["setpoints"]))
+    for i, (gain, time) in enumerate(zip(rule["gains"], rule["times"])):
+        policy = policy.tuned(i, float(gain), float(time))
+    return policy
 
 
 def rates(

@@ -7,7 +7,7 @@ every sensor.
 """
 
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import equinox as eqx
 import jax
@@ -25,12 +25,13 @@ from ..flowsheet.ledger import Finish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import least
 from ..flowsheet.stream import Stream, blank, flat, unflat
-from ..quality.records import Distribution
 from ..time.dynamics import Dynamics
 from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
 from .records import Manipulated
+from .sensors import begun, moved, reading
+from .varied import Varied, drawn, varied
 
 PLAIN_STEPS = 64  # of a unit between stages, per piece; the native engine takes no more
 
@@ -58,42 +59,6 @@ def decided(case: PharmaCase, unit: Timed | None) -> tuple[int, ...]:
     assert case.control is not None
     wanted = None if unit is None else unit.name
     return tuple(i for i, m in enumerate(case.control.manipulated) if owner(m) == wanted)
-
-
-class Varied(NamedTuple):
-    """[V] the differences from batch to batch: the uncertain numbers, and after them the process
-    parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
-
-    inputs: tuple[str, ...]
-    entries: tuple[int, ...]
-    distributions: tuple[Distribution, ...]
-    when: tuple[str, ...]
-    correlated: np.ndarray
-
-
-def varied(case: PharmaCase) -> Varied:
-    """The same numbers as those of `draws.all_entries`."""
-    known, moving = case.uncertainty, [each for each in case.parameters if each.distribution]
-    size = len(known.inputs)
-    factor = np.eye(size + len(moving))
-    if size:
-        factor[:size, :size] = np.linalg.cholesky(known.correlation)
-    return Varied(
-        known.inputs + tuple(each.input for each in moving),
-        known.entries + tuple(each.entry for each in moving),
-        known.distributions + tuple(each.distribution for each in moving if each.distribution),
-        known.when + ("batch",) * len(moving),
-        factor,
-    )
-
-
-def drawn(distribution: Distribution, centre, z) -> Array:
-    """The value that a standard normal stands for; formulas in `Distribution`."""
-    if distribution.kind == "normal":
-        return centre + distribution.spread * z
-    if distribution.kind == "lognormal":
-        return centre * jnp.exp(distribution.spread * z - distribution.spread**2 / 2)
-    return centre + distribution.spread * (2 * jax.scipy.special.ndtr(z) - 1)
 
 
 class Stage(Simulator):
@@ -173,6 +138,7 @@ class Stage(Simulator):
             "draws": draws,
             "control": jnp.stack(firsts) if firsts else jnp.zeros(0),
             "seen": jnp.zeros(len(self.control.measurements)),
+            "past": jnp.zeros((len(self.control.measurements), 0)),
             "error": noise[size:],
             "worst": jnp.zeros(()),
         }
@@ -181,7 +147,7 @@ class Stage(Simulator):
     def enter(self, constants, state: State) -> State:
         """The state with which this stage begins."""
         if self.unit is None:
-            return state | {"y": jnp.zeros(0)}
+            return state | {"y": jnp.zeros(0), "past": state["past"][:, :0]}
         inputs = self.inputs_of(constants, state["draws"])
         state = self.settle(inputs, state)
         problem = self.problem(inputs, state["streams"])
@@ -190,7 +156,10 @@ class Stage(Simulator):
             state["control"][i] if (i := self._manipulated(profile.value.name)) >= 0 else value[0]
             for profile, value in problem.controls
         ]
-        return state | {"y": y, "seen": self.read(problem, y, controls, state)}
+        values = self.sensed(problem, y, controls)
+        past = begun(values, self.control.measurements, self._interval())
+        seen = self.read(problem, values, past, state)
+        return state | {"y": y, "seen": seen, "past": past}
 
     def leave(self, constants, state: State) -> State:
         """The state with the streams and measures of this stage's unit."""
@@ -256,18 +225,31 @@ class Stage(Simulator):
         inlets = tuple(streams[name] for name in sources(self.case)[self.unit.name])
         return self.unit.dynamics(self.case.network, inlets, inputs)
 
-    def read(self, problem: Dynamics, y, controls, state: State) -> Float[Array, " M"]:
+    def sensed(self, problem: Dynamics, y, controls) -> Float[Array, " M"]:
+        """The states that this unit's sensors measure, now; 0 for the sensors of other units."""
+        assert self.unit is not None
+        states, found = problem.states(y, *controls), []
+        for sensor in self.control.measurements:
+            unit, _, name = sensor.state.partition(".")
+            found.append(states[name] if unit == self.unit.name else jnp.zeros(()))
+        return jnp.stack(found) if found else jnp.zeros(0)
+
+    def read(self, problem: Dynamics, values, past, state: State) -> Float[Array, " M"]:
         """The readings of the sensors, this unit's new ones with their errors, of order one."""
         assert self.unit is not None
-        states, seen = problem.states(y, *controls), []
+        steps, seen = problem.duration / self.horizon, []
         for i, sensor in enumerate(self.control.measurements):
-            unit, _, name = sensor.state.partition(".")
-            if unit == self.unit.name:
-                measured = states[name] + sensor.error * state["error"][i]
-                seen.append((measured - sensor.centre) / sensor.width)
-            else:
+            if sensor.state.partition(".")[0] != self.unit.name:
                 seen.append(state["seen"][i])
+                continue
+            value = reading(values[i], past[i], sensor, steps) + sensor.error * state["error"][i]
+            seen.append((value - sensor.centre) / sensor.width)
         return jnp.stack(seen) if seen else jnp.zeros(0)
+
+    def _interval(self) -> float:
+        """s from one decision to the next over the nominal duration."""
+        assert self.unit is not None
+        return float(self.unit.duration.used()) / self.horizon
 
     def observe(self, constants, now, state: State) -> Float[Array, " features"]:
         low = np.array([each.low for each in self.control.manipulated])
@@ -326,7 +308,9 @@ class Stage(Simulator):
             ends.append(course[-1, 2])
         y, worst = self._advance(problem, state, courses, seconds / count, smooth)
         after = state | {"y": y, "control": control, "worst": worst}
-        return after | {"seen": self.read(problem, y, ends, after)}, {}
+        values = self.sensed(problem, y, ends)
+        past = moved(values, state["past"])
+        return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
 
     def _advance(self, problem: Dynamics, state: State, courses, step, smooth):
         """y after the substeps, and the largest supersaturation on the way."""

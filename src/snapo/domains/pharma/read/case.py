@@ -14,10 +14,11 @@ from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import read_units
 from .connections import ordered, read_connections
-from .control import read_control, read_design_space, read_goal
 from .entries import Numbers
 from .estimation import read_estimation
 from .fitted import read_fitted
+from .goal import read_design_space, read_goal
+from .loops.control import read_control
 from .network import read_feeds, read_network
 from .numbers import suggest
 from .optimise import read_optimise

@@ -120,6 +120,7 @@ class MeasurementTable(Table):
     error: Any = quantity('"0.1 kg/m^3"')
     centre: Any = quantity('"10 kg/m^3"')
     width: Any = quantity('"5 kg/m^3"')
+    delay: Any = quantity('"2 min"', "0 s")
 
 
 class ControlTable(Table):
@@ -138,6 +139,7 @@ class ControlTable(Table):
         32, description="a whole number from 1 to 64"
     )
     solubility_margin: Any = Field(None, description="a number above 0")
+    rules: list[dict] = Field([], description="tables [[control.rules]]")
 
 
 class GoalTable(Table):

@@ -99,6 +99,26 @@ def _goal(found: dict[str, Any]) -> Table:
     return Table(head, rows, f"The goal: {found['goal']}")
 
 
+def _rules(rules: list[dict[str, Any]]) -> list[Block]:
+    """PI controllers beside the policy: their shares on the same batches, and their settings."""
+    shares, settings = [], []
+    for each in rules:
+        cells = ("value", "standard_error", "policy_gain", "policy_gain_error", "recipe_gain",
+                 "recipe_gain_error")  # fmt: skip
+        shares.append((each["name"], *(percent(each[key], 2) for key in cells)))
+        for sensor, gain, time in zip(each["sensors"], each["gains_own"], each["times"]):
+            settings.append((each["name"], sensor, number(gain), number(time / 60)))
+    head = ("", "All limits", "Standard error", "Policy less rule", "Standard error",
+            "Recipe less rule", "Standard error")  # fmt: skip
+    own = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
+    return [
+        Table([(name, "") for name in head], shares, "Rules on the same batches, paired"),
+        Table([(name, "") for name in own], settings, "Settings of the rules", 2),
+        Text("First settings are those of the case or of its formula; a rule of that name without "
+             "these words was trained from there, with its recipe, as long as the policy."),
+    ]  # fmt: skip
+
+
 def _course(found: dict[str, Any]) -> Chart:
     """A control over time: the policy's median and band, and both recipes."""
     minutes = np.asarray(found["time"], float) / 60
@@ -157,6 +177,8 @@ def closed_loop(run: Run) -> Section:
         Table([], [("Gain above three standard errors", Mark(sure, "yes" if sure else "no"))],
               "", 2),
     ]  # fmt: skip
+    if found.get("rules"):
+        blocks += _rules(found["rules"])
     if run.result["references"].get("goal") is not None:
         blocks.append(_goal(found))
     blocks += [_course(each) for each in found["recipe"] if len(each["time"]) > 1]

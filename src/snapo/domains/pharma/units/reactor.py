@@ -212,7 +212,7 @@ def _controls(unit: Reactor, inputs):
     return tuple(found)
 
 
-def _mixed(network: Network, base, extents) -> list[Array]:
+def extended(network: Network, base, extents) -> list[Array]:
     """[S] base + nu^T extents, species by species."""
     found = []
     for s in range(len(network.species)):
@@ -248,9 +248,9 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
     def composition(y):
         """kmol/m3 of each species, and the volume per first volume."""
         if not dosed:
-            return _mixed(network, charge, y), 1.0
+            return extended(network, charge, y), 1.0
         size = 1 + y[count]
-        amounts = _mixed(network, charge + more * y[count], y)
+        amounts = extended(network, charge + more * y[count], y)
         return [each / size for each in amounts], size
 
     def temperature(y, size, control):
@@ -280,7 +280,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
     def finish(y, control, *_):
         c, size = composition(y)
         end = jnp.asarray(temperature(y, size, control))
-        made = jnp.stack(_mixed(network, jnp.zeros_like(charge), y)) * volume
+        made = jnp.stack(extended(network, jnp.zeros_like(charge), y)) * volume
         solvent, held, left = feed.solvent, jnp.zeros_like(charge), jnp.zeros(())
         if dose is not None:
             share = y[count] * volume / dose.volume
@@ -325,7 +325,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         constants = drive if heat is None else rate_constants(network, inputs, warm)
         speed = rates(network, constants, [c[:, s] for s in range(species)])
         before = jnp.concatenate([entering[None], c[:-1]])
-        made = jnp.stack(_mixed(network, jnp.zeros((cells, species)), speed), -1)
+        made = jnp.stack(extended(network, jnp.zeros((cells, species)), speed), -1)
         slope = (made + (before - c) * (turnover * cells)).ravel()
         extent = jnp.stack([jnp.mean(each) for each in speed])
         parts = [slope, turnover * c[-1], extent]
@@ -346,7 +346,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         ran = flow * duration
         out = y[size : ends[1]] * volume
         extent = list(y[ends[1] : ends[2]] * volume)
-        made = jnp.stack(_mixed(network, jnp.zeros(species), extent))
+        made = jnp.stack(extended(network, jnp.zeros(species), extent))
         gained = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
         waiting = 1 - ran / feed.volume
         held = gained + waiting * feed.species

@@ -13,6 +13,8 @@ from .crystalliser import Crystalliser
 from .dissolution import Dissolution
 from .dryer import Dryer
 from .filter import Filter
+from .filter_dryer import FilterDryer
+from .hydrogenation import Hydrogenation
 from .msmpr import Msmpr
 from .operation import Unit
 from .reactor import Reactor
@@ -24,10 +26,12 @@ from .wet_mill import WetMill
 
 OPERATIONS = (
     Reactor,
+    Hydrogenation,
     Crystalliser,
     Msmpr,
     WetMill,
     Filter,
+    FilterDryer,
     Dryer,
     TrayDryer,
     Dissolution,

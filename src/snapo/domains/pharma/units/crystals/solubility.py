@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Any, Literal
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -17,8 +18,9 @@ from ...read.fields import Text, quantity, word
 from ...read.numbers import POSITIVE, TEMPERATURE, ZERO_CELSIUS, absent, given, several
 from ...read.quantities import UnitError, conversion
 from ...read.reader import Reader
+from .nrtl import Mixture, NrtlTable, dissolved, read_mixture
 
-Kind = Literal["polynomial", "exponential", "van-t-hoff"]
+Kind = Literal["polynomial", "exponential", "van-t-hoff", "nrtl"]
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,6 +30,7 @@ class Solubility:
     - "polynomial": sum_k a_k t^k; "exponential": exp(sum_k a_k t^k); t is T in K less `zero`
       (273.15 for coefficients in Celsius). `coefficients`: a_k, index [n], labels "t^0", ….
     - "van-t-hoff": `value` exp(-`enthalpy` / R (1/T - 1/`reference`)), of kg/m3, J/mol and K.
+    - "nrtl": of a `mixture` in equilibrium with the pure crystal.
     - `antisolvent`: (b1, b2), index [2] or [0]: ln c* gains b1 w + b2 w^2, w the anti-solvent's
       mass fraction of the solute-free liquid.
     """
@@ -39,18 +42,20 @@ class Solubility:
     value: Given | None = None
     enthalpy: Given | None = None
     reference: float = 298.15
+    mixture: Mixture | None = None
 
 
 class SolubilityTable(Table):
     """`[units.NAME.solubility]`"""
 
-    kind: Kind = word("polynomial", "exponential", "van-t-hoff", default="polynomial")
+    kind: Kind = word("polynomial", "exponential", "van-t-hoff", "nrtl", default="polynomial")
     coefficients: Annotated[list[float], Field(min_length=1)] | None = Field(
         None, description="a list of numbers, of rising powers of the temperature"
     )
     value: Any = quantity('"20 kg/m^3"', None, words="solubility at the reference")
     enthalpy: Any = quantity('"25 kJ/mol"', None, words="enthalpy of dissolution")
     reference: Any = quantity('"298.15 K"', None, words="temperature of the reference")
+    nrtl: dict | None = Field(None, description="the table nrtl")
     unit: Text = Field("kg/m^3", description='a unit such as "kg/m^3"')
     scale: Literal["K", "degC"] = word("K", "degC", default="K")
     antisolvent: Annotated[list[float], Field(min_length=2, max_length=2)] | None = Field(
@@ -63,6 +68,7 @@ def read_solubility(read: Reader) -> Solubility:
     table = read.table
     read.only(("polynomial", "exponential"), ("coefficients",), needed=True)
     read.only(("van-t-hoff",), ("value", "enthalpy", "reference"), needed=True)
+    read.only(("nrtl",), ("nrtl",), needed=True)
     extra = absent(f"{read.name}.antisolvent", "1")
     if table.antisolvent is not None:
         extra = several(
@@ -78,6 +84,9 @@ def read_solubility(read: Reader) -> Solubility:
             enthalpy=read.number("enthalpy", "J/mol"),
             reference=read.plain("reference", "K", TEMPERATURE),
         )
+    if table.kind == "nrtl":
+        mixture = read_mixture(read.inner("nrtl", NrtlTable))
+        return Solubility(table.kind, absent(read.name, "1"), 0.0, extra, mixture=mixture)
     try:
         scale = conversion(table.unit, "kg/m3").scale
     except UnitError as error:
@@ -103,6 +112,8 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
         inverse = 1 / jnp.asarray(temperature) - 1 / record.reference
         energy = use(inputs, record.enthalpy) / GAS_CONSTANT
         return use(inputs, record.value) * jnp.exp(-energy * inverse)
+    if record.mixture is not None:
+        return dissolved(record.mixture, inputs, temperature)
     t = jnp.asarray(temperature) - record.zero
     coefficients = use(inputs, record.coefficients)
     total = jnp.broadcast_to(coefficients[-1], jnp.shape(t))
@@ -112,10 +123,13 @@ def solubility(record: Solubility, inputs: dict[str, Any], temperature) -> Float
 
 
 def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarray:
-    """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent; NumPy alone."""
+    """c*(T) in kg/m3 of the case's own coefficients, without anti-solvent."""
     if record.value is not None and record.enthalpy is not None:
         energy = record.enthalpy.used() / GAS_CONSTANT
         return record.value.used() * np.exp(-energy * (1 / temperature - 1 / record.reference))
+    if record.mixture is not None:
+        with jax.enable_x64(True):
+            return np.asarray(dissolved(record.mixture, {}, temperature))
     found = np.polyval(record.coefficients.values[::-1], temperature - record.zero)
     return np.exp(found) if record.kind == "exponential" else found
 

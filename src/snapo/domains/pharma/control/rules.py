@@ -1,0 +1,139 @@
+"""PI controllers and cascades of them as a policy: a rival of the trained one.
+
+A loop moves its control about the recipe: v = recipe + K e + I, e = setpoint - reading, at every
+decision. Its integral moves by dt / Ti (K e + applied - v): what limits and ramps took away runs
+back with the time Ti, so that it does not wind up (Astrom and Hagglund 2006, section 3.5). In a
+cascade the outer loop's v is the setpoint of the inner one.
+
+Gains and times are trained numbers, as the recipe is: they are tuned by the same adjoint.
+"""
+
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from snapo.problem.actions import Box
+from snapo.problem.inputs import Frozen
+from snapo.problem.memory import Memory
+
+from .policy import EDGE
+
+
+class Wire(NamedTuple):
+    """How one PI controller is connected. An outer one stands before its inner one.
+
+    - `first`, `count`: its decisions; `seconds` between them. `sensor`, `control`: numbers of the
+      features with its reading and with what was applied of `place`, the number in the action.
+    - `inner`: number of the loop whose setpoint it moves within `low` to `high`, in that one's
+      reading; -1: it moves the control itself, within 0 to 1.
+    """
+
+    first: int
+    count: int
+    seconds: float
+    sensor: int
+    control: int
+    place: int
+    inner: int
+    low: float
+    high: float
+
+
+class Loops(Memory):
+    """A recipe, [T, size] logits, and PI controllers about it.
+
+    - `log_gain` [L]: of the size of each gain, in shares of the control's range (or readings of
+      the inner sensor) per reading; minus infinity is a loop that is open.
+    - `log_time` [L]: of each integral time in s. `signs` [L]: of the gains, not trained.
+    - `setpoints` [L, T]: readings to be followed.
+    """
+
+    table: Float[Array, "T size"]
+    log_gain: Float[Array, " L"]
+    log_time: Float[Array, " L"]
+    signs: Frozen
+    setpoints: Frozen
+    wires: tuple[Wire, ...] = eqx.field(static=True)
+
+    def __init__(self, table: np.ndarray, wires: tuple[Wire, ...], setpoints: np.ndarray):
+        """All loops are open at first."""
+        self.table = jnp.asarray(table, jnp.float32)
+        self.log_gain = jnp.full(len(wires), -jnp.inf, jnp.float32)
+        self.log_time = jnp.zeros(len(wires), jnp.float32)
+        self.signs = Frozen(np.ones(len(wires), np.float32))
+        self.setpoints = Frozen(np.asarray(setpoints, np.float32))
+        self.wires = wires
+
+    @property
+    def memory(self) -> int:
+        return len(self.wires)
+
+    def decide(self, observation, memory, smooth):
+        kind = observation.dtype
+        count, size = self.table.shape
+        clock = observation[0] * count
+        weights = jnp.maximum(1 - jnp.abs(clock - jnp.arange(count)), 0).astype(kind)
+        planned = jax.nn.sigmoid(weights @ self.table.astype(kind))
+        wanted = jnp.asarray(self.setpoints).astype(kind) @ weights
+        gains = jnp.asarray(self.signs).astype(kind) * jnp.exp(self.log_gain.astype(kind))
+        times = jnp.exp(self.log_time.astype(kind))
+        correction, kept = jnp.zeros(size, kind), []
+        for i, wire in enumerate(self.wires):
+            now = (clock > wire.first - 0.5) & (clock < wire.first + wire.count - 0.5)
+            later = now & (clock > wire.first + 0.5)
+            pace = jnp.minimum(wire.seconds / times[i], 1.0)
+            direct = wire.inner < 0
+            # What was applied of the last decision is seen only now.
+            applied = pace * observation[wire.control] if direct else 0.0
+            integral = jnp.where(later, memory[i] + applied, 0.0)
+            error = gains[i] * (wanted[i] - observation[wire.sensor])
+            base = planned[wire.place] if direct else wanted[wire.inner]
+            moved = base + error + integral
+            if direct:
+                after = pace * (error - moved)
+                correction = correction.at[wire.place].add(jnp.where(now, error + integral, 0.0))
+            else:
+                width = wire.high - wire.low
+                held = smooth.clip(moved, wire.low, wire.high, scale=width)
+                after = pace * (error + held - moved)
+                wanted = wanted.at[wire.inner].set(jnp.where(now, held, wanted[wire.inner]))
+            kept.append(jnp.where(now, integral + after, 0.0))
+        action = Box(size, 0.0, 1.0).near(planned, correction, smooth)
+        return action, jnp.stack(kept).astype(kind)
+
+    def on(self, recipe: np.ndarray) -> "Loops":
+        """The same loops about another recipe, [T, size] actions in 0..1."""
+        inside = np.clip(recipe, EDGE, 1 - EDGE)
+        table = jnp.asarray(np.log(inside / (1 - inside)), jnp.float32)
+        return eqx.tree_at(lambda policy: policy.table, self, table)
+
+    def tuned(self, number: int, gain: float, time: float) -> "Loops":
+        """The same with this gain and integral time in s in one loop."""
+        signs = np.array(self.signs.array)
+        signs[number] = np.sign(gain)
+        return eqx.tree_at(
+            lambda policy: (policy.log_gain, policy.log_time, policy.signs),
+            self,
+            (
+                self.log_gain.at[number].set(np.log(abs(gain))),
+                self.log_time.at[number].set(np.log(time)),
+                Frozen(signs),
+            ),
+        )
+
+    def following(self, setpoints: np.ndarray) -> "Loops":
+        """The same with other setpoints, [L, T]."""
+        frozen = Frozen(np.asarray(setpoints, np.float32))
+        return eqx.tree_at(lambda policy: policy.setpoints, self, frozen)
+
+    def gains(self) -> np.ndarray:
+        """[L] with their signs, in shares of the control's range per reading."""
+        return np.asarray(self.signs.array) * np.exp(np.asarray(self.log_gain, float))
+
+    def times(self) -> np.ndarray:
+        """[L] integral times in s."""
+        return np.exp(np.asarray(self.log_time, float))

@@ -1,0 +1,47 @@
+"""The differences from batch to batch of a closed loop: which numbers, and how they are drawn."""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+
+from ..flowsheet.case import PharmaCase
+from ..quality.records import Distribution
+
+
+class Varied(NamedTuple):
+    """[V] the differences from batch to batch: the uncertain numbers, and after them the process
+    parameters that do not hold exactly; `correlated`: [V, V] Cholesky factor of their normals."""
+
+    inputs: tuple[str, ...]
+    entries: tuple[int, ...]
+    distributions: tuple[Distribution, ...]
+    when: tuple[str, ...]
+    correlated: np.ndarray
+
+
+def varied(case: PharmaCase) -> Varied:
+    """The same numbers as those of `draws.all_entries`."""
+    known, moving = case.uncertainty, [each for each in case.parameters if each.distribution]
+    size = len(known.inputs)
+    factor = np.eye(size + len(moving))
+    if size:
+        factor[:size, :size] = np.linalg.cholesky(known.correlation)
+    return Varied(
+        known.inputs + tuple(each.input for each in moving),
+        known.entries + tuple(each.entry for each in moving),
+        known.distributions + tuple(each.distribution for each in moving if each.distribution),
+        known.when + ("batch",) * len(moving),
+        factor,
+    )
+
+
+def drawn(distribution: Distribution, centre, z) -> Array:
+    """The value that a standard normal stands for; formulas in `Distribution`."""
+    if distribution.kind == "normal":
+        return centre + distribution.spread * z
+    if distribution.kind == "lognormal":
+        return centre * jnp.exp(distribution.spread * z - distribution.spread**2 / 2)
+    return centre + distribution.spread * (2 * jax.scipy.special.ndtr(z) - 1)

@@ -1,0 +1,1 @@
+"""Reads what is decided in closed loop."""

@@ -1,0 +1,134 @@
+"""Reads `[[control.rules]]`: controllers that stand beside the trained policy."""
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+from pydantic import Field
+
+from snapo.case.table import Section, Table, parse
+
+from ...control.records import PI, Cascade, Manipulated, Measurement, Rule
+from ..entries import Numbers
+from ..fields import Text, quantity, word
+from ..numbers import POSITIVE, listed, suggest
+from ..numbers import quantity as number
+
+NOT_ZERO = "a gain that is not 0; its sign says which way the control acts"
+
+
+class RuleTable(Table):
+    """`[[control.rules]]`"""
+
+    name: Text = Field(description="a name")
+    tuning: Literal["simc", "ziegler-nichols"] = word("simc", "ziegler-nichols", default="simc")
+    loops: Annotated[list[dict], Field(min_length=1)] = Field(
+        description="tables [[control.rules.loops]]"
+    )
+
+
+class LoopTable(Table):
+    """`[[control.rules.loops]]`"""
+
+    of: Text = Field(description="one of [[control.manipulated]]")
+    measure: Text = Field(description="the state of one of [[control.measurements]]")
+    setpoint: Any = Field(
+        None, description='quantities evenly over the time, as ["20 g/L", "9 g/L"]'
+    )
+    gain: Any = quantity('"-0.5 K/(kg/m^3)"', None)
+    integral_time: Any = quantity('"10 min"', None)
+    inner: dict | None = Field(None, description="the table inner of a cascade")
+
+
+class InnerTable(Table):
+    """`inner` of `[[control.rules.loops]]`"""
+
+    measure: Text = Field(description="the state of one of [[control.measurements]]")
+    low: Any = quantity('"300 K"')
+    high: Any = quantity('"320 K"')
+    gain: Any = quantity('"2 K/K"', None)
+    integral_time: Any = quantity('"2 min"', None)
+
+
+def read_rules(
+    file, raw: Sequence[Any], numbers: Numbers, manipulated: Sequence[Manipulated],
+    sensors: Sequence[Measurement], units: dict[str, str], timed: set[str], notes: list[str],
+) -> tuple[Rule, ...]:  # fmt: skip
+    """`units`: of every state that may be measured. `timed`: names of units with a time."""
+    found: list[Rule] = []
+    for i, each in enumerate(raw):
+        section = Section(file, f"control.rules[{i}]", notes)
+        table = parse(RuleTable, each, str(file), section.name)
+        if table.name in [rule.name for rule in found]:
+            raise section.error("name", table.name, "this name stands there twice")
+        read = _Loops(section, numbers, manipulated, sensors, units, timed)
+        loops = tuple(read.loop(loop, k) for k, loop in enumerate(table.loops))
+        for k, loop in enumerate(loops):
+            if loop.of in [other.of for other in loops[:k]]:
+                what = "one control has one loop in a rule"
+                raise section.error(f"loops[{k}].of", manipulated[loop.of].input, what)
+        found.append(Rule(table.name, table.tuning, loops))
+    return tuple(found)
+
+
+class _Loops:
+    """The loops of one rule while they are read."""
+
+    def __init__(self, section: Section, numbers, manipulated, sensors, units, timed):
+        self.section, self.numbers, self.units, self.timed = section, numbers, units, timed
+        self.controls = [each.input for each in manipulated]
+        self.states = [each.state for each in sensors]
+
+    def loop(self, raw: Any, number_: int) -> Cascade:
+        file, notes = self.section.file, self.section.notes
+        section = Section(file, f"{self.section.name}.loops[{number_}]", notes)
+        table = parse(LoopTable, raw, str(file), section.name)
+        of = _among(section, "of", table.of, self.controls, "control")
+        unit = table.of.partition(".")[0]
+        if unit not in self.timed:
+            what = "a loop moves what is decided over a unit's time"
+            raise section.error("of", table.of, what)
+        moved = self.numbers.unit(table.of, 0)
+        if table.inner is None:
+            return Cascade(
+                of, self._pi(section, table, unit, moved, table.setpoint), None, 0.0, 1.0
+            )
+        inside = Section(file, f"{section.name}.inner", notes)
+        inner = parse(InnerTable, table.inner, str(file), inside.name)
+        below = self._pi(inside, inner, unit, moved, None)
+        own = self.units[inner.measure]  # known, as `below` was read
+        above = self._pi(section, table, unit, own, table.setpoint)
+        low, high = (number(inside, key, getattr(inner, key), own) for key in ("low", "high"))
+        if not low < high:
+            raise inside.error("high", inner.high, "high must lie above low")
+        return Cascade(of, above, below, low, high)
+
+    def _pi(self, section: Section, table, unit: str, moved: str, setpoint: Any) -> PI:
+        sensor = _among(section, "measure", table.measure, self.states, "measurement")
+        if table.measure.partition(".")[0] != unit:
+            what = f"a loop measures in the unit that it moves, {unit}"
+            raise section.error("measure", table.measure, what)
+        own, gain, integral, nodes = self.units[table.measure], None, None, None
+        if table.gain is not None:
+            gain = number(section, "gain", table.gain, per(moved, own), difference=True)
+            if gain == 0:
+                raise section.error("gain", table.gain, f"allowed is {NOT_ZERO}")
+        if table.integral_time is not None:
+            integral = number(section, "integral_time", table.integral_time, "s", POSITIVE)
+        if setpoint is not None:
+            nodes = tuple(listed(section, "setpoint", setpoint, own))
+        return PI(sensor, nodes, gain, integral)
+
+
+def _among(section: Section, key: str, name: str, names: Sequence[str], noun: str) -> int:
+    if name not in names:
+        raise section.error(key, name, f"there is no such {noun}; {suggest(name, names, noun)}")
+    return list(names).index(name)
+
+
+def per(unit: str, by: str) -> str:
+    """The name of the unit `unit` per `by`, such as "K/kmol*m3" of "K" and "kmol/m3"."""
+    if unit == by:
+        return "1"
+    above, *below = by.split("/")
+    found = unit if above == "1" else f"{unit}/{above}"
+    return found + "".join(f"*{each}" for each in below)

@@ -1,0 +1,199 @@
+"""Reactor under a gas, such as hydrogen: it dissolves, and reacts in the liquid.
+
+The gas is one of the species: kL a (c* - c) of it enters a m3 of liquid each second, c* = p / He by
+Henry's law. Either its concentration is a state of its own, or it follows at every moment from
+what enters being what reacts (a reaction slow against kL a makes that wrong at the start alone).
+"""
+
+from dataclasses import dataclass
+from typing import Any, Literal
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array
+from pydantic import Field
+
+from snapo.case.given import Given
+from snapo.case.table import Table
+
+from ..flowsheet.grid import NO_CRYSTALS
+from ..flowsheet.ledger import Finish, ledger
+from ..flowsheet.network import GAS_CONSTANT, rate_constants, rates
+from ..flowsheet.stream import clear
+from ..given import use
+from ..read.fields import Text, profile, quantity, word
+from ..read.numbers import NOT_NEGATIVE, POSITIVE, TEMPERATURE
+from ..time.dynamics import Dynamics
+from ..time.profile import Profile
+from .operation import Inlet, Timed
+from .reactor import extended
+
+NEWTON = 12  # steps for the gas that reacts by an order that is neither 0 nor 1
+
+
+class HydrogenationTable(Table):
+    """`type = "hydrogenation"`"""
+
+    type: Literal["hydrogenation"]
+    duration: Any = quantity('"3 h"', words="reaction time")
+    temperature: Any = profile(words="temperature of the reactor")
+    gas: Text = Field(description="the species that is the gas")
+    pressure: Any = profile(words="partial pressure of the gas")
+    transfer: Any = quantity('"0.05 1/s"', words="kL a of the gas")
+    henry: Any = quantity('"3.4e7 Pa*L/mol"', words="Henry's constant at the reference")
+    enthalpy: Any = quantity('"5 kJ/mol"', "0 J/mol", words="enthalpy of dissolution of the gas")
+    reference: Any = quantity('"298.15 K"', "298.15 K", words="temperature of Henry's constant")
+    dissolved: Literal["dynamic", "pseudo-steady"] = word(
+        "dynamic", "pseudo-steady", default="dynamic"
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Hydrogenation(Timed):
+    """Batch of liquid under a gas.
+
+    - `temperature`: profile in K; `gas`: number of the species; `pressure`: profile in Pa.
+    - `transfer`: kL a, 1/s; `henry`: He = p / c* at `reference` K, Pa m3/kmol; `enthalpy`: of
+      dissolution, J/mol, so that c* falls with temperature where it is below 0; each index [].
+    - `dissolved`: "dynamic" or "pseudo-steady".
+    """
+
+    temperature: Profile
+    gas: int
+    pressure: Profile
+    transfer: Given
+    henry: Given
+    enthalpy: Given
+    reference: float
+    dissolved: Literal["dynamic", "pseudo-steady"]
+
+    type = "hydrogenation"
+    variant = ""
+    title = "hydrogenation"
+    table = HydrogenationTable
+    reacts = True
+    symbols = (
+        ("c", "concentration"),
+        ("r", "rates of reaction"),
+        ("ν", "stoichiometry"),
+        ("kLa", "transfer of the gas per volume"),
+        ("p", "partial pressure of the gas"),
+        ("He", "Henry's constant"),
+    )
+    assumptions = (
+        "The gas is pure or its partial pressure is known; the liquid keeps its volume.",
+    )
+
+    @classmethod
+    def read(cls, read, species):
+        return cls(
+            name=read.name,
+            duration=read.number("duration", "s", POSITIVE),
+            temperature=read.profile("temperature", "K"),
+            gas=species.index(read.known("gas", species, "species")),
+            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
+            transfer=read.number("transfer", "1/s", POSITIVE),
+            henry=read.number("henry", "Pa*m3/kmol", POSITIVE),
+            enthalpy=read.number("enthalpy", "J/mol"),
+            reference=read.plain("reference", "K", TEMPERATURE),
+            dissolved=read.table.dissolved,
+        )
+
+    @property
+    def inlets(self):
+        return (Inlet("feed", "refused"),)
+
+    @property
+    def outlets(self):
+        return ("product",)
+
+    @property
+    def error_controlled(self):
+        return True
+
+    def sizes(self, inlets):
+        return (NO_CRYSTALS,)
+
+    def measures(self, species):
+        return self.states(species)
+
+    def states(self, species):
+        """ "uptake" is kmol of gas per m3 of liquid so far, "saturation" c / c*."""
+        found = {f"concentration.{s}": "kmol/m3" for s in species}
+        return found | {"uptake": "kmol/m3", "saturation": "1", "temperature": "K"}
+
+    def equations(self):
+        balance = "c' = νᵀ r + kLa (c* − c)"
+        if self.dissolved == "pseudo-steady":
+            balance = "kLa (c* − c) = −Σ νᵢ rᵢ(c) of the gas at every moment"
+        return [
+            f"gas: {balance}; others: c' = νᵀ r",
+            "c* = p/He exp(−ΔH/R (1/T − 1/T_ref)), He at T_ref",
+            "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K",
+        ]
+
+    def dynamics(self, network, inlets, inputs):
+        """y: extents [R], and of the dynamic kind the gas that came in, all kmol/m3."""
+        feed, gas, count = inlets[0], self.gas, len(network.reactions)
+        charge, transfer = feed.concentration(), use(inputs, self.transfer)
+        dynamic = self.dissolved == "dynamic"
+        henry, energy = use(inputs, self.henry), use(inputs, self.enthalpy) / GAS_CONSTANT
+
+        def drive(temperature, pressure):
+            inverse = 1 / temperature - 1 / self.reference
+            most = pressure / henry * jnp.exp(-energy * inverse)
+            constants = rate_constants(network, inputs, temperature)
+            return jnp.concatenate([constants, most[..., None]], -1)
+
+        def composition(y, driven) -> list[Array]:
+            c = extended(network, charge, y)
+            c[gas] = c[gas] + y[count] if dynamic else self._steady(network, driven, c, transfer)
+            return c
+
+        def rate(y, driven):
+            c = composition(y, driven)
+            slope = rates(network, driven, c)
+            return jnp.stack([*slope, transfer * (driven[count] - c[gas])][: len(y)])
+
+        def states(y, *controls):
+            driven = drive(*(jnp.asarray(each) for each in controls))
+            c = composition(y, driven)
+            found = {f"concentration.{s}": each for s, each in zip(network.species, c)}
+            taken = y[count] if dynamic else c[gas] - extended(network, charge, y)[gas]
+            share = c[gas] / jnp.where(driven[count] > 0, driven[count], 1.0)
+            warm = jnp.asarray(controls[0])
+            return found | {"uptake": taken, "saturation": share, "temperature": warm}
+
+        def finish(y, *controls):
+            found, volume = states(y, *controls), feed.volume
+            c = jnp.stack([found[f"concentration.{s}"] for s in network.species])
+            product = clear(c * volume, feed.solvent, volume, found["temperature"])
+            made = jnp.stack(extended(network, jnp.zeros_like(charge), y)) * volume
+            added = jnp.zeros_like(charge).at[gas].set(found["uptake"] * volume)
+            book = ledger(len(charge), made=made, added=added)
+            return Finish((product.replace(antisolvent=feed.antisolvent),), found, book)
+
+        both = self.temperature, self.pressure
+        controls = tuple((each, use(inputs, each.value)) for each in both)
+        duration, start = use(inputs, self.duration), jnp.zeros(count + dynamic)
+        return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
+
+    def _steady(self, network, driven, c: list[Array], transfer) -> Array:
+        """The gas at which kL a (c* - c) is what reacts.
+
+        By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1.
+        """
+        order, most = network.order[:, self.gas], driven[-1]
+        taken = network.stoichiometry[:, self.gas]
+
+        def gap(now):
+            speed = rates(network, driven, [*c[: self.gas], now, *c[self.gas + 1 :]])
+            used = sum(-float(nu) * r for nu, r in zip(taken, speed) if nu)
+            return transfer * (now - most) + used
+
+        found, linear = most, bool(np.isin(order, (0, 1)).all())
+        for _ in range(1 if linear else NEWTON):
+            value, slope = jax.jvp(gap, (found,), (jnp.ones_like(found),))
+            found = found - value / slope
+        return found
