@@ -36,7 +36,7 @@ class Paths(VecEnv):
     def reset(self) -> np.ndarray:
         self._t[:] = 0
         self._state, seen = self._first(self._normals(self.dynamics.simulator.initial_noise_size))
-        return np.asarray(seen)
+        return np.array(seen)
 
     def step_async(self, actions: np.ndarray) -> None:
         self._chosen = raw_of(self.task, actions, self.options)

@@ -11,6 +11,7 @@ from .clock import Budget, Clock, Point
 from .environment import Paths, raw_of
 from .settings import settings
 from .tasks import TASKS
+from .told import TOLD
 from .yardstick import Yardstick
 
 ALGORITHMS = {"ppo": PPO, "sac": SAC, "td3": TD3}
@@ -67,10 +68,7 @@ class Record(BaseCallback):
             value = self.yardstick.value(self._rule)
         point = Point(*self.names, self.num_timesteps, processor, wall, value)
         self.points.append(point)
-        print(
-            f"  {point.steps:>9,} steps {processor:7.1f} s: {self.task.shown(value):.5g}",
-            flush=True,
-        )
+        print(point.told(TOLD[self.names[0]].shown), flush=True)
 
     def _rule(self, seen: np.ndarray) -> np.ndarray:
         return raw_of(self.task, self.model.predict(seen, deterministic=True)[0], self.options)

@@ -73,4 +73,18 @@ def test_the_yardstick_agrees_with_the_engine():
     first, noise = measured.noise()
     draws = Stored(first, noise)  # pyright: ignore[reportArgumentType]
     totals = Xla().bind(task.problem).values(task.policy, draws, Exact()).totals
-    assert measured.value(task.policy) == pytest.approx(np.mean(totals["result"]), rel=1e-5)
+    expected = float(np.asarray(totals["result"]).mean())
+    assert measured.value(task.policy) == pytest.approx(expected, rel=1e-5)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("algorithm", ["ppo", "sac"])
+def test_an_agent_has_a_curve(algorithm):
+    """Where the extra is installed: a few steps, the options of PPO and the numbers of SAC."""
+    pytest.importorskip("stable_baselines3")
+    from benchmarks.reinforcement_learning.clock import Budget
+    from benchmarks.reinforcement_learning.learners import learn
+
+    points = learn("put", algorithm, 0, 200, Budget(5.0, 60.0))
+    assert [p.steps for p in points] == sorted(p.steps for p in points)
+    assert all(0 <= p.value < 5 for p in points)
