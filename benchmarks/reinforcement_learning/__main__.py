@@ -17,8 +17,13 @@ METHODS = ("snapo", "regression", *AGENTS)
 QUICK = {"snapo": 5, "ppo": 20_000, "sac": 4_000, "td3": 12_000}
 
 
-def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> list[Point]:
-    """The curve of one training, in this process; imports are no part of its clock."""
+def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> None:
+    """One training in this process; imports are no part of its clock. Points go to the file."""
+
+    def tell(point: Point) -> None:
+        print(point.told(TOLD[problem].shown), flush=True)
+        write(asked.out, [point])
+
     steps = QUICK.get(method) if asked.quick else asked.steps
     if method == "snapo":
         from .ours import solve
@@ -26,17 +31,17 @@ def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> list
         # Code that is compiled already would make snapo look faster than it is the first time.
         with tempfile.TemporaryDirectory(prefix="snapo-cold-") as cold:
             os.environ["XDG_CACHE_HOME"] = cold
-            return solve(problem, seed, steps)
+            return solve(problem, seed, steps, tell)
     if method == "regression":
         from .regression import FITTED, regress
 
-        return regress(problem, seed) if problem in FITTED else []
+        return regress(problem, seed, tell) if problem in FITTED else None
     try:
         from .learners import learn
     except ImportError as error:
         message = "needs Stable-Baselines3: pip install 'snapo[baselines]'"
         raise SystemExit(f"{method} {message}") from error
-    return learn(problem, method, seed, steps, Budget(asked.seconds, asked.wall))
+    learn(problem, method, seed, steps, Budget(asked.seconds, asked.wall), tell)
 
 
 def main() -> None:
@@ -54,7 +59,7 @@ def main() -> None:
     if unknown := set(asked.problems) - set(TOLD):
         parser.error(f"there is no {', '.join(sorted(unknown))}; known are {', '.join(TOLD)}")
     if asked.alone:
-        write(asked.out, run(asked.problems[0], asked.algorithm[0], asked.seeds[0], asked))
+        run(asked.problems[0], asked.algorithm[0], asked.seeds[0], asked)
         return
     from ..machine import machine
 

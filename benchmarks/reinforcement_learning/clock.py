@@ -25,6 +25,9 @@ class Point(NamedTuple):
         return f"  {self.steps:>9,} steps {self.processor:7.1f} s: {shown(self.value):.5g}"
 
 
+Tell = Callable[[Point], None]  # gets every point as soon as it is measured
+
+
 class Clock:
     """Processor time of all threads, and wall time, since it was made; stands still in `paused`."""
 

@@ -7,11 +7,10 @@ from stable_baselines3.common.callbacks import BaseCallback
 from stable_baselines3.common.noise import NormalActionNoise
 from stable_baselines3.common.vec_env import VecNormalize
 
-from .clock import Budget, Clock, Point
+from .clock import Budget, Clock, Point, Tell
 from .environment import Paths, raw_of
 from .settings import settings
 from .tasks import TASKS
-from .told import TOLD
 from .yardstick import Yardstick
 
 ALGORITHMS = {"ppo": PPO, "sac": SAC, "td3": TD3}
@@ -19,10 +18,10 @@ MEASURED = 8  # points of a curve
 
 
 def learn(
-    problem: str, algorithm: str, seed: int, steps: int | None, budget: Budget
-) -> list[Point]:
-    """The points of one run of `steps` simulated steps (None: the settings'), or of less where
-    the budget ends before."""
+    problem: str, algorithm: str, seed: int, steps: int | None, budget: Budget, tell: Tell
+) -> None:
+    """Tells the points of one run of `steps` simulated steps (None: the settings'), or of less
+    where the budget ends before."""
     torch.set_num_threads(1)
     task, chosen = TASKS[problem](seed), settings(problem, algorithm)
     options = bool(task.options) and algorithm == "ppo"
@@ -38,18 +37,18 @@ def learn(
     model = ALGORITHMS[algorithm]("MlpPolicy", environment, seed=seed, device="cpu", **keywords)
     with clock.paused():
         yardstick = Yardstick(task.problem, task.paths, task.decode)
-    record = Record(yardstick, clock, task, options, (problem, algorithm, seed), total, budget)
+    names = problem, algorithm, seed
+    record = Record(yardstick, clock, task, options, names, total, budget, tell)
     model.learn(total, callback=record)
-    return record.points
 
 
 class Record(BaseCallback):
     """Measures the rule at growing intervals while the clock stands still."""
 
-    def __init__(self, yardstick, clock, task, options, names, total, budget):
+    def __init__(self, yardstick, clock, task, options, names, total, budget, tell):
         super().__init__()
         self.yardstick, self.clock, self.task, self.options = yardstick, clock, task, options
-        self.names, self.budget, self.points = names, budget, []
+        self.names, self.budget, self.tell = names, budget, tell
         self.marks = list(np.geomspace(total / 40, total, MEASURED).astype(int))
 
     def _on_step(self) -> bool:
@@ -66,9 +65,7 @@ class Record(BaseCallback):
         processor, wall = self.clock.read()
         with self.clock.paused():
             value = self.yardstick.value(self._rule)
-        point = Point(*self.names, self.num_timesteps, processor, wall, value)
-        self.points.append(point)
-        print(point.told(TOLD[self.names[0]].shown), flush=True)
+        self.tell(Point(*self.names, self.num_timesteps, processor, wall, value))
 
     def _rule(self, seen: np.ndarray) -> np.ndarray:
         return raw_of(self.task, self.model.predict(seen, deterministic=True)[0], self.options)

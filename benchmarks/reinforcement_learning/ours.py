@@ -8,14 +8,13 @@ from snapo.engine import choose
 from snapo.solver.train import begin, train
 from snapo.solver.windows.window import UPDATES
 
-from .clock import Clock, Point
+from .clock import Clock, Point, Tell
 from .tasks import TASKS
-from .told import TOLD
 from .yardstick import Yardstick
 
 
-def solve(problem: str, seed: int, steps: int | None) -> list[Point]:
-    """The points of one run of `steps` updates (None: the settings').
+def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
+    """Tells the points of one run of `steps` updates (None: the settings').
 
     The clock starts before the problem is made: what snapo prepares, such as the guide of a gas
     store, and what it compiles counts. So do the paths on which it validates.
@@ -26,7 +25,7 @@ def solve(problem: str, seed: int, steps: int | None) -> list[Point]:
     lesson = task.lesson or task.problem
     policy = task.policy.for_problem(lesson.interface, jax.random.key(seed))
     engine = choose("auto", lesson, policy).train
-    horizon, points = lesson.simulator.horizon, []
+    horizon = lesson.simulator.horizon
     with clock.paused():
         yardstick = Yardstick(task.problem, task.paths)
 
@@ -40,8 +39,6 @@ def solve(problem: str, seed: int, steps: int | None) -> list[Point]:
         )
         with clock.paused():
             value = yardstick.value(progress.best)
-        points.append(Point(problem, "snapo", seed, done, processor, wall, value))
-        print(points[-1].told(TOLD[problem].shown), flush=True)
+        tell(Point(problem, "snapo", seed, done, processor, wall, value))
 
     train(lesson, begin(policy, training, lesson), training, engine, (measure,))
-    return points

@@ -4,7 +4,7 @@ own and valued on those of the yardstick."""
 
 import numpy as np
 
-from .clock import Clock, Point
+from .clock import Clock, Point, Tell
 from .tasks import TASKS
 from .yardstick import Yardstick
 
@@ -12,8 +12,8 @@ DEGREE = 5
 FITTED = {"put": 50_000, "storage": 5_000}  # paths of the regression
 
 
-def regress(problem: str, seed: int) -> list[Point]:
-    """The one point of a method that has no curve; only of "put" and "storage"."""
+def regress(problem: str, seed: int, tell: Tell) -> None:
+    """Tells the one point of a method that has no curve; only of "put" and "storage"."""
     task = TASKS[problem](seed)
     noise = Yardstick(task.problem, task.paths).noise()[1][..., 0].astype(float)
     solver = {"put": put, "storage": storage}[problem]
@@ -22,7 +22,7 @@ def regress(problem: str, seed: int) -> list[Point]:
     rule = solver(task, random.standard_normal((len(noise), fitted)))
     processor, wall = clock.read()
     value = float(rule(noise).mean())
-    return [Point(problem, "regression", seed, fitted * len(noise), processor, wall, value)]
+    tell(Point(problem, "regression", seed, fitted * len(noise), processor, wall, value))
 
 
 def put(task, fitting: np.ndarray):

@@ -85,6 +85,7 @@ def test_an_agent_has_a_curve(algorithm):
     from benchmarks.reinforcement_learning.clock import Budget
     from benchmarks.reinforcement_learning.learners import learn
 
-    points = learn("put", algorithm, 0, 200, Budget(5.0, 60.0))
+    points = []
+    learn("put", algorithm, 0, 200, Budget(5.0, 60.0), points.append)
     assert [p.steps for p in points] == sorted(p.steps for p in points)
     assert all(0 <= p.value < 5 for p in points)
