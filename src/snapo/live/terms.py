@@ -33,8 +33,9 @@ def _days(labels: tuple[str, ...]) -> bool:
         return False
 
 
-def described(name: str, given: Input, slope: np.ndarray, believed: str) -> dict[str, Any]:
-    """An input for the page: all that is said about it, its numbers, and d value / d number."""
+def described(name: str, given: Input, slope: np.ndarray | None, believed: str) -> dict[str, Any]:
+    """An input for the page: all that is said about it, its numbers, and d value / d number, where
+    that is known."""
     return {
         "name": name,
         "words": given.words,
