@@ -8,6 +8,7 @@ import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, small
 from tests.miniatures import MINIATURES
 
+from snapo.case.error import CaseError
 from snapo.live.case.files import read_files
 from snapo.live.case.places import Places
 from snapo.live.moves import Moves
@@ -105,7 +106,7 @@ def test_the_page_shows_what_solve_finds(kind, values, solved, tmp_path):
     if kind == "inventory":
         costs = [row[1] for row in found["sections"][1]["rows"]]
         assert sum(costs) == pytest.approx(-found["value"]["value"], rel=1e-12)
-        assert 0 < rows["fill rate"][1] <= 100
+        assert 0 < rows["fill rate, %"][1] <= 100
     else:
         assert rows["reward"][1] == found["value"]["value"]
     assert shown(valuation, {})["value"] == base["value"]
@@ -154,6 +155,38 @@ def test_a_process_in_closed_loop_is_valued_as_solve_does(tmp_path):
     (section,) = found["sections"]
     assert [row[0] for row in section["rows"]] == ["product", "impurity"]
     assert "keep all limits" in section["words"]
+
+
+@pytest.mark.prove
+def test_a_choice_is_valued_as_solve_does(solved, tmp_path):
+    valuation = opened(solved("inventory") / "run", tmp_path)
+    assert isinstance(valuation, Valuation) and not valuation.bounded
+    (choice,) = [x for x in valuation.choices if x.name == "item.unmet"]
+    (other,) = [x for x in choice.allowed if x != choice.value]
+    chosen = {choice.name: other}
+    base = next(valuation.stages({}))[1]
+    found = next(valuation.stages({}, chosen))[1]
+    valuation.files({}, chosen).write(tmp_path / "moved")
+    loaded = commands.load(commands.Asked(tmp_path / "moved"))
+    setup = loaded.domain.study(loaded.case, Options()).setup
+    assert setup is not None
+    assert (
+        found["value"]
+        == valuation._worth(setup(), valuation.solution.policy)[1].value
+        != base["value"]
+    )
+    with pytest.raises(CaseError, match="there is no such choice"):
+        next(valuation.stages({}, {"contract.nothing": "x"}))
+    with pytest.raises(CaseError, match="allowed is"):
+        next(valuation.stages({}, {choice.name: "; rm -rf"}))
+
+
+@pytest.mark.prove
+def test_the_best_is_bounded_where_the_domain_can(solved, tmp_path):
+    valuation = opened(solved("gas-storage") / "run", tmp_path)
+    assert isinstance(valuation, Valuation) and valuation.bounded
+    bounds = valuation.bound_here({"volatility": 1.1 * valuation.named["volatility"].value})
+    assert bounds["lower"]["value"] <= bounds["upper"]["value"]
 
 
 def test_the_miniatures_hold_every_kind():

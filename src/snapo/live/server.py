@@ -120,12 +120,12 @@ class Server:
                     await self.crew.ask({"do": "move", "page": page, "n": n, **asked})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
-                case "train":
+                case "train" | "bound":
                     found = self._last.get((page, n))
                     if found is None or "value" not in found:
                         raise Refused("these numbers are not valued yet")
                     given = {key: found[key] for key in ASKED}
-                    await self.crew.ask({"do": "train", "page": page, "n": n, **given})
+                    await self.crew.ask({"do": order["do"], "page": page, "n": n, **given})
                 case "cancel":
                     await self.crew.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":

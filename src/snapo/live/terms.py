@@ -41,8 +41,9 @@ def described(name: str, given: Input, slope: np.ndarray | None, believed: str) 
         "words": given.words,
         "group": given.group or "other",
         "unit": given.unit,
-        "trade_unit": given.trade_unit,
-        "factor": given.trade_factor if given.trade_unit else 1.0,
+        # A temperature's other units have another zero, which a factor does not tell.
+        "trade_unit": "" if given.unit == "K" else given.trade_unit,
+        "factor": given.trade_factor if given.trade_unit and given.unit != "K" else 1.0,
         "values": given.value.ravel(),
         "shape": list(given.value.shape),
         "handles": [{"label": label, "at": at} for label, at in handles(given)],

@@ -17,6 +17,7 @@ from snapo.case.error import CaseError
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver import statistics
+from snapo.solver.bound import bound
 from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
@@ -32,7 +33,7 @@ from .terms import derivatives, slopes
 
 FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
 ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
-DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 2048, 1024, 2048
+DELTA_PATHS, FAN_PATHS, HEALTH_PATHS, BOUND_PATHS = 2048, 1024, 2048, 512
 TOLD = 12  # times that a training tells how far it is
 
 
@@ -128,6 +129,24 @@ class Valuation(Moves):
             "steps": state.step,
             "status": state.status,
         }
+
+    @property
+    def bounded(self) -> bool:
+        """Whether the domain bounds the best policy's value from above."""
+        return not isinstance(self.study.relaxation, str)
+
+    def bound_here(self, values: Values, chosen: Chosen = NONE) -> dict[str, Any]:
+        """The value between two bounds at these inputs: how much the best policy could gain.
+
+        **Raises:** `CaseError` where the domain has no bound here; it says why.
+        """
+        policy, (_, setup) = self.solution.policy, self._at(values, chosen)
+        assert policy is not None
+        relaxation = self.anew(self.moved(values, chosen).case).relaxation
+        if isinstance(relaxation, str):
+            raise CaseError("the bound", "", None, relaxation)
+        engine = setup.engines.evaluate
+        return bound(setup.problem, policy, relaxation(), BOUND_PATHS, engine=engine).row()
 
     def _at(self, values: Values, chosen: Chosen = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""

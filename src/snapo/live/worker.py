@@ -72,6 +72,9 @@ def serve(valuation: Moves, desk: Desk, post: Post) -> None:
                 _move(valuation, desk, post, order)
             elif order["do"] == "train" and isinstance(valuation, Valuation):
                 _train(valuation, desk, post, order)
+            elif order["do"] == "bound" and isinstance(valuation, Valuation):
+                found = valuation.bound_here(order["values"], order.get("chosen") or {})
+                post(page=order["page"], n=order["n"], stage="bounded", table=found)
             elif order["do"] == "write":
                 _write(valuation, order)
                 post(page=order["page"], n=order["n"], stage="written", folder=order["folder"])
@@ -167,7 +170,14 @@ def main(arguments: list[str] | None = None) -> int:
     base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
     counts = valuation.counted()
     known = [each._asdict() for each in valuation.choices]
-    ready = {"inputs": valuation.inputs(), "choices": known, "base": base, "counts": counts}
+    bounded = isinstance(valuation, Valuation) and valuation.bounded
+    ready = {
+        "inputs": valuation.inputs(),
+        "choices": known,
+        "base": base,
+        "counts": counts,
+        "bounded": bounded,
+    }
     post(stage="ready", **ready, **valuation.units())
     serve(valuation, Desk(sys.stdin), post)
     return 0

@@ -119,6 +119,7 @@ def solve(
         reason=engines.reason,
         seed=training.seed,
         versions=versions(),
+        problem=problem,
     )
 
 

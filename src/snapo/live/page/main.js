@@ -39,7 +39,7 @@ function trouble(words) {
 }
 
 function heard(message) {
-  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled };
+  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled, bounded };
   if (stages[message.stage]) return stages[message.stage](message);
   if (message.n !== page.n) return;
   page.now[message.stage] = message.table;
@@ -79,6 +79,7 @@ function ready(message) {
   page.ready = true;
   page.paths = message.counts.value;
   page.unit = message.unit;
+  at("bound").hidden = !message.bounded;
   page.units = message.units;
   at("unit").textContent = page.unit;
   trouble("");
@@ -189,6 +190,7 @@ function training({ n, table }) {
 }
 
 function idle(words) {
+  at("bound").disabled = false;
   at("train").disabled = false;
   at("cancel").hidden = at("progress").hidden = true;
   at("trained").textContent = words;
@@ -232,6 +234,7 @@ function value(found) {
   const here = anything() ? `${page.name}-${page.valued}` : "run";
   for (const [id, address] of [["take-csv", `shown/${here}.csv`], ["take-zip", `case/${here}.zip`], ["take-xlsx", `case/${here}.xlsx`]]) at(id).href = address;
   at("again").hidden = !page.about.trains || !anything();
+  at("bounds").textContent = "";
   idle("");
 }
 
@@ -240,9 +243,18 @@ function health(found) {
   const far = ratio > 2 && found.gradient > 2 * found.noise;
   box.hidden = false;
   box.classList.toggle("far", far);
+  const noise = `± ${shown(found.noise / (found.at_training || 1), 2)}`;
   box.textContent = far
-    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} times that where it was trained.`
-    : "The policy is near its best here, as far as its gradient tells.";
+    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} ${noise} times that where it was trained. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
+    : `The policy is near its best here, as far as its gradient tells: ${shown(ratio, 2)} ${noise} times that where it was trained.`;
+}
+
+function bounded({ n, table }) {
+  if (n !== page.n) return;
+  at("bound").disabled = false;
+  const { gap, upper } = table, share = Math.abs(gap.value / (upper.value || 1));
+  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
+  at("bounds").textContent = `No policy is worth more than ${shown(upper.value, 6)} ${error(upper.standard_error)}: this one is at most ${shown(gap.value, 4)} ${error(gap.standard_error)} (${shown(100 * share, 2)} %) below the best.${advice}`;
 }
 
 function today(found) {
@@ -256,9 +268,10 @@ function today(found) {
 
 // The domain's own sections.
 function sections(found) {
-  const cell = (each) => element("td", { className: typeof each === "string" ? "name" : "" }, typeof each === "string" ? each : shown(each));
+  const cell = (each) => element("td", { className: typeof each === "string" ? "text" : "" }, typeof each === "string" ? each : shown(each));
   at("sections").replaceChildren(...found.map(({ title, words, columns, rows }) => {
-    const head = element("tr", {}, ...columns.map(([name, unit]) => element("th", { scope: "col" }, unit ? `${name}, ${unit}` : name)));
+    const kind = (i) => (typeof rows[0]?.[i] === "string" ? "text" : "");
+    const head = element("tr", {}, ...columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(i) }, unit ? `${name}, ${unit}` : name)));
     const body = rows.map((row) => element("tr", {}, ...row.map(cell)));
     return element("section", { className: "card" }, element("h2", {}, title), words ? element("p", { className: "quiet" }, words) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
   }));
@@ -339,6 +352,12 @@ function kept(message) {
 }
 
 at("train").addEventListener("click", () => page.valued === page.n && send({ do: "train", n: page.n }));
+at("bound").addEventListener("click", () => {
+  if (page.valued !== page.n) return;
+  at("bound").disabled = true;
+  at("bounds").textContent = "bounding; this takes some seconds";
+  send({ do: "bound", n: page.n });
+});
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("reset").addEventListener("click", () => load({}));
 for (const name of ["delta-input", "delta-of"]) at(name).addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));

@@ -9,7 +9,7 @@ from ..item.records import InventoryCase
 from ..network.records import NetworkCase
 from .measured import Measured
 
-COLUMNS = (("", ""), ("mean", ""), ("± standard error", ""), ("unit", ""))
+COLUMNS = (("", ""), ("mean", ""), ("± standard error", ""))
 COSTS = ("holding", "shortage", "purchase", "ordering")
 
 
@@ -24,11 +24,11 @@ def service_and_costs(found: study.Measured) -> Sequence[Shown]:
         share = name not in units
         factor = 100 if share else 1
         row = (factor * each["value"], factor * each["standard_error"])
-        rows.append((name.replace("_", " "), *row, "%" if share else units[name]))
+        rows.append((f"{name.replace('_', ' ')}, {'%' if share else units[name]}", *row))
     costs = []
     for name in COSTS:
         if name in found.totals and (each := told.total(name))["value"]:
-            costs.append((name, each["value"], each["standard_error"], case.value_unit))
+            costs.append((f"{name}, {case.value_unit}", each["value"], each["standard_error"]))
     shown = [Shown("Service", COLUMNS, rows), Shown("Costs by part", COLUMNS, costs)]
     if isinstance(case, NetworkCase):
         columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))

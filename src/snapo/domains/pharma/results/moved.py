@@ -60,7 +60,7 @@ class Recipe:
         process = self._at(case)
         one = process.run()
         if one.status != "ok":
-            raise CaseError("", "", None, one.status)
+            raise CaseError("the batch", "", None, one.status)
         sampled = self._sampled(process)
         count = min(case.evaluation.paths, BATCHES)
         rows = batches.drawn(sampled, {}, count, case.training.seed + 1)
