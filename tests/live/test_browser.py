@@ -240,3 +240,17 @@ def test_nothing_is_cut_at_any_width(page, width):
         }).map((each) => each.outerHTML.slice(0, 80))"""
     )
     assert wide == []
+
+
+def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("PageUp")
+    settled(page)
+    for link, name in (("csv", "shown-"), ("zip", "case.zip"), ("xlsx", "case.xlsx")):
+        with page.expect_download() as waiting:
+            page.click(f"#take-{link}")
+        assert waiting.value.suggested_filename.startswith(name)
+        assert Path(waiting.value.path()).stat().st_size > 500
+    page.click("#bound")
+    page.locator("#bounds", has_text="No policy is worth more than").wait_for()
+    home(page)
