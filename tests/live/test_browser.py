@@ -24,6 +24,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium"),
 ]
 PATIENCE = 45_000  # milliseconds: the machine may be busy
+START = 240_000  # of the first page, for which code is compiled
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def page(served, browser):
     page.on("request", lambda each: each.url.startswith(home) or wrong.append(each.url))
     page.set_default_timeout(PATIENCE)
     page.goto(served.address)
-    page.locator("#deltas").wait_for()
+    page.locator("#deltas").wait_for(timeout=START)
     yield page
     context.close()
     assert wrong == []

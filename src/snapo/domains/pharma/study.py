@@ -37,7 +37,8 @@ def study(case: PharmaCase, options: Options) -> Study:
     if options.reference:
         what = "a process has no exact reference to compute; its certificate is part of every run"
         raise CaseError("--reference", "", None, what)
-    parts, hooks = list(OpenLoop(case).parts()), {}
+    parts: list[Part] = list(OpenLoop(case).parts())
+    hooks: dict[str, Any]
     if case.control is not None:
         loop = ClosedLoop(case, options.engine)
         parts = [*parts, *loop.parts()]

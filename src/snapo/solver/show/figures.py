@@ -130,10 +130,10 @@ class Figures:
         names = (state,) if other is None else (state, other)
         series = rolled(found, policy)
         points = POINTS if other is None else CELLS
-        ranges = [
-            np.linspace(*np.nanquantile(chosen(series, name, "policy"), [0.005, 0.995]), points)
-            for name in names
-        ]
+        ranges = []
+        for name in names:
+            low, high = np.nanquantile(chosen(series, name, "policy"), [0.005, 0.995])
+            ranges.append(np.linspace(low, high, points))
         decided = decisions(found, policy, names, ranges, step)
         figure, ax = _axes(ax)
         if other is None:

@@ -37,11 +37,11 @@ class Recipe:
     """The recipe as it stands, at any numbers of its inputs; nothing is compiled twice."""
 
     def __init__(self, case: PharmaCase):
-        self.case = case
+        self.case, self._named = case, pharma_inputs(case)
 
-    @cached_property
+    @property
     def named(self) -> Mapping[str, Input]:
-        return pharma_inputs(self.case)
+        return self._named
 
     @cached_property
     def _process(self) -> Process:
