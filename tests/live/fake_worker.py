@@ -10,14 +10,16 @@ def say(**message):
     print(json.dumps(message), flush=True)
 
 
-say(stage="ready", inputs=[], base={}, counts={"value": 2}, unit="", units={})
+base = {"value": {"value": 2.0, "standard_error": 0.5}}
+say(stage="ready", inputs=[], choices=[], base=base, counts={"value": 2}, unit="", units={})
 for line in sys.stdin:
     order = json.loads(line)
     address = {"page": order["page"], "n": order["n"]}
     if order["do"] == "write":
         Path(order["folder"]).mkdir(parents=True, exist_ok=True)
-        Path(order["folder"], "case.toml").write_text('kind = "x"\n')
-        say(**address, stage="written")
+        name = "case.xlsx" if order.get("workbook") else "case.toml"
+        Path(order["folder"], name).write_text('kind = "x"\n')
+        say(**address, stage="written", folder=order["folder"])
         continue
     if "die" in order["values"]:
         # A file is left behind so that the next life answers.

@@ -24,6 +24,7 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium"),
 ]
 PATIENCE = 45_000  # milliseconds: the machine may be busy
+START = 240_000  # of the first page, for which code is compiled
 
 
 @pytest.fixture(scope="module")
@@ -72,7 +73,7 @@ def page(served, browser):
     page.on("request", lambda each: each.url.startswith(home) or wrong.append(each.url))
     page.set_default_timeout(PATIENCE)
     page.goto(served.address)
-    page.locator("#deltas").wait_for()
+    page.locator("#deltas").wait_for(timeout=START)
     yield page
     context.close()
     assert wrong == []
@@ -240,3 +241,17 @@ def test_nothing_is_cut_at_any_width(page, width):
         }).map((each) => each.outerHTML.slice(0, 80))"""
     )
     assert wide == []
+
+
+def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):
+    page.locator("[data-input=forward_curve] .handle").first.focus()
+    page.keyboard.press("PageUp")
+    settled(page)
+    for link, name in (("csv", "shown-"), ("zip", "case.zip"), ("xlsx", "case.xlsx")):
+        with page.expect_download() as waiting:
+            page.click(f"#take-{link}")
+        assert waiting.value.suggested_filename.startswith(name)
+        assert Path(waiting.value.path()).stat().st_size > 500
+    page.click("#bound")
+    page.locator("#bounds", has_text="No policy is worth more than").wait_for()
+    home(page)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.live.files import read_files
-from snapo.live.places import Places
+from snapo.live.case.files import read_files
+from snapo.live.case.places import Places
 from snapo.study import commands
 
 

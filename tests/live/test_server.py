@@ -190,3 +190,35 @@ def test_a_killed_worker_starts_again_and_answers_what_was_asked(tmp_path):
             assert [each["name"] for each in server.scenarios.all()] == ["before"]
 
     run(work())
+
+
+def test_what_is_shown_is_taken_away(tmp_path):
+    (tmp_path / "report.html").write_text("<p>The report</p>")
+
+    async def work():
+        async with served(tmp_path) as (server, session), connected(server, session) as socket:
+            name = (await heard(socket, "about"))["page"]
+            await heard(socket, "ready")
+            text = '{"do": "move", "n": 4, "values": {"=a": [2.5]}, "chosen": {"unmet": "waits"}}'
+            await socket.send_str(text)
+            await heard(socket, "done")
+
+            async def got(path):
+                async with session.get(server.address + path) as answer:
+                    assert answer.status == 200, path
+                    assert answer.headers["Content-Disposition"].startswith("attachment")
+                    return await answer.read()
+
+            table = (await got(f"shown/{name}-4.csv")).decode().splitlines()
+            assert table[1] == "value,,,1.0,0.1" and "chosen,unmet,waits,," in table
+            assert "moved,'=a,1,2.5," in table
+            assert (await got("shown/run.csv")).decode().splitlines()[1] == "value,,,2.0,0.5"
+            packed = zipfile.ZipFile(io.BytesIO(await got(f"case/{name}-4.zip")))
+            assert packed.namelist() == ["case/case.toml"]
+            assert await got("case/run.xlsx") == b'kind = "x"\n'
+            assert await got("report.html") == b"<p>The report</p>"
+            for path in (f"shown/{name}-9.csv", "shown/p99-4.csv", "case/p99-1.zip"):
+                async with session.get(server.address + path) as answer:
+                    assert answer.status == 404
+
+    run(work())

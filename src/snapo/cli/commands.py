@@ -134,11 +134,12 @@ def _certify(options: argparse.Namespace) -> Answer:
 
 
 def _report(options: argparse.Namespace) -> Answer:
-    file = commands.report(options.run)
-    if not options.pdf:
-        return {"status": "ok", "report": file}, str(file), OK
-    pdf = commands.printed(options.run)
-    return {"status": "ok", "report": file, "pdf": pdf}, f"{file}\n{pdf}", OK
+    found = {"report": commands.report(options.run)}
+    if options.pdf:
+        found["pdf"] = commands.printed(options.run)
+    if options.xlsx:
+        found["xlsx"] = commands.tables(options.run)
+    return {"status": "ok", **found}, "\n".join(map(str, found.values())), OK
 
 
 def _open(options: argparse.Namespace) -> Answer:

@@ -107,6 +107,9 @@ def _add_report(commands) -> None:
     report.add_argument(
         "--pdf", action="store_true", help="print it as report.pdf too, by a browser of the machine"
     )
+    report.add_argument(
+        "--xlsx", action="store_true", help="write its tables as a workbook too, tables.xlsx"
+    )
 
 
 def _add_open(commands) -> None:

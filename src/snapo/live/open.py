@@ -23,7 +23,10 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
     record = run_folder.read(run)
     domain_of_run(run, record, simulator)
     result = run_folder.read_table(run / run_folder.RESULT) or {}
-    if not (run / run_folder.POLICY).is_file() or result.get("value") is None:
+    parts = record["parts"]
+    trains = "training" in parts or not parts
+    lacks = trains and not (run / run_folder.POLICY).is_file()
+    if lacks or result.get("value") is None:
         what = "this run has no trained policy: solve its case again, or go on with --resume"
         raise CaseError(str(run), "", None, what)
     about = record.get("about", {})
@@ -34,6 +37,8 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
         "kind": record["kind"],
         "days": about.get("days"),
         "step": step if isinstance(step, str) else "step",
+        "trains": trains,
+        "meaning": result.get("meaning", ""),
         "folder": str(run),
         "result": {key: result.get(key) for key in keys},
     }

@@ -4,23 +4,22 @@ scenarios/NAME/scenario.json    the moved inputs, and what they are worth
 scenarios/NAME/case/            the case, as `snapo solve` takes it
 """
 
-import csv
 import datetime
-import io
 import json
 import re
 import shutil
 import unicodedata
-import zipfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 from snapo.solver.files import write_text
 
+from .export import csv_of, shown, zipped
+
 FOLDER, FILE, CASE = "scenarios", "scenario.json", "case"
 LONGEST, MOST = 60, 200  # letters of a name; scenarios of a run
-KEPT = ("value", "deltas", "today", "fans")
+KEPT = ("chosen", "value", "sections", "deltas", "today", "fans")
 
 
 class Refused(ValueError):
@@ -43,14 +42,14 @@ class Scenarios:
 
         **Raises:** `Refused` for a name that is none.
         """
-        shown = " ".join(str(name).split())[:LONGEST]
-        if not shown:
+        said = " ".join(str(name).split())[:LONGEST]
+        if not said:
             raise Refused("a scenario needs a name")
-        found = slug(shown)
+        found = slug(said)
         if not (self.folder / found).exists() and len(self.all()) >= MOST:
             raise Refused(f"a run keeps {MOST} scenarios at most; forget one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
-        record = {"id": found, "name": shown, "made": made, "values": dict(values)}
+        record = {"id": found, "name": said, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}
         (self.folder / found).mkdir(parents=True, exist_ok=True)
         write_text(self.folder / found / FILE, json.dumps(record, allow_nan=False))
@@ -74,23 +73,18 @@ class Scenarios:
         case = self.place(found) / CASE
         if not case.is_dir():
             raise Refused("this scenario has no case of its own")
-        out = io.BytesIO()
-        with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
-            for each in sorted(case.iterdir()):
-                if each.is_file() and not each.is_symlink():
-                    packed.write(each, f"{found}/{each.name}")
-        return out.getvalue()
+        return zipped(case, found)
 
     def one(self, found: str) -> str:
         """A scenario as CSV: value, moved inputs and derivatives, a number in each row."""
         record = _read(self.place(found) / FILE)
         if record is None:
             raise Refused("this scenario cannot be read")
-        return _csv(_numbers(record))
+        return csv_of(shown(record))
 
     def table(self) -> str:
         """All scenarios side by side as CSV: values, changes, and what was moved."""
-        return _csv(_compared(self.all()))
+        return csv_of(_compared(self.all()))
 
 
 def slug(name: str) -> str:
@@ -109,39 +103,10 @@ def _read(file: Path) -> dict[str, Any] | None:
     return record if good and isinstance(record.get("values"), dict) else None
 
 
-def _numbers(record: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
-    yield ("what", "input", "label", "number", "standard_error")
-    found = record.get("value") or {}
-    yield ("value", "", "", found.get("value"), found.get("standard_error"))
-    yield ("change", "", "", found.get("change"), found.get("change_error"))
-    for name, numbers in record["values"].items():
-        for i, number in enumerate(numbers):
-            yield ("moved", name, str(i + 1), number, None)
-    for each in record.get("deltas") or []:
-        yield ("move", each["input"], "", each["effect"], each["standard_error"])
-        for row in each["rows"]:
-            yield ("delta", each["input"], row["label"], row["value"], row["standard_error"])
-
-
 def _compared(records: Sequence[Mapping[str, Any]]) -> Iterator[Sequence[Any]]:
     yield ("scenario", "value", "standard_error", "change", "change_error", "inputs_moved", "made")
     keys = ("value", "standard_error", "change", "change_error")
     for each in records:
         found = each.get("value") or {}
-        moved = " ".join(sorted(each["values"]))
+        moved = " ".join(sorted([*each["values"], *(each.get("chosen") or {})]))
         yield (each["name"], *(found.get(key) for key in keys), moved, each["made"])
-
-
-def _csv(rows: Iterator[Sequence[Any]]) -> str:
-    out = io.StringIO()
-    writer = csv.writer(out, lineterminator="\n")
-    for row in rows:
-        writer.writerow([_cell(each) for each in row])
-    return out.getvalue()
-
-
-def _cell(value: Any) -> Any:
-    """A text that a spreadsheet would take for a formula is marked as text."""
-    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
-        return "'" + value
-    return value

@@ -1,6 +1,5 @@
 """The server of the page: files, one socket for each page, and scenarios to take away."""
 
-import asyncio
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -12,13 +11,15 @@ from typing import Any
 from aiohttp import WSMsgType, web
 
 from .crew import Crew
+from .downloads import Downloads
 from .guard import HOST, guard, new_token
 from .scenarios import CASE, Refused, Scenarios
 
 PAGE = files("snapo.live") / "page"
 KINDS = {"html": "text/html", "css": "text/css", "js": "text/javascript", "svg": "image/svg+xml"}
 LONGEST = 4 << 20  # bytes of a message from a page
-MOST_NUMBERS = 100_000  # of a move
+MOST_NUMBERS, MOST_CHOICES = 100_000, 100  # of a move
+ASKED = ("values", "chosen")
 
 
 class Server:
@@ -33,9 +34,9 @@ class Server:
         self.crew = Crew(worker, self.hear)
         self.pages: dict[str, web.WebSocketResponse] = {}
         self._numbers = count(1)
-        self._writing: dict[tuple[str, int], asyncio.Future] = {}
         self._last: dict[tuple[str, int], dict[str, Any]] = {}  # the tables of the last moves
         self._runner: web.AppRunner | None = None
+        self.downloads = Downloads(run, self.scenarios, self.crew, self._shown)
 
     @property
     def address(self) -> str:
@@ -49,9 +50,7 @@ class Server:
         app.on_response_prepare.append(harden)
         app.router.add_get("/{token}/", self.page)
         app.router.add_get("/{token}/socket", self.socket)
-        app.router.add_get("/{token}/scenarios.csv", self.table)
-        app.router.add_get("/{token}/scenario/{id}.zip", self.case)
-        app.router.add_get("/{token}/scenario/{id}.csv", self.scenario)
+        self.downloads.route(app)
         app.router.add_get("/{token}/{name:[a-z]+[.](?:css|js|svg)}", self.file)
         self._runner = web.AppRunner(app, access_log=None)
         await self._runner.setup()
@@ -75,24 +74,10 @@ class Server:
     async def file(self, request: web.Request) -> web.Response:
         return _sent(request.match_info["name"])
 
-    async def table(self, request: web.Request) -> web.Response:
-        return _download(self.scenarios.table().encode(), "text/csv", "scenarios.csv")
-
-    async def case(self, request: web.Request) -> web.Response:
-        found = request.match_info["id"]
-        try:
-            body = self.scenarios.zipped(found)
-        except Refused as error:
-            raise web.HTTPNotFound(text=str(error)) from None
-        return _download(body, "application/zip", f"{found}.zip")
-
-    async def scenario(self, request: web.Request) -> web.Response:
-        found = request.match_info["id"]
-        try:
-            body = self.scenarios.one(found).encode()
-        except Refused as error:
-            raise web.HTTPNotFound(text=str(error)) from None
-        return _download(body, "text/csv", f"{found}.csv")
+    def _shown(self, page: str, n: int) -> Mapping[str, Any] | None:
+        """The tables of a page's last move, once they are there."""
+        found = self._last.get((page, n))
+        return found if found is not None and "value" in found else None
 
     # Pages.
 
@@ -103,7 +88,7 @@ class Server:
         name = f"p{next(self._numbers)}"
         self.pages[name] = socket
         try:
-            await self._send(name, {"stage": "about", "about": self.about})
+            await self._send(name, {"stage": "about", "about": self.about, "page": name})
             await self._send(name, self.crew.state)
             await self._send(name, self._kept())
             async for message in socket:
@@ -128,18 +113,19 @@ class Server:
             n = n if isinstance(n, int) and not isinstance(n, bool) else -1
             match order.get("do"):
                 case "move":
-                    values = _values(order.get("values"))
+                    asked = {"values": _values(order.get("values")),
+                             "chosen": _chosen(order.get("chosen", {}))}  # fmt: skip
                     self._last = {k: v for k, v in self._last.items() if k[0] != page}
-                    self._last[page, n] = {"values": values}
-                    await self.crew.ask({"do": "move", "page": page, "n": n, "values": values})
+                    self._last[page, n] = dict(asked)
+                    await self.crew.ask({"do": "move", "page": page, "n": n, **asked})
                 case "keep":
                     await self._keep(page, n, str(order.get("name", "")))
-                case "train":
+                case "train" | "bound":
                     found = self._last.get((page, n))
                     if found is None or "value" not in found:
                         raise Refused("these numbers are not valued yet")
-                    given = {"page": page, "n": n, "values": found["values"]}
-                    await self.crew.ask({"do": "train", **given})
+                    given = {key: found[key] for key in ASKED}
+                    await self.crew.ask({"do": order["do"], "page": page, "n": n, **given})
                 case "cancel":
                     await self.crew.ask({"do": "cancel", "page": page, "n": -1})
                 case "forget":
@@ -162,14 +148,17 @@ class Server:
         kept = self.scenarios.keep(name, found["values"], found)
         await self._tell_all(self._kept())
         folder = str(self.scenarios.place(kept) / CASE)
-        order = {"do": "write", "page": page, "n": n, "values": found["values"], "folder": folder}
-        await self.crew.ask(order)
+        asked = {key: found[key] for key in ASKED}
+        await self.crew.ask({"do": "write", "page": page, "n": n, "folder": folder, **asked})
 
     async def hear(self, message: dict[str, Any]) -> None:
         """One line of the worker: to the page that it is for, or to all."""
         page = message.get("page")
         if page is None:
             await self._tell_all(message)
+            return
+        if page == "":  # a download waits for it
+            self.downloads.hear(message)
             return
         found = self._last.get((page, message["n"]))
         if found is not None and "table" in message:
@@ -217,14 +206,19 @@ def _values(given: Any) -> dict[str, list[float]]:
     return found
 
 
+def _chosen(given: Any) -> dict[str, str | bool]:
+    """{key: another value} of a message; whether the case can have it, its reader says."""
+    if not isinstance(given, dict) or len(given) > MOST_CHOICES:
+        raise Refused("choices are a table of words and switches")
+    for name, value in given.items():
+        if not isinstance(value, str | bool) or len(str(value)) > 100:
+            raise Refused(f"{name[:60]}: a choice is a word or a switch")
+    return dict(given)
+
+
 def _sent(name: str) -> web.Response:
     file = PAGE / name
     if not file.is_file():
         raise web.HTTPNotFound(text="There is no such file.")
     kind = KINDS[name.rpartition(".")[2]]
     return web.Response(body=file.read_bytes(), content_type=kind, charset="utf-8")
-
-
-def _download(body: bytes, kind: str, name: str) -> web.Response:
-    headers = {"Content-Disposition": f'attachment; filename="{name}"'}
-    return web.Response(body=body, content_type=kind, headers=headers)

@@ -33,15 +33,17 @@ def _days(labels: tuple[str, ...]) -> bool:
         return False
 
 
-def described(name: str, given: Input, slope: np.ndarray, believed: str) -> dict[str, Any]:
-    """An input for the page: all that is said about it, its numbers, and d value / d number."""
+def described(name: str, given: Input, slope: np.ndarray | None, believed: str) -> dict[str, Any]:
+    """An input for the page: all that is said about it, its numbers, and d value / d number, where
+    that is known."""
     return {
         "name": name,
         "words": given.words,
         "group": given.group or "other",
         "unit": given.unit,
-        "trade_unit": given.trade_unit,
-        "factor": given.trade_factor if given.trade_unit else 1.0,
+        # A temperature's other units have another zero, which a factor does not tell.
+        "trade_unit": "" if given.unit == "K" else given.trade_unit,
+        "factor": given.trade_factor if given.trade_unit and given.unit != "K" else 1.0,
         "values": given.value.ravel(),
         "shape": list(given.value.shape),
         "handles": [{"label": label, "at": at} for label, at in handles(given)],

@@ -6,17 +6,18 @@ new case.
 """
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver import statistics
+from snapo.solver.bound import bound
 from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
@@ -24,17 +25,16 @@ from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import begin, train
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
-from snapo.study.study import Setup, Study
+from snapo.study.study import Measured, Setup, Study
 
-from .files import Files
-from .places import Places
-from .terms import derivatives, described, slopes
+from .case.places import Places
+from .moves import NONE, Anew, Chosen, Moves, Values
+from .terms import derivatives, slopes
 
 FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
 ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
-DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 2048, 1024, 2048
+DELTA_PATHS, FAN_PATHS, HEALTH_PATHS, BOUND_PATHS = 2048, 1024, 2048, 512
 TOLD = 12  # times that a training tells how far it is
-Values = Mapping[str, np.ndarray]
 
 
 class Counts(NamedTuple):
@@ -58,82 +58,57 @@ class Counts(NamedTuple):
         return cls.of(paths, evaluation.sensitivity_paths)
 
 
-class Valuation:
-    """A run, ready to be valued at other inputs."""
+class Valuation(Moves):
+    """A run with a policy, ready to be valued at other inputs."""
 
-    def __init__(self, study: Study, solution: Solution, places: Places, counts: Counts):
-        if study.moved is None:
-            what = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
-            raise CaseError("snapo open", "", None, what)
+    def __init__(
+        self, study: Study, solution: Solution, places: Places, counts: Counts, anew: Anew
+    ):
         assert study.setup is not None
-        self.study, self.solution, self.places, self.counts = study, solution, places, counts
         self.setup = study.setup()
-        self.named = self.setup.problem.named
+        super().__init__(study, self.setup.problem.named, places, anew)
+        self.solution, self.counts = solution, counts
         self.slopes = slopes(solution.sensitivities, self.named)
         self._base: np.ndarray | None = None
         self._trained: tuple[float, float] | None = None
+        self._totals: Any = None
+        self._variants: dict[str, tuple[Study, Setup]] = {}
 
-    def inputs(self) -> list[dict[str, Any]]:
-        """All inputs of the case, as the page shows them."""
+    def believed(self, name: str) -> str:
         table = self.solution.sensitivities
-        return [
-            described(name, given, self.slopes[name], table.believed(name) if table else "")
-            for name, given in self.named.items()
-        ]
+        return table.believed(name) if table else ""
 
-    def units(self) -> dict[str, Any]:
-        """`unit` of the value, and `units` of states and outputs by name, where they are known."""
-        about = self.study.about
-        return {"unit": about.get("value_unit", ""), "units": dict(about.get("units", {}))}
+    def counted(self) -> dict[str, int]:
+        return self.counts._asdict()
 
-    def changed(self, values: Values) -> dict[str, np.ndarray]:
-        """The inputs that differ from the run's, shaped like them.
+    def settings(self) -> dict[str, Any]:
+        return {"paths": self.counts.value, "sensitivity_paths": self.counts.deltas}
 
-        **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
-        """
-        found = {}
-        for name, value in values.items():
-            given = self.named.get(name)
-            if given is None:
-                raise CaseError(name, "", None, "there is no such input")
-            new = np.asarray(value, np.float64)
-            if new.size != given.value.size or not np.isfinite(new).all():
-                what = f"this input has {given.value.size} finite numbers"
-                raise CaseError(name, "", None, what)
-            new = new.reshape(given.value.shape)
-            if not np.array_equal(new, given.value):
-                found[name] = new
-        return found
-
-    def files(self, values: Values) -> Files:
-        """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
-        files, paths = self.places.moved(self.changed(values)).files, self.counts
-        files = files.without(self.study.checks)
-        table = dict(files.tables.get("evaluation", {}))
-        table |= {"paths": paths.value, "sensitivity_paths": paths.deltas}
-        return files.with_value(("evaluation",), table)
-
-    def stages(self, values: Values) -> Iterator[tuple[str, Any]]:
-        """(name, table) one after another: value, deltas, today, fans, health.
-
-        **Raises:** `CaseError` where the case's own reader refuses the numbers.
-        """
+    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+        """Value, the domain's own sections, deltas, today, fans, health."""
         changed = self.changed(values)
-        setup = self._at(changed)
-        yield "value", self._value(setup, changed)
+        study, setup = self._at(values, chosen)
+        yield "value", self._value(setup, changed, bool(changed or chosen))
+        if study.shown is not None:
+            source = setup.problem.sources.evaluation
+            groups = source.groups(np.arange(source.available(self.counts.value)))
+            found = study.shown(Measured(setup, self._totals, groups))
+            yield "sections", [each._asdict() for each in found]
         yield "deltas", self._deltas(setup)
-        if self.study.today is not None and self.solution.policy is not None:
-            yield "today", self.study.today(setup, self.solution.policy)._asdict()
+        if study.today is not None and self.solution.policy is not None:
+            yield "today", study.today(setup, self.solution.policy)._asdict()
         yield "fans", self._fans(setup)
         yield "health", self._health(setup)
 
-    def train_again(self, values: Values, told: Callable[[int, int], None]) -> dict[str, Any]:
+    def train_again(
+        self, values: Values, told: Callable[[int, int], None], chosen: Chosen = NONE
+    ) -> dict[str, Any]:
         """The policy trained on at these inputs, and what that gains on the same paths.
 
         It starts from the run's policy, which stays the one that the page values. `told` hears of
         the steps done and of all; what it raises ends the training.
         """
-        setup, policy = self._at(self.changed(values)), self.solution.policy
+        setup, policy = self._at(values, chosen)[1], self.solution.policy
         assert policy is not None
         steps = setup.training.steps
         training = replace(setup.training, validation_every=max(1, steps // TOLD))
@@ -155,20 +130,55 @@ class Valuation:
             "status": state.status,
         }
 
-    def _at(self, changed: Values) -> Setup:
-        """The setup at the inputs that differ from the run's, read from the case they make."""
-        moved = self.places.moved(changed)
-        if not changed:
-            return self.setup
-        assert self.study.moved is not None
-        return self.study.moved(self.setup, moved.case)
+    @property
+    def bounded(self) -> bool:
+        """Whether the domain bounds the best policy's value from above."""
+        return not isinstance(self.study.relaxation, str)
 
-    def _value(self, setup: Setup, changed: Values) -> dict[str, Any]:
+    def bound_here(self, values: Values, chosen: Chosen = NONE) -> dict[str, Any]:
+        """The value between two bounds at these inputs: how much the best policy could gain.
+
+        **Raises:** `CaseError` where the domain has no bound here; it says why.
+        """
+        policy, (_, setup) = self.solution.policy, self._at(values, chosen)
+        assert policy is not None
+        relaxation = self.anew(self.moved(values, chosen).case).relaxation
+        if isinstance(relaxation, str):
+            raise CaseError("the bound", "", None, relaxation)
+        engine = setup.engines.evaluate
+        return bound(setup.problem, policy, relaxation(), BOUND_PATHS, engine=engine).row()
+
+    def _at(self, values: Values, chosen: Chosen = NONE) -> tuple[Study, Setup]:
+        """The study of these choices, and the setup at these inputs, read from the case."""
+        changed, moved = self.changed(values), self.moved(values, chosen)
+        study, setup = self._variant(chosen) if chosen else (self.study, self.setup)
+        if not changed:
+            return study, setup
+        assert study.moved is not None
+        return study, study.moved(setup, moved.case)
+
+    def _variant(self, chosen: Chosen) -> tuple[Study, Setup]:
+        """The study of other choices: made and compiled once for each.
+
+        **Raises:** `CaseError` where the run's policy does not fit it.
+        """
+        key = repr(sorted(chosen.items()))
+        if key not in self._variants:
+            study = self.anew(self.moved({}, chosen).case)
+            if study.setup is None or not _alike(study.setup().policy, self.setup.policy):
+                what = "the run's policy decides something else; keep this as a case, and solve it"
+                raise CaseError(", ".join(chosen), "", None, what)
+            self._variants[key] = study, study.setup()
+        return self._variants[key]
+
+    def _value(self, setup: Setup, changed: Values, differs: bool) -> dict[str, Any]:
         policy = self.solution.policy
         assert policy is not None
+        if self._base is None and differs:
+            self._base = self._worth(self.setup, policy)[0]
         groups, found = self._worth(setup, policy)
         if self._base is None:
-            self._base = groups if not changed else self._worth(self.setup, policy)[0]
+            self._base = groups
         change = statistics.of_shares(groups - self._base)
         first = {
             name: float(self.slopes[name] @ (new - self.named[name].value).ravel())
@@ -178,8 +188,8 @@ class Valuation:
             "value": found.value,
             "standard_error": found.standard_error,
             "paths": setup.problem.sources.evaluation.available(self.counts.value),
-            "change": change.value if changed else 0.0,
-            "change_error": change.standard_error if changed else 0.0,
+            "change": change.value if differs else 0.0,
+            "change_error": change.standard_error if differs else 0.0,
             "predicted": sum(first.values()),
             "by_input": first,
         }
@@ -190,6 +200,7 @@ class Valuation:
         source, controls = problem.sources.evaluation, problem.simulator.control_variates()
         totals = path_totals(problem, policy, self.counts.value, engine=setup.engines.evaluate)
         groups = worth_of_groups(problem.objective, totals, source, controls)
+        self._totals = totals
         return groups, estimate(problem.objective, totals, source, controls)
 
     def _deltas(self, setup: Setup) -> list[dict[str, Any]]:
@@ -240,32 +251,7 @@ class Valuation:
         return Way(problem, bound, policy, smooth, held=False).derivatives(blocks).policy.norm()
 
 
-def open_run(
-    run: Path,
-    simulator: tuple[str, str] | None = None,
-    engine: str = "auto",
-    counts: Counts | None = None,
-) -> Valuation:
-    """The run in a folder, its case read again and its policy loaded.
-
-    **Raises:** `CaseError` where there is no such run, no policy, or nothing to move.
-    """
-    from snapo.study.again import case_of_run
-    from snapo.study.commands import domain_of_run
-    from snapo.study.domain import Options
-    from snapo.study.run_folder import read
-
-    from .files import read_files
-
-    record = read(run)
-    domain = domain_of_run(run, record, simulator)
-    file, data = case_of_run(run, record)
-    study = domain.study(domain.read(file, data), Options(engine))
-    if study.setup is None:
-        what = "this run trained no policy, and there is none to value again"
-        raise CaseError(str(run), "", None, what)
-    setup = study.setup()
-    solution = Solution.load(run, like=setup.policy)
-    places = Places(domain.read, read_files(file.parent, data), setup.problem.named)
-    counts = counts or Counts.enough(solution, setup.evaluation)
-    return Valuation(study, solution, places, counts)
+def _alike(one: Policy, other: Policy) -> bool:
+    """Whether two policies have the same parts, decide on the same set, and are of one shape."""
+    shapes = [[np.shape(x) for x in jax.tree.leaves(each)] for each in (one, other)]
+    return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)

@@ -8,7 +8,9 @@ import argparse
 import json
 import os
 import queue
+import shutil
 import sys
+import tempfile
 import threading
 import time
 from collections.abc import Mapping
@@ -18,7 +20,9 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.study.run_folder import plain_json
 
-from .valuation import Counts, Valuation, open_run
+from .moves import Moves
+from .reopen import open_run
+from .valuation import Counts, Valuation
 
 
 class Post:
@@ -60,18 +64,20 @@ class Desk:
         return self.newest.get(order["page"]) != order["n"]
 
 
-def serve(valuation: Valuation, desk: Desk, post: Post) -> None:
+def serve(valuation: Moves, desk: Desk, post: Post) -> None:
     """Answers until there are no more lines."""
     while (order := desk.orders.get()) is not None:
         try:
             if order["do"] == "move":
                 _move(valuation, desk, post, order)
-            elif order["do"] == "train":
+            elif order["do"] == "train" and isinstance(valuation, Valuation):
                 _train(valuation, desk, post, order)
+            elif order["do"] == "bound" and isinstance(valuation, Valuation):
+                found = valuation.bound_here(order["values"], order.get("chosen") or {})
+                post(page=order["page"], n=order["n"], stage="bounded", table=found)
             elif order["do"] == "write":
-                files = valuation.files(order["values"])
-                files.write(Path(order["folder"]))
-                post(page=order["page"], n=order["n"], stage="written")
+                _write(valuation, order)
+                post(page=order["page"], n=order["n"], stage="written", folder=order["folder"])
         except CaseError as error:
             post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))
         except Exception as error:
@@ -79,9 +85,9 @@ def serve(valuation: Valuation, desk: Desk, post: Post) -> None:
             post(page=order["page"], n=order["n"], stage="refused", message=words)
 
 
-def _move(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
+def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
     started = time.perf_counter()
-    stages = valuation.stages(order["values"])
+    stages = valuation.stages(order["values"], order.get("chosen") or {})
     while not desk.stale(order):
         found = next(stages, None)
         seconds = time.perf_counter() - started
@@ -90,6 +96,23 @@ def _move(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any]
             post(**address, stage="done")
             return
         post(**address, stage=found[0], table=found[1])
+
+
+def _write(valuation: Moves, order: Mapping[str, Any]) -> None:
+    """The case in a folder; or as a workbook in it, with the files that no sheet can hold."""
+    files, folder = valuation.files(order["values"], order.get("chosen") or {}), order["folder"]
+    if not order.get("workbook"):
+        files.write(Path(folder))
+        return
+    from snapo.case.workbook.write import write_workbook
+
+    with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
+        files.write(Path(made))
+        Path(folder).mkdir(parents=True, exist_ok=True)
+        write_workbook(Path(made), files.tables, Path(folder) / "case.xlsx")
+        for each in Path(made).iterdir():
+            if each.suffix not in (".csv", ".toml"):
+                shutil.copyfile(each, Path(folder) / each.name)
 
 
 class Cancelled(Exception):
@@ -105,7 +128,7 @@ def _train(valuation: Valuation, desk: Desk, post: Post, order: Mapping[str, Any
         post(**address, stage="training", table={"step": step, "of": of})
 
     try:
-        found = valuation.train_again(order["values"], told)
+        found = valuation.train_again(order["values"], told, order.get("chosen") or {})
     except Cancelled:
         post(**address, stage="cancelled")
     else:
@@ -145,8 +168,17 @@ def main(arguments: list[str] | None = None) -> int:
         post(stage="failed", message=str(error))
         return 2
     base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
-    counts = valuation.counts._asdict()
-    post(stage="ready", inputs=valuation.inputs(), base=base, counts=counts, **valuation.units())
+    counts = valuation.counted()
+    known = [each._asdict() for each in valuation.choices]
+    bounded = isinstance(valuation, Valuation) and valuation.bounded
+    ready = {
+        "inputs": valuation.inputs(),
+        "choices": known,
+        "base": base,
+        "counts": counts,
+        "bounded": bounded,
+    }
+    post(stage="ready", **ready, **valuation.units())
     serve(valuation, Desk(sys.stdin), post)
     return 0
 

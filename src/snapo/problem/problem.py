@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from html import escape
 from typing import Any
 
 import jax
@@ -42,6 +43,20 @@ class Problem:
         """All that a policy has to fit."""
         return self.simulator.interface(self.schedule)
 
+    def _repr_html_(self) -> str:
+        """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""
+        rows = [
+            f"<tr><td style='text-align:left'>{escape(name)}</td>"
+            f"<td style='text-align:left'>{escape(each.words)}</td>"
+            f"<td>{each.value.size}</td><td>{_first(each.value)}</td><td>{escape(each.unit)}</td></tr>"
+            for name, each in self.named.items()
+        ]
+        titles = ("input", "meaning", "numbers", "first", "unit")
+        head = "".join(f"<th style='text-align:left'>{title}</th>" for title in titles)
+        steps = f"{type(self.simulator).__name__}, {self.simulator.horizon} steps"
+        about = escape(f"{steps}, actions {self.action}, objective {self.objective}")
+        return f"<p>{about}</p><table><tr>{head}</tr>{''.join(rows)}</table>"
+
     @property
     def features(self) -> int:
         """The number of features that a policy sees."""
@@ -79,3 +94,9 @@ class Problem:
 
         moved = jax.tree.map(put, self.inputs, is_leaf=inputs_.is_input)
         return replace(self, inputs=moved)
+
+
+def _first(values: np.ndarray) -> str:
+    """The first number of an input, and whether there are more."""
+    shown = f"{values.flat[0]:,.6g}" if values.size else ""
+    return shown + (" …" if values.size > 1 else "")

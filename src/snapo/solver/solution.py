@@ -10,6 +10,7 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
 
 from . import checkpoint
 from .files import write_csv, write_text
@@ -20,6 +21,8 @@ from .sensitivity import Row, Sensitivities
 from .show import html
 from .show.figures import Figures
 from .show.frame import frame
+from .show.tables import tables_of
+from .show.workbook import write_tables
 from .statistics import Estimate
 
 POLICY, SOLUTION = "policy.npz", "solution.npz"
@@ -45,6 +48,7 @@ class Solution:
     - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit) or
       "barely moved" (an untrained rule does as well); empty where the value is no number.
     - `growth`: adjoints by step and by part of the state, where training measured them.
+    - `problem`: what was solved, None in one that was loaded: figures over time need it.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -73,6 +77,7 @@ class Solution:
     growth: Growth | None = None
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
+    problem: Problem | None = field(default=None, repr=False, compare=False)
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -86,7 +91,8 @@ class Solution:
 
     @property
     def plot(self) -> Figures:
-        """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`."""
+        """Figures for a notebook: `plot.tornado()`, `plot.distribution()`, `plot.training()`,
+        `plot.fan(name)`, `plot.policy(state)`."""
         return Figures(self)
 
     def frame(self, table: str = "totals", backend: str = "pandas") -> Any:
@@ -106,6 +112,16 @@ class Solution:
             return frame(dict(zip(Record._fields, map(list, columns))), backend)
         what = "allowed is 'totals', 'history', or 'sensitivities' where there are some"
         raise ValueError(f"frame: {table!r}; {what}.")
+
+    def write_table(self, file: Path | str) -> None:
+        """Writes the results as a workbook (.xlsx): a sheet for each table, with native charts.
+
+        **Raises:** `ValueError` for another ending, `ModuleNotFoundError` without openpyxl.
+        """
+        file = Path(file)
+        if file.suffix.lower() != ".xlsx":
+            raise ValueError(f"write_table: {file.name!r}; allowed is a name that ends in .xlsx.")
+        write_tables(file, tables_of(self))
 
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""

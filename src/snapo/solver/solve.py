@@ -120,6 +120,7 @@ def solve(
         reason=engines.reason,
         seed=training.seed,
         versions=versions(),
+        problem=problem,
     )
 
 

@@ -271,6 +271,24 @@ def printed(run: Path) -> Path:
     return file
 
 
+def tables(run: Path) -> Path:
+    """Writes the tables of a run as a workbook beside its report; returns its path.
+
+    **Raises:** `CaseError` where openpyxl is missing, or the folder cannot be written.
+    """
+    from . import run_folder
+    from .workbook import write_run
+
+    run_folder.read(run)
+    try:
+        return write_run(run)
+    except ModuleNotFoundError as error:
+        raise CaseError("--xlsx", "", None, str(error)) from None
+    except OSError as error:
+        what = f"the workbook cannot be written ({error.strerror})"
+        raise CaseError(str(run), "", None, what) from None
+
+
 def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
     """{kind: table of times} of one kind, or of all that can be timed.
 

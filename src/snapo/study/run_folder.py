@@ -33,8 +33,9 @@ from .study import Part
 RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
+TABLES = "tables.xlsx"  # its tables, as a workbook
 WRITTEN = (
-    RUN, RESULT, REPORT, PDF, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
+    RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
     GROWTH, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 3  # of the folder; it grows when older runs can no longer be read

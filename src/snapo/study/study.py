@@ -4,14 +4,18 @@ A part leaves its tables in the run folder, reports its progress, can fail witho
 others, and is not done again when a run is resumed.
 """
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
 
 from snapo.engine import Engines
+from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.solver import statistics
 from snapo.solver.bound import Relaxation
 from snapo.solver.files import write_csv
 from snapo.solver.solution import Solution
@@ -42,6 +46,56 @@ class Today(NamedTuple):
     facts: Sequence[tuple[str, float | None, str]] = ()
     columns: Sequence[tuple[str, str]] = ()
     rows: Sequence[Sequence[Any]] = ()
+
+
+class Shown(NamedTuple):
+    """A section of the domain's own on the live page.
+
+    - `title`; `words`: one line above; `columns`: (name, unit) of the table, and its `rows`, of
+      texts and numbers.
+    """
+
+    title: str
+    columns: Sequence[tuple[str, str]]
+    rows: Sequence[Sequence[Any]]
+    words: str = ""
+
+
+class Measured(NamedTuple):
+    """What a policy did on the paths of the page's value: all that a section is made from.
+
+    - `totals`: {output: [N]}, exact; `groups` [N]: paths of one group are not independent.
+    """
+
+    setup: Setup
+    totals: Mapping[str, Any]
+    groups: Any
+
+    def mean(self, values: Any) -> tuple[float, float]:
+        """Mean of numbers [N] by path, and its standard error."""
+        found = statistics.mean(np.asarray(values, np.float64), self.groups)
+        return found.value, found.standard_error
+
+    def ratio(self, top: str, bottom: str) -> tuple[float, float]:
+        """One output's mean over another's, and its standard error."""
+        found = statistics.ratio(self.totals[top], self.totals[bottom], self.groups)
+        return found.value, found.standard_error
+
+
+class Recalculated(Protocol):
+    """A study without a policy, calculated at other inputs for the live page.
+
+    - `named`: its inputs.
+    """
+
+    @property
+    def named(self) -> Mapping[str, Input]: ...
+
+    def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
+        """(name, table) one after another: "value" ("value", "standard_error", "paths", and
+        "kept" [N] by path), "sections" (a list of `Shown` as tables), "deltas" (rows with "of",
+        the output that is differentiated, "input", "effect", "standard_error", "rows")."""
+        ...
 
 
 class Part(NamedTuple):
@@ -78,6 +132,9 @@ class Study:
     - `checks`: the case's tables with figures to check its numbers by: a case with other numbers is
       written without them.
     - `today`: says the decision of today: of a setup and a policy, the rows of a table.
+    - `inputs`: gives the inputs of a case by name; None: they are found among its records.
+    - `shown`: gives the domain's own sections of the live page.
+    - `recalculated`: gives the calculation at other inputs of a study that trains nothing.
     """
 
     kind: str
@@ -91,6 +148,9 @@ class Study:
     moved: Callable[[Setup, Any], Setup] | None = None
     checks: Sequence[str] = ()
     today: Callable[[Setup, Policy], "Today"] | None = None
+    inputs: Callable[[Any], Mapping[str, Input]] | None = None
+    shown: Callable[[Measured], Sequence[Shown]] | None = None
+    recalculated: Callable[[], Recalculated] | None = None
 
     def __post_init__(self):
         names = [part.name for part in self.parts]

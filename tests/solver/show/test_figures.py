@@ -7,6 +7,7 @@ import pytest
 from tests.solver.twelve import Swing, policy, problem
 
 import snapo
+from snapo.solver.show.rolled import rolled
 
 pytestmark = pytest.mark.prove
 
@@ -61,3 +62,43 @@ def test_figures_draw_into_axes_that_are_given(solution):
     left, right = figure.subplots(1, 2)
     assert solution.plot.training(ax=left) is figure
     assert solution.plot.distribution(ax=right) is figure
+
+
+def test_a_problem_shows_its_inputs():
+    page = problem(Swing)._repr_html_()
+    assert page.count("<tr>") == 1 + 3
+    for name in ("rights", "strike", "sigma"):
+        assert f">{name}</td>" in page
+
+
+def test_a_fan_holds_nine_tenths_of_the_paths_and_a_policy_is_drawn_against_its_state(solution):
+    series = rolled(solution.problem, solution.policy)
+    name = next(each for each in series if series[each].std() > 0)
+    (axes,) = solution.plot.fan(name).axes
+    (line,) = axes.get_lines()
+    assert np.allclose(line.get_ydata(), series[name].mean(1))
+    state = next(each for each in series if len(series[each]) == max(map(len, series.values())))
+    (axes,) = solution.plot.policy(state, step=1).axes
+    assert np.isfinite(axes.get_lines()[0].get_ydata()).all()
+    with pytest.raises(KeyError, match="nothing is called 'cash'"):
+        solution.plot.fan("cash")
+    with pytest.raises(ValueError, match="needs a"):
+        replace(solution, problem=None).plot.fan(name)
+
+
+def test_the_workbook_holds_the_numbers_and_their_charts(solution, tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    hostile = replace(solution, notes=("=1+1",))
+    hostile.write_table(tmp_path / "x.xlsx")
+    book = openpyxl.load_workbook(tmp_path / "x.xlsx")
+    assert book.sheetnames[:3] == ["result", "sensitivities", "training"]
+    found = {row[0].value: row[1] for row in book["result"].iter_rows(2)}
+    assert found["value"].value == solution.value
+    assert found["notes"].data_type == "s" and found["notes"].value == "=1+1"
+    header, *rows = book["sensitivities"].iter_rows(values_only=True)
+    assert rows[0][header.index("held")] == next(iter(solution.sensitivities.rows())).held
+    total = book["total value"]
+    assert sum(row[2] for row in total.iter_rows(2, values_only=True)) == 512
+    assert len(book["training"]._charts) == len(total._charts) == 1
+    with pytest.raises(ValueError, match=r"ends in \.xlsx"):
+        solution.write_table(tmp_path / "x.csv")

@@ -25,6 +25,8 @@ from .records import ControlCase
 from .results.gymnasium import gymnasium_part
 from .results.plane import plane_part
 from .results.rivals import rivals_part
+from .results.shown import reward_and_costs
+from .results.today import today
 
 
 def lines(case: ControlCase) -> list[str]:
@@ -89,7 +91,17 @@ def study(case: ControlCase, options: Options) -> Study:
         values = {each.name: each.input.value for each in named(other.inputs)}
         return at_values(before, other.plant, values, lambda: make_setup(other, options.engine))
 
-    return Study("control", about, tuple(parts), _result, lambda: setup, moved=moved)
+    return Study(
+        "control",
+        about,
+        tuple(parts),
+        _result,
+        lambda: setup,
+        moved=moved,
+        inputs=lambda other: {each.name: each.input for each in named(other.inputs)},
+        shown=reward_and_costs,
+        today=today,
+    )
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

@@ -17,6 +17,7 @@ from .results.lead_time import LEAD_TIME
 from .results.levels import LEVELS, today
 from .results.rivals import RIVALS
 from .results.service import SERVICE
+from .results.shown import service_and_costs
 from .setup import make_setup, moved_setup
 from .told import about, result, without_references
 
@@ -71,6 +72,8 @@ def study(case: InventoryCase, options: Options) -> Study:
         lambda: setup,
         moved=moved_setup,
         today=today,  # pyright: ignore[reportArgumentType]
+        inputs=inputs_of,
+        shown=service_and_costs,
     )
 
 

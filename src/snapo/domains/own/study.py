@@ -7,6 +7,7 @@ import jax
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
+from snapo.problem.inputs import named
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
@@ -114,7 +115,16 @@ def study(case: OwnCase, options: Options) -> Study:
         values = {name: given.value for name, given in other.inputs.items()}
         return at_values(before, other.simulator, values, lambda: make_setup(other, options.engine))
 
-    return Study("own", about, tuple(parts), _result, lambda: setup, relaxation, moved=moved)
+    return Study(
+        "own",
+        about,
+        tuple(parts),
+        _result,
+        lambda: setup,
+        relaxation,
+        moved=moved,
+        inputs=lambda other: {each.name: each.input for each in named(other.inputs)},
+    )
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

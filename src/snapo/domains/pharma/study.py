@@ -12,14 +12,17 @@ from snapo.study.domain import Options
 from snapo.study.run_folder import case_files
 from snapo.study.study import Part, Study, StudyRun
 
+from .control.kept import kept_limits
 from .control.parts import ClosedLoop
 from .flowsheet.case import PharmaCase
+from .flowsheet.inputs import pharma_inputs
 from .flowsheet.process import Process
 from .progress import told
 from .quality.sampling import on_steps, sampler
 from .read.fitted import COLUMNS as FITTED_COLUMNS
 from .results import batch, derivatives, quality, setpoints
 from .results.headline import result
+from .results.moved import Recipe
 from .results.statement import statement
 
 PROFILE, SPACE, FITTED = "profile.csv", "design_space.csv", "fitted.csv"
@@ -34,16 +37,21 @@ def study(case: PharmaCase, options: Options) -> Study:
     if options.reference:
         what = "a process has no exact reference to compute; its certificate is part of every run"
         raise CaseError("--reference", "", None, what)
-    parts, setup = list(OpenLoop(case).parts()), None
+    parts: list[Part] = list(OpenLoop(case).parts())
+    hooks: dict[str, Any]
     if case.control is not None:
         loop = ClosedLoop(case, options.engine)
-        parts, setup = [*parts, *loop.parts()], loop.setup
+        parts = [*parts, *loop.parts()]
+        hooks = {"setup": loop.setup, "moved": loop.moved, "shown": kept_limits}
+    else:
+        hooks = {"recalculated": lambda: Recipe(case)}
     kept = chosen(parts, case.parts)
     known = about(case) | {
         "planned": [part.name for part in kept],
         "left_out": [part.name for part in parts if part not in kept],
     }
-    return Study(case.kind, known, [_told(part) for part in kept], partial(result, case), setup)
+    told, said = [_told(part) for part in kept], partial(result, case)
+    return Study(case.kind, known, told, said, inputs=pharma_inputs, **hooks)
 
 
 def chosen(parts: Sequence[Part], wanted: Sequence[str]) -> list[Part]:

@@ -176,7 +176,9 @@ function table(input, moved) {
 function editor(width, place, input, set) {
   const f = input.factor, now = input.handles.map((h) => level(input.now, h.at) * f), base = input.handles.map((h) => level(input.values, h.at) * f);
   const low = Math.min(...now, ...base), high = Math.max(...now, ...base);
-  const pad = Math.max((high - low) * 0.25, Math.abs(high) * 0.04, 1e-12);
+  // Where all is nothing, the chart reaches as far as a slider would.
+  const least = high === low && high === 0 ? MOVES * usual(input, 0) * f : 1e-12;
+  const pad = Math.max((high - low) * 0.25, Math.abs(high) * 0.04, least);
   const chart = frame(width, 200, low - pad, high + pad, `${label(input)}: points to drag`);
   chart.svg.setAttribute("role", "group");
   const gap = (chart.right - chart.left) / now.length, x = (i) => chart.left + (i + 0.5) * gap;

@@ -1,15 +1,17 @@
 // The page: what the server says is shown, and what the hand moves is sent.
 
 import { changed, controls, label, unit } from "./inputs.js";
+import { menus } from "./menus.js";
 import { bars, drawn, element, fan, tornado } from "./draw.js";
 import { error, shown, signed } from "./numbers.js";
 import { offer, scenarios } from "./scenarios.js";
 
 const at = (id) => document.getElementById(id);
 const MEMORY = "snapo moved"; // of this tab: a reload finds the moved numbers again
+const CHOICES = "?"; // beside the moved inputs, in that memory
 const QUIET = 220; // milliseconds without a further move, after which the exact value is asked for
 
-const page = { about: null, inputs: [], base: null, now: {}, n: 0, valued: -1, socket: null, timer: null, ready: false };
+const page = { about: null, inputs: [], menus: [], base: null, now: {}, n: 0, valued: -1, socket: null, timer: null, ready: false };
 
 function connect() {
   const socket = new WebSocket(new URL("socket", location.href.replace(/^http/, "ws")));
@@ -37,7 +39,7 @@ function trouble(words) {
 }
 
 function heard(message) {
-  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled };
+  const stages = { about, starting, ready, failed, refused, done, scenarios: kept, written: () => {}, training, trained, cancelled, bounded };
   if (stages[message.stage]) return stages[message.stage](message);
   if (message.n !== page.n) return;
   page.now[message.stage] = message.table;
@@ -45,11 +47,13 @@ function heard(message) {
   render(message.stage);
 }
 
-function about({ about }) {
+function about({ about, page: name }) {
   page.about = about;
+  page.name = name;
   document.title = `${about.title} – snapo`;
   at("title").textContent = about.title;
   at("about").textContent = `${about.kind}, ${about.folder}`;
+  if (about.meaning) at("value-head").textContent = about.meaning;
   if (!page.base) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
@@ -75,17 +79,20 @@ function ready(message) {
   page.ready = true;
   page.paths = message.counts.value;
   page.unit = message.unit;
+  at("bound").hidden = !message.bounded;
   page.units = message.units;
   at("unit").textContent = page.unit;
   trouble("");
   if (first) {
     page.inputs = message.inputs;
     controls(at("groups"), page.inputs, moved);
+    page.menus = menus(at("groups"), message.choices ?? [], moved);
     remembered();
     choices();
   }
   at("reset").disabled = false;
-  if (page.inputs.some(changed)) ask();
+  at("take").hidden = false;
+  if (anything()) ask();
   else home();
 }
 
@@ -100,12 +107,21 @@ function home() {
   send({ do: "cancel" });
 }
 
+// Whether an input or a choice differs from the run's.
+function anything() {
+  return page.inputs.some(changed) || page.menus.some((menu) => menu.now !== menu.value);
+}
+
+function chosen() {
+  return Object.fromEntries(page.menus.filter((menu) => menu.now !== menu.value).map((menu) => [menu.name, menu.now]));
+}
+
 function values() {
   return Object.fromEntries(page.inputs.filter(changed).map((input) => [input.name, input.now]));
 }
 
 function moved(done) {
-  sessionStorage.setItem(MEMORY, JSON.stringify(values()));
+  sessionStorage.setItem(MEMORY, JSON.stringify({ ...values(), [CHOICES]: chosen() }));
   trouble("");
   predict();
   clearTimeout(page.timer);
@@ -116,20 +132,22 @@ function moved(done) {
 function ask() {
   clearTimeout(page.timer);
   if (!page.ready) return;
-  if (!page.inputs.some(changed)) return home();
+  if (!anything()) return home();
   page.n += 1;
   page.sent = performance.now();
   page.fresh = new Set();
   status("revaluing", "busy");
   at("value").classList.add("pending");
   offer(false);
-  send({ do: "move", n: page.n, values: values() });
+  send({ do: "move", n: page.n, values: values(), chosen: chosen() });
 }
 
-// To first order, from the sensitivities of the run: at once, without asking anybody.
+// To first order, from the sensitivities of the run: at once, without asking anybody. Null where
+// none are known.
 function predicted() {
   let sum = 0;
-  for (const input of page.inputs) input.now.forEach((v, i) => (sum += v === input.values[i] ? 0 : input.slope[i] * (v - input.values[i])));
+  if (Object.keys(chosen()).length || page.inputs.some((input) => changed(input) && !input.slope)) return null;
+  for (const input of page.inputs.filter(changed)) input.now.forEach((v, i) => (sum += v === input.values[i] ? 0 : input.slope[i] * (v - input.values[i])));
   return sum;
 }
 
@@ -137,6 +155,10 @@ function predict() {
   if (!page.base) return;
   const by = predicted();
   at("value").classList.add("pending");
+  if (by === null) {
+    at("error").textContent = "of other numbers";
+    return;
+  }
   at("figure").textContent = shown(page.base.value.value + by, 6);
   at("error").textContent = "to first order";
   facts(by, null);
@@ -168,6 +190,7 @@ function training({ n, table }) {
 }
 
 function idle(words) {
+  at("bound").disabled = false;
   at("train").disabled = false;
   at("cancel").hidden = at("progress").hidden = true;
   at("trained").textContent = words;
@@ -189,16 +212,16 @@ function fact(name, value, note) {
 
 function facts(by, found) {
   const base = page.base.value, rows = [fact("the run's inputs", shown(base.value, 6), error(base.standard_error))];
-  const any = page.inputs.some(changed);
+  const any = anything();
   if (any) {
-    rows.push(fact("change to first order", signed(by)));
+    if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : "…", found ? error(found.change_error) : ""));
   } else rows.push(fact("paths", shown(page.paths, 6)));
   at("changes").replaceChildren(...rows);
 }
 
 function render(stage) {
-  const show = { value, deltas, today, fans, health }[stage];
+  const show = { value, sections, deltas, today, fans, health }[stage];
   if (show && page.now[stage]) show(page.now[stage]);
 }
 
@@ -207,8 +230,11 @@ function value(found) {
   at("figure").textContent = shown(found.value, 6);
   at("error").textContent = error(found.standard_error);
   facts(predicted(), found);
-  offer(page.inputs.some(changed));
-  at("again").hidden = !page.inputs.some(changed);
+  offer(anything());
+  const here = anything() ? `${page.name}-${page.valued}` : "run";
+  for (const [id, address] of [["take-csv", `shown/${here}.csv`], ["take-zip", `case/${here}.zip`], ["take-xlsx", `case/${here}.xlsx`]]) at(id).href = address;
+  at("again").hidden = !page.about.trains || !anything();
+  at("bounds").textContent = "";
   idle("");
 }
 
@@ -217,9 +243,18 @@ function health(found) {
   const far = ratio > 2 && found.gradient > 2 * found.noise;
   box.hidden = false;
   box.classList.toggle("far", far);
+  const noise = `± ${shown(found.noise / (found.at_training || 1), 2)}`;
   box.textContent = far
-    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} times that where it was trained.`
-    : "The policy is near its best here, as far as its gradient tells.";
+    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} ${noise} times that where it was trained. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
+    : `The policy is near its best here, as far as its gradient tells: ${shown(ratio, 2)} ${noise} times that where it was trained.`;
+}
+
+function bounded({ n, table }) {
+  if (n !== page.n) return;
+  at("bound").disabled = false;
+  const { gap, upper } = table, share = Math.abs(gap.value / (upper.value || 1));
+  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
+  at("bounds").textContent = `No policy is worth more than ${shown(upper.value, 6)} ${error(upper.standard_error)}: this one is at most ${shown(gap.value, 4)} ${error(gap.standard_error)} (${shown(100 * share, 2)} %) below the best.${advice}`;
 }
 
 function today(found) {
@@ -231,25 +266,40 @@ function today(found) {
   at("today-table").replaceChildren(head, ...rows);
 }
 
+// The domain's own sections.
+function sections(found) {
+  const cell = (each) => element("td", { className: typeof each === "string" ? "text" : "" }, typeof each === "string" ? each : shown(each));
+  at("sections").replaceChildren(...found.map(({ title, words, columns, rows }) => {
+    const kind = (i) => (typeof rows[0]?.[i] === "string" ? "text" : "");
+    const head = element("tr", {}, ...columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(i) }, unit ? `${name}, ${unit}` : name)));
+    const body = rows.map((row) => element("tr", {}, ...row.map(cell)));
+    return element("section", { className: "card" }, element("h2", {}, title), words ? element("p", { className: "quiet" }, words) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
+  }));
+}
+
 function choices() {
   const many = page.inputs.filter((input) => input.values.length > 1);
   const price = many.find((input) => input.group === "price") ?? many.find((input) => input.group === "curve") ?? many[0];
   at("delta-input").replaceChildren(...page.inputs.map((input) => element("option", { value: input.name, selected: input === price }, label(input))));
-  const names = page.base.fans.map((each) => each.name);
+  const outputs = [...new Set(page.base.deltas.map((each) => each.of).filter(Boolean))];
+  at("delta-of").replaceChildren(...outputs.map((name) => element("option", { value: name }, name)));
+  at("delta-of-label").hidden = !outputs.length;
+  const names = (page.base.fans ?? []).map((each) => each.name);
   const first = names.find((name) => page.units[name]) ?? names[0];
   at("fan-name").replaceChildren(...names.map((name) => element("option", { value: name, selected: name === first }, name.replaceAll("_", " ").replaceAll(".", " "))));
 }
 
 function deltas(found) {
   at("deltas").hidden = false;
-  const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name);
-  const scaled = (table) => table.find((each) => each.input === name).rows.map((row) => ({ ...row, value: row.value / input.factor, standard_error: row.standard_error / input.factor }));
+  const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name), of = at("delta-of").value;
+  const mine = found.filter((each) => !of || each.of === of);
+  const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, value: row.value / input.factor, standard_error: row.standard_error === null ? null : row.standard_error / input.factor }));
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
+  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
   const head = element("tr", {}, ...["", "now", "standard error", "the run's"].map((text) => element("th", { scope: "col" }, text)));
   at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), shown(row.value), shown(row.standard_error, 3), shown(base[i].value)].map((text) => element("td", {}, text)))));
-  const effects = found.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
+  const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
   drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, shown: signed(each.effect, 4) }))));
 }
@@ -266,7 +316,8 @@ function fans(found) {
   at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
 }
 
-function load(numbers) {
+function load(numbers, choices = {}) {
+  for (const menu of page.menus) menu.set(menu.name in choices ? choices[menu.name] : menu.value);
   for (const input of page.inputs) {
     const found = numbers[input.name];
     input.now = found && found.length === input.values.length ? [...found] : [...input.values];
@@ -278,7 +329,8 @@ function load(numbers) {
 
 function remembered() {
   try {
-    const found = JSON.parse(sessionStorage.getItem(MEMORY) ?? "{}");
+    const found = JSON.parse(sessionStorage.getItem(MEMORY) ?? "{}"), words = found[CHOICES] ?? {};
+    for (const menu of page.menus) if (menu.name in words) menu.set(words[menu.name]);
     for (const input of page.inputs) {
       const numbers = found[input.name];
       if (Array.isArray(numbers) && numbers.length === input.values.length && numbers.every(Number.isFinite)) {
@@ -300,8 +352,14 @@ function kept(message) {
 }
 
 at("train").addEventListener("click", () => page.valued === page.n && send({ do: "train", n: page.n }));
+at("bound").addEventListener("click", () => {
+  if (page.valued !== page.n) return;
+  at("bound").disabled = true;
+  at("bounds").textContent = "bounding; this takes some seconds";
+  send({ do: "bound", n: page.n });
+});
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("reset").addEventListener("click", () => load({}));
-at("delta-input").addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));
+for (const name of ["delta-input", "delta-of"]) at(name).addEventListener("change", () => page.now.deltas && deltas(page.now.deltas));
 at("fan-name").addEventListener("change", () => page.now.fans && fans(page.now.fans));
 connect();

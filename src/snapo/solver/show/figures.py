@@ -2,6 +2,8 @@
 
     solution.plot.tornado()
     solution.plot.distribution("cash").savefig("cash.pdf")
+    solution.plot.fan("water")
+    solution.plot.policy("water", "price")
 
 They are drawn from the solution alone, so a loaded one has them too. Each takes `ax` to draw into,
 and returns the figure.
@@ -14,8 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from ..judge import SMOOTH, hundredth
+from .rolled import CELLS, POINTS, chosen, decisions, rolled
 
 if TYPE_CHECKING:
+    from snapo.problem.policy import Policy
+    from snapo.problem.problem import Problem
+
     from ..solution import Solution
 
 INK, SOFT, BAD = "#1d3f72", "#c6d5ea", "#d55e00"
@@ -30,7 +36,8 @@ class Figures:
         self._solution = solution
 
     def __repr__(self) -> str:
-        return "the figures of a solution: tornado(), distribution(output), training()"
+        names = "tornado(), distribution(output), training(), fan(name), policy(state)"
+        return f"the figures of a solution: {names}"
 
     def tornado(self, *, ax: Any = None, count: int = BARS) -> Any:
         """The change of the value by each input's move, largest first, with 95 % whiskers.
@@ -87,6 +94,69 @@ class Figures:
         ax.set_xlabel(f"{output}, total of a path")
         ax.set_ylabel("paths")
         return figure
+
+    def fan(self, name: str, problem: Problem | None = None, *, ax: Any = None) -> Any:
+        """A state, an action or an output over time: the mean, and the bands that hold half and
+        nine tenths of 1,024 paths of the evaluation.
+
+        - `problem`: of the solution; one that `solve` gave knows it, a loaded one does not.
+
+        **Raises:** `KeyError` for a name that is none, `ValueError` without a problem or a policy.
+        """
+        series = chosen(rolled(*self._played("fan", problem)), name, "fan")
+        low, lower, upper, high = np.nanquantile(series, [0.05, 0.25, 0.75, 0.95], axis=1)
+        steps = np.arange(len(series))
+        figure, ax = _axes(ax)
+        ax.fill_between(steps, low, high, color=SOFT, alpha=0.5, lw=0, label="90 % of paths")
+        ax.fill_between(steps, lower, upper, color=SOFT, lw=0, label="half of them")
+        ax.plot(steps, np.nanmean(series, 1), color=INK, label="mean")
+        ax.set_xlabel("step")
+        ax.set_ylabel(name)
+        ax.legend(frameon=False)
+        return figure
+
+    def policy(
+        self, state: str, other: str | None = None, problem: Problem | None = None, *,
+        step: int = 0, action: int = 0, ax: Any = None,
+    ) -> Any:  # fmt: skip
+        """The decision at a `step` against a number of the state, the others at their means.
+
+        Every action as a line; with a second number, `other`, a map of one `action`. The range is
+        that of all paths at all steps; `problem` as in `fan`.
+
+        **Raises:** `KeyError` for a name that is no state's, `ValueError` as `fan`.
+        """
+        found, policy = self._played("policy", problem)
+        names = (state,) if other is None else (state, other)
+        series = rolled(found, policy)
+        points = POINTS if other is None else CELLS
+        ranges = []
+        for name in names:
+            low, high = np.nanquantile(chosen(series, name, "policy"), [0.005, 0.995])
+            ranges.append(np.linspace(low, high, points))
+        decided = decisions(found, policy, names, ranges, step)
+        figure, ax = _axes(ax)
+        if other is None:
+            for i in range(decided.shape[1]):
+                ax.plot(ranges[0], decided[:, i], label=f"action {i}")
+            if decided.shape[1] > 1:
+                ax.legend(frameon=False)
+            ax.set_ylabel(f"decision at step {step}")
+        else:
+            mesh = ax.pcolormesh(ranges[0], ranges[1], decided[:, :, action].T, cmap="viridis")
+            ax.figure.colorbar(mesh, ax=ax, label=f"action {action} at step {step}")
+            ax.set_ylabel(other)
+        ax.set_xlabel(state)
+        return figure
+
+    def _played(self, what: str, problem: Problem | None) -> tuple[Problem, Policy]:
+        """The problem and the policy, where there are both."""
+        problem = problem or self._solution.problem
+        if problem is None:
+            raise ValueError(f"plot.{what}: a loaded solution needs a problem: {what}(…, problem).")
+        if self._solution.policy is None:
+            raise ValueError(f"plot.{what}: this solution came without its policy.")
+        return problem, self._solution.policy
 
     def training(self, *, ax: Any = None) -> Any:
         """The smooth objective of every step, and the exact value at each validation."""

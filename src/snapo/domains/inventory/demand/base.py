@@ -64,6 +64,10 @@ class Demand(eqx.Module):
         """Whether every demand is a whole number."""
         return self.whole
 
+    def in_pieces(self) -> bool:
+        """Whether demand, or its history, is whole: then orders are, unless a case says else."""
+        return self.integral()
+
     def values(self) -> dict[str, float]:
         """The parameters as the case gives them."""
         return {each.name: float(each.values[0]) for each in self.given()}

@@ -24,6 +24,12 @@ class EmpiricalTable(Table):
     history: Annotated[str, Field(min_length=1)] = Field(
         description="the name of a CSV file with columns period,demand, and factor if need be"
     )
+    mean: Annotated[float, Field(gt=0)] | None = Field(
+        None, description="a number above 0: the history is moved to this mean"
+    )
+    deviation: Annotated[float, Field(gt=0)] | None = Field(
+        None, description="a number above 0: the history is stretched to this standard deviation"
+    )
 
 
 @register
@@ -38,6 +44,8 @@ class Empirical(Demand):
     table = EmpiricalTable
     numbers: tuple[float, ...]
     unit: str
+    mean: float | None = None
+    spread: float | None = None
 
     @classmethod
     def read(cls, section: Section, table: EmpiricalTable, unit: str, most: float):
@@ -54,11 +62,17 @@ class Empirical(Demand):
         if max(found) == min(found):
             what = "demand is the same in all periods: there is nothing to draw from"
             raise CaseError(table.history, "", None, what)
-        return cls(tuple(sorted(found)), unit)
+        return cls(tuple(sorted(found)), unit, table.mean, table.deviation)
 
     def given(self):
+        mean, spread = self._moments()
+        return mean_given(mean, self.unit), deviation_given(spread, self.unit)
+
+    def _moments(self) -> tuple[float, float]:
+        """Mean and standard deviation: the history's own, or those that the case moves it to."""
         found = np.array(self.numbers)
-        return mean_given(found.mean(), self.unit), deviation_given(found.std(), self.unit)
+        mean = float(found.mean()) if self.mean is None else self.mean
+        return mean, float(found.std()) if self.spread is None else self.spread
 
     def prepare(self, parameters, factors):
         found = np.array(self.numbers)
@@ -80,11 +94,14 @@ class Empirical(Demand):
         return np.bincount(whole) / len(whole)
 
     def integral(self) -> bool:
+        return self.in_pieces() and self.mean is None and self.spread is None
+
+    def in_pieces(self) -> bool:
         return all(x == round(x) for x in self.numbers)
 
     def words(self) -> str:
-        found = np.array(self.numbers)
+        mean, spread = self._moments()
         return (
-            f"drawn from {len(found)} periods, mean {found.mean():.4g}, "
-            f"standard deviation {found.std():.4g}"
+            f"drawn from {len(self.numbers)} periods, mean {mean:.4g}, "
+            f"standard deviation {spread:.4g}"
         )

@@ -27,7 +27,7 @@ FINEST = 1 / 16  # of a level, in deviations of demand
 def service_and_places(run: StudyRun) -> dict[str, Any]:
     """ "service" and "costs" as for one item, and "places": one row per place with its stock and,
     where it sells, its fill rate and demand, each with its standard error."""
-    case, found = network_of(run.setup), Measured(run)
+    case, found = network_of(run.setup), Measured.of(run)
     costs = [{"name": name, **found.total(name)} for name in ("holding", "shortage")]
     places = []
     levels = run.setup.problem.schedule.constants["level"]

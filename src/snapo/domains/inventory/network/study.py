@@ -10,6 +10,7 @@ from snapo.study.parts.profile import profile_part
 from snapo.study.study import Study
 from snapo.study.training import TRAINING
 
+from ..results.shown import service_and_costs
 from ..told import about, result, without_references
 from .records import NetworkCase
 from .results import RIVALS, SERVICE
@@ -46,6 +47,8 @@ def study(case: NetworkCase, options: Options) -> Study:
         result,
         lambda: setup,
         moved=moved_setup,
+        inputs=network_inputs,
+        shown=service_and_costs,
     )
 
 

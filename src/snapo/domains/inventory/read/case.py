@@ -35,7 +35,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     item = _item(
         Section(file, "item", notes),
         table,
-        demand.whole or (demand.integral() and len(season.values) == 1),
+        demand.whole or (demand.in_pieces() and len(season.values) == 1),
     )
     return InventoryCase(
         **read_settings(top, name),

@@ -1,5 +1,8 @@
 """Figures of the trained rule on the paths of the value, each with its standard error."""
 
+from collections.abc import Mapping
+from typing import Any
+
 import numpy as np
 from numpy.typing import ArrayLike
 
@@ -15,10 +18,15 @@ def said(found: statistics.Sampled) -> dict[str, float]:
 class Measured:
     """The totals of a run, and the independent groups of their paths."""
 
-    def __init__(self, run: StudyRun):
-        self.totals = run.solution.totals
+    def __init__(self, totals: Mapping[str, Any], groups: np.ndarray):
+        self.totals, self.groups = totals, groups
+
+    @classmethod
+    def of(cls, run: StudyRun) -> "Measured":
+        """Those of a run."""
         source = run.setup.problem.sources.evaluation
-        self.groups = source.groups(np.arange(run.solution.paths["evaluate"]))
+        groups = source.groups(np.arange(run.solution.paths["evaluate"]))
+        return cls(run.solution.totals, groups)
 
     def mean(self, values: ArrayLike) -> dict[str, float]:
         return said(statistics.mean(np.asarray(values, np.float64), self.groups))

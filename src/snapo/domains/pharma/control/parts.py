@@ -14,7 +14,7 @@ from snapo.solver.evaluate import path_totals
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training, begin
 from snapo.solver.train import train as climb
-from snapo.study.ready import engines_for
+from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Part, Setup, StudyRun
 from snapo.study.training import train
 
@@ -74,6 +74,14 @@ class ClosedLoop:
                 self.problem, policy, self.training, self.evaluation, self.engines
             )
         return self._setups[known]
+
+    def moved(self, before: Setup, other: PharmaCase) -> Setup:
+        """The setup of a case that differs in the numbers of its inputs alone."""
+        loop = closed_loop(other, seed=self.training.seed)
+        values = {name: each.value for name, each in loop.inputs.items()}
+        return at_values(
+            before, loop.simulator, values, lambda: ClosedLoop(other, self.engine).setup()
+        )
 
     def parts(self) -> list[Part]:
         """In the order in which they are done."""

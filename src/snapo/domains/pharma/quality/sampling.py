@@ -1,5 +1,6 @@
 """On which mesh statistics are taken: thousands of batches need not be solved to ten digits."""
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -21,8 +22,11 @@ def on_steps(process: Process, steps: int) -> Process:
     return found
 
 
-def sampler(process: Process) -> tuple[Process, dict[str, Any]]:
-    """The process for statistics, and the accuracy that its mesh costs.
+def sampler(
+    process: Process, made: Callable[[Process, int], Process] | None = None
+) -> tuple[Process, dict[str, Any]]:
+    """The process for statistics, and the accuracy that its mesh costs. `made`: makes the same
+    process on other steps, `on_steps` where none is given.
 
     On a quarter of the steps, if the nominal attributes then move by at most a hundredth of their
     margins; the process as it is where they move by more, and where it has no mesh.
@@ -30,7 +34,7 @@ def sampler(process: Process) -> tuple[Process, dict[str, Any]]:
     case = process.case
     steps = max(8, case.numerics.steps // COARSER)
     if case.numerics.method == "mesh" and steps < case.numerics.steps:
-        coarse = on_steps(process, steps)
+        coarse = (made or on_steps)(process, steps)
         moved = np.subtract(
             *(
                 batches.attributes(each, batches.nominally(each, {}))[0]

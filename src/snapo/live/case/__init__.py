@@ -1,0 +1,1 @@
+"""The case behind a run: its files, and where its inputs stand in them."""

@@ -1,0 +1,92 @@
+"""Keys of a case with a list of allowed values: words and switches, moved by a menu.
+
+No reader says which words it knows until it is asked for another one: then its refusal lists them.
+Each is tried; a value that the case cannot have as it stands is not offered.
+"""
+
+import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
+
+from snapo.case.error import CaseError
+
+from .files import Files, Key, numbers_in
+from .guesses import tables
+
+Tried = Callable[[Files], Any]
+LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy")
+NONE = "?"  # which is nobody's word
+MOST_KEYS, MOST_WORDS = 60, 12
+WORD = re.compile(r'"([^"\s][^"]{0,39})"')
+
+
+class Choice(NamedTuple):
+    """A key, its value in the run, and all values that it can have."""
+
+    name: str
+    key: Key
+    value: str | bool
+    allowed: Sequence[str | bool]
+
+
+def choices(files: Files, tried: Tried) -> list[Choice]:
+    """Every key of the case that has more than one value; `tried` reads a case, or raises
+    `CaseError`."""
+    found = []
+    for key, value in list(_words(files))[:MOST_KEYS]:
+        others = [not value] if isinstance(value, bool) else _known(files, key, tried)
+        allowed = [each for each in others if each != value and _holds(files, key, each, tried)]
+        if allowed:
+            name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
+            found.append(Choice(name, key, value, [value, *allowed]))
+    return found
+
+
+def chosen(files: Files, known: Sequence[Choice], wanted: Mapping[str, Any]) -> Files:
+    """The case with other values of these keys.
+
+    **Raises:** `CaseError` for a name that is no choice's, or a value that it cannot have.
+    """
+    by_name = {each.name: each for each in known}
+    for name, value in wanted.items():
+        choice = by_name.get(name)
+        if choice is None:
+            raise CaseError(name, "", None, "there is no such choice")
+        if not any(type(each) is type(value) and each == value for each in choice.allowed):
+            what = f"allowed is {' or '.join(map(str, choice.allowed))}"
+            raise CaseError(name, "", value, what)
+        files = files.with_value(choice.key, value)
+    return files
+
+
+def _words(files: Files) -> Iterator[tuple[Key, str | bool]]:
+    """Keys whose value is a word or a switch: no quantity, no file, no sentence."""
+    for way, table in tables(files.tables, ()):
+        for key, value in table.items():
+            if (way or (key,))[0] in LEFT:
+                continue
+            if isinstance(value, bool):
+                yield (*way, key), value
+            elif isinstance(value, str) and value not in files.sheets:
+                plain = re.fullmatch(r"[A-Za-z][\w-]{0,39}", value)
+                if plain and numbers_in([value]) is None:
+                    yield (*way, key), value
+
+
+def _known(files: Files, key: Key, tried: Tried) -> list[str]:
+    """The words in quotation marks of the refusal of a word that nobody knows."""
+    try:
+        tried(files.with_value(key, NONE))
+    except CaseError as error:
+        own = [each for each in (error, *error.others) if str(key[-1]) in each.where]
+        words = [word for each in own for word in WORD.findall(each.allowed)]
+        return list(dict.fromkeys(word for word in words if word != NONE))[:MOST_WORDS]
+    return []  # any word will do: a name
+
+
+def _holds(files: Files, key: Key, value: str | bool, tried: Tried) -> bool:
+    try:
+        tried(files.with_value(key, value))
+    except CaseError:
+        return False
+    return True

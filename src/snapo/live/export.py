@@ -1,0 +1,75 @@
+"""Files that are taken away: what is shown as CSV, a case as TOML files or as a workbook."""
+
+import csv
+import io
+import zipfile
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+HEADER = ("what", "input", "label", "number", "standard_error")
+
+
+def csv_of(rows: Iterable[Sequence[Any]]) -> str:
+    """Rows as CSV; a text that a spreadsheet would take for a formula is marked as text."""
+    out = io.StringIO()
+    writer = csv.writer(out, lineterminator="\n")
+    for row in rows:
+        writer.writerow([_cell(each) for each in row])
+    return out.getvalue()
+
+
+def _cell(value: Any) -> Any:
+    if isinstance(value, str) and value[:1] in ("=", "+", "-", "@", "\t", "\r"):
+        return "'" + value
+    return value
+
+
+def shown(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """Everything that the page shows, one number in each row, under `HEADER`.
+
+    `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen".
+    """
+    yield HEADER
+    found = tables.get("value") or {}
+    yield ("value", "", "", found.get("value"), found.get("standard_error"))
+    yield ("change", "", "", found.get("change"), found.get("change_error"))
+    for name, value in (tables.get("chosen") or {}).items():
+        yield ("chosen", name, str(value), None, None)
+    for name, numbers in (tables.get("values") or {}).items():
+        for i, number in enumerate(numbers):
+            yield ("moved", name, str(i + 1), number, None)
+    yield from _sections(tables)
+    for each in tables.get("deltas") or []:
+        of = f"{each['of']} by {each['input']}" if "of" in each else each["input"]
+        yield ("move", of, "", each["effect"], each["standard_error"])
+        for row in each["rows"]:
+            yield ("delta", of, row["label"], row["value"], row["standard_error"])
+    for each in tables.get("fans") or []:
+        for key in ("mean", "p05", "p25", "p75", "p95"):
+            for i, number in enumerate(each[key]):
+                yield (f"{key} over time", each["name"], str(i), number, None)
+
+
+def _sections(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """Today's decision and the domain's own sections: every number with its column's name."""
+    today = tables.get("today") or {}
+    for name, number, unit in today.get("facts", ()):
+        yield ("today", name, unit, number, None)
+    for each in tables.get("sections") or []:
+        names = [f"{name}, {unit}" if unit else name for name, unit in each["columns"]]
+        for row in each["rows"]:
+            for name, cell in zip(names[1:], row[1:], strict=True):
+                number = cell if isinstance(cell, int | float) else None
+                label = name if number is not None or cell is None else f"{name}: {cell}"
+                yield (each["title"], str(row[0]), label, number, None)
+
+
+def zipped(folder: Path, name: str) -> bytes:
+    """The files of a folder in a zip, in a folder `name`; links are left out."""
+    out = io.BytesIO()
+    with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
+        for each in sorted(folder.iterdir()):
+            if each.is_file() and not each.is_symlink():
+                packed.write(each, f"{name}/{each.name}")
+    return out.getvalue()

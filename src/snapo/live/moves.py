@@ -1,0 +1,102 @@
+"""What every run on the page has, with a policy or without: inputs that move, and their files."""
+
+from abc import abstractmethod
+from collections.abc import Callable, Iterator, Mapping
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.inputs import Input
+from snapo.study.study import Study
+
+from .case.choices import Choice, choices
+from .case.choices import chosen as put
+from .case.files import Files
+from .case.places import Moved, Places
+from .terms import described
+
+Values = Mapping[str, np.ndarray]
+Chosen = Mapping[str, str | bool]  # {key: another value}
+Anew = Callable[[Any], Study]
+NONE: Chosen = {}
+
+
+class Moves:
+    """A run whose inputs can be moved.
+
+    - `study`: of the run; `anew`: makes that of another case.
+    - `slopes`: {input: d value / d number, flat}; empty where none are known.
+    """
+
+    def __init__(self, study: Study, named: Mapping[str, Input], places: Places, anew: Anew):
+        self.study, self.named, self.places, self.anew = study, named, places, anew
+        self.slopes: dict[str, np.ndarray] = {}
+
+    @abstractmethod
+    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+        """(name, table) one after another, of what is shown at these numbers and choices.
+
+        **Raises:** `CaseError` where the case's own reader refuses them.
+        """
+
+    @cached_property
+    def choices(self) -> list[Choice]:
+        """The keys of the case with a list of allowed values."""
+        return choices(self.places.files, self.places.again)
+
+    def moved(self, values: Values, chosen: Chosen = NONE) -> Moved:
+        """The case with these numbers and choices."""
+        files = put(self.places.files, self.choices, chosen) if chosen else None
+        return self.places.moved(self.changed(values), files)
+
+    @abstractmethod
+    def counted(self) -> dict[str, int]:
+        """Numbers of paths: of the "value", and what else there is."""
+
+    @abstractmethod
+    def settings(self) -> dict[str, Any]:
+        """Keys of `[evaluation]` with which `snapo solve` finds what is shown."""
+
+    def believed(self, name: str) -> str:
+        """Which derivative the run believes in; "" where it does not say."""
+        return ""
+
+    def inputs(self) -> list[dict[str, Any]]:
+        """All inputs of the case, as the page shows them."""
+        return [
+            described(name, given, self.slopes.get(name), self.believed(name))
+            for name, given in self.named.items()
+        ]
+
+    def units(self) -> dict[str, Any]:
+        """`unit` of the value, and `units` of states and outputs by name, where they are known."""
+        about, units = self.study.about, self.study.about.get("units")
+        known = dict(units) if isinstance(units, Mapping) else {}
+        return {"unit": about.get("value_unit", ""), "units": known}
+
+    def changed(self, values: Values) -> dict[str, np.ndarray]:
+        """The inputs that differ from the run's, shaped like them.
+
+        **Raises:** `CaseError` for a name that is no input's, or numbers that do not fit.
+        """
+        found = {}
+        for name, value in values.items():
+            given = self.named.get(name)
+            if given is None:
+                raise CaseError(name, "", None, "there is no such input")
+            new = np.asarray(value, np.float64)
+            if new.size != given.value.size or not np.isfinite(new).all():
+                what = f"this input has {given.value.size} finite numbers"
+                raise CaseError(name, "", None, what)
+            new = new.reshape(given.value.shape)
+            if not np.array_equal(new, given.value):
+                found[name] = new
+        return found
+
+    def files(self, values: Values, chosen: Chosen = NONE) -> Files:
+        """The files of the case with these numbers, so that `snapo solve` finds what is shown."""
+        files = self.moved(values, chosen).files.without(self.study.checks)
+        table = dict(files.tables.get("evaluation", {})) | self.settings()
+        return files.with_value(("evaluation",), table)

@@ -1,0 +1,36 @@
+// Words and switches of the case: what is allowed stands in a menu.
+
+import { element } from "./draw.js";
+
+const words = (value) => (typeof value === "boolean" ? (value ? "yes" : "no") : value);
+
+// Makes a menu for each choice below the inputs; `moved(done)` is called at every change.
+export function menus(place, choices, moved) {
+  if (!choices.length) return [];
+  const mark = element("span", { className: "moved" });
+  const box = element("details", { className: "group", open: choices.length < 4 }, element("summary", {}, "choices", mark));
+  const made = choices.map((choice) => {
+    const menu = element("select", { ariaLabel: choice.name }, ...choice.allowed.map((value, i) => element("option", { value: String(i) }, words(value))));
+    const title = choice.name.split(".").map((part) => part.replaceAll("_", " ")).join(", ");
+    const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, title), " ", menu), element("span", {}, `the run has ${words(choice.value)}`)));
+    row.dataset.choice = choice.name;
+    box.append(row);
+    const found = { ...choice, now: choice.value };
+    found.set = (value) => {
+      if (!choice.allowed.includes(value)) return;
+      found.now = value;
+      menu.value = String(choice.allowed.indexOf(value));
+      row.classList.toggle("changed", value !== choice.value);
+      const count = made.filter((each) => each.now !== each.value).length;
+      mark.textContent = count ? `${count} moved` : "";
+    };
+    menu.addEventListener("change", () => {
+      found.set(choice.allowed[Number(menu.value)]);
+      moved(true);
+    });
+    return found;
+  });
+  place.append(box);
+  for (const each of made) each.set(each.value);
+  return made;
+}

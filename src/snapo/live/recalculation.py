@@ -1,0 +1,73 @@
+"""A run without a policy, calculated at other inputs."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from snapo.solver import statistics
+from snapo.study.study import Recalculated, Study
+
+from .case.places import Places
+from .moves import NONE, Anew, Chosen, Moves, Values
+from .terms import handles
+
+
+class Recalculation(Moves):
+    """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
+
+    def __init__(self, study: Study, given: Recalculated, places: Places, anew: Anew):
+        super().__init__(study, given.named, places, anew)
+        self.given, self.paths = given, 0
+        self._variants: dict[str, Recalculated] = {}
+        self._base: np.ndarray | None = None
+
+    def counted(self) -> dict[str, int]:
+        return {"value": self.paths}
+
+    def settings(self) -> dict[str, Any]:
+        return {}
+
+    def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
+        """Those of the domain, the value with its change against the run."""
+        if self._base is None and (values or chosen):
+            next(self.stages({}))
+        changed, case = self.changed(values), self.moved(values, chosen).case
+        for name, table in self._of(case, chosen).stages(case):
+            if name == "value":
+                yield name, self._value(table, bool(changed or chosen))
+            elif name == "deltas":
+                yield name, [self._by_handle(row) for row in table]
+            else:
+                yield name, table
+
+    def _of(self, case: Any, chosen: Chosen) -> Recalculated:
+        """What calculates at these choices: made once for each."""
+        if not chosen:
+            return self.given
+        key = repr(sorted(chosen.items()))
+        if key not in self._variants:
+            made = self.anew(case).recalculated
+            assert made is not None
+            self._variants[key] = made()
+        return self._variants[key]
+
+    def _value(self, table: dict[str, Any], changed: bool) -> dict[str, Any]:
+        """The value, and how it differs from the run's on the same paths."""
+        kept = np.asarray(table.pop("kept"))
+        self._base = kept if self._base is None else self._base
+        self.paths = table["paths"]
+        change = statistics.mean(kept - self._base)
+        return table | {
+            "change": change.value if changed else 0.0,
+            "change_error": change.standard_error if changed else 0.0,
+        }
+
+    def _by_handle(self, row: dict[str, Any]) -> dict[str, Any]:
+        """Derivatives by what is moved together."""
+        numbers = [each["value"] for each in row["rows"]]
+        rows = [
+            {"label": label, "value": sum(numbers[i] for i in at), "standard_error": None}
+            for label, at in handles(self.named[row["input"]])
+        ]
+        return row | {"rows": rows}

@@ -1,0 +1,86 @@
+"""Figures that need the problem beside the solution: fans over time, and the policy as a curve or
+a map over the state."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.engine import Xla
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
+
+PATHS, POINTS, CELLS = 1024, 121, 61
+KINDS = ("state", "action", "outputs")
+
+
+def rolled(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
+    """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
+    source = problem.sources.evaluation
+    draws = source.draws(np.arange(source.available(paths)), problem.simulator)
+    found = Xla("float64").bind(problem).values(policy, draws, Exact(), record=KINDS)
+    series: dict[str, np.ndarray] = {}
+    for kind in KINDS:
+        for way, leaf in jax.tree_util.tree_flatten_with_path(found.record[kind])[0]:
+            name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
+            values = np.asarray(leaf, np.float64)
+            values = values.reshape(*values.shape[:2], -1)
+            for i in range(values.shape[2]):
+                full = f"{name or kind}.{i}" if values.shape[2] > 1 else name or kind
+                series[full] = values[:, :, i]
+    return series
+
+
+def chosen(series: dict[str, np.ndarray], name: str, what: str) -> np.ndarray:
+    """One of the series. **Raises:** `KeyError` for a name that is none."""
+    if name not in series:
+        raise KeyError(f"plot.{what}: nothing is called {name!r}; there are {sorted(series)}.")
+    return series[name]
+
+
+def decisions(
+    problem: Problem, policy: Policy, names: tuple[str, ...], ranges: list[np.ndarray], step: int
+) -> np.ndarray:
+    """[points …, actions] exact decisions at a step, where one or two numbers of the state move and
+    all others stay at their means."""
+    source = problem.sources.evaluation
+    draws = source.draws(np.arange(source.available(PATHS)), problem.simulator)
+    record = Xla("float64").bind(problem).values(policy, draws, Exact(), record=("state",)).record
+    middle = jax.tree.map(
+        lambda x: jnp.asarray(np.asarray(x, np.float64)[step].mean(0), jnp.float32), record["state"]
+    )
+    schedule = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), problem.schedule)
+    now = at(schedule.steps, step)
+
+    def decide(*values: Any) -> Any:
+        state = middle
+        for name, value in zip(names, values):
+            state = _put(state, name, value)
+        seen = problem.simulator.observe(schedule.constants, now, state)
+        return policy(seen, Exact())
+
+    call = decide
+    for axis in reversed(range(len(names))):
+        call = jax.vmap(call, tuple(0 if i == axis else None for i in range(len(names))))
+    grid = [jnp.asarray(each, jnp.float32) for each in ranges]
+    return np.asarray(jax.jit(call)(*grid), np.float64)
+
+
+def _put(state: Any, name: str, value: Any) -> Any:
+    """The state with one number replaced: "stock", "stock.0", or "state" of a plain array."""
+    flat, tree = jax.tree_util.tree_flatten_with_path(state)
+    leaves = []
+    for way, leaf in flat:
+        own = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
+        own = own or "state"
+        if name == own and leaf.size == 1:
+            leaf = jnp.reshape(value, leaf.shape)
+        elif name.startswith(f"{own}.") and name[len(own) + 1 :].isdigit():
+            leaf = leaf.ravel().at[int(name[len(own) + 1 :])].set(value).reshape(leaf.shape)
+        leaves.append(leaf)
+    return jax.tree.unflatten(tree, leaves)

@@ -1,0 +1,58 @@
+"""The tables of a solution, for a workbook."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..learning.progress import Record
+from ..sensitivity import Row
+from .workbook import Picture, Table
+
+if TYPE_CHECKING:
+    from ..solution import Solution
+
+BINS = 40
+
+
+def tables_of(solution: Solution) -> dict[str, Table]:
+    """Result, sensitivities, training, and the histogram of every output."""
+    found = {"result": Table(("what", "value"), list(flat(solution.summary())))}
+    if solution.sensitivities is not None:
+        rows = list(solution.sensitivities.rows())
+        found["sensitivities"] = Table(Row._fields, rows, sensitivities(rows))
+    if solution.history:
+        found["training"] = Table(Record._fields, solution.history, TRAINING)
+    for name, totals in solution.totals.items():
+        values = np.asarray(totals, np.float64)
+        counts, edges = np.histogram(values[np.isfinite(values)], BINS)
+        rows = list(zip(edges[:-1].tolist(), edges[1:].tolist(), counts.tolist()))
+        picture = Picture("bar", "from", ("paths",))
+        found[f"total {name}"] = Table(("from", "to", "paths"), rows, picture)
+    return found
+
+
+TRAINING = Picture("line", "step", ("objective",))
+
+
+def sensitivities(rows: list[Any]) -> Picture | None:
+    """Derivatives by label, or by input where most have none; no chart that is too long to read.
+
+    `rows`: input, label …
+    """
+    labelled = sum(bool(row[1]) for row in rows) > len(rows) / 2
+    return Picture("bar", "label" if labelled else "input", ("held",)) if len(rows) <= 400 else None
+
+
+def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:
+    """Every value of nested tables, with its way in words."""
+    for key, value in table.items():
+        name = f"{before}{key}"
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{name}, ")
+        elif isinstance(value, list | tuple):
+            yield name, "; ".join(map(str, value))
+        else:
+            yield name, value

@@ -1,0 +1,119 @@
+"""Results as a workbook: a sheet for each table, native numbers and dates, native charts."""
+
+import datetime
+import math
+import re
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, NamedTuple
+
+NEEDED = "workbooks need the package openpyxl: pip install 'snapo[xlsx]'"
+MOST_ROWS, MOST_NAME = 1_000_000, 31  # of a sheet; letters of its name
+DAY = re.compile(r"\d{4}-\d\d-\d\d")
+
+
+class Picture(NamedTuple):
+    """A chart beside a table: `y` columns against the column `x`, by their names."""
+
+    kind: Literal["line", "bar"]
+    x: str
+    y: Sequence[str]
+
+
+class Table(NamedTuple):
+    """A table and, if need be, its chart."""
+
+    header: Sequence[str]
+    rows: Iterable[Sequence[Any]]
+    picture: Picture | None = None
+
+
+def write_tables(file: Path, tables: Mapping[str, Table]) -> None:
+    """Writes a sheet for each table. Texts stay texts, whatever they begin with.
+
+    **Raises:** `ModuleNotFoundError` where openpyxl is missing.
+    """
+    try:
+        from openpyxl import Workbook
+        from openpyxl.styles import Font
+    except ModuleNotFoundError:
+        raise ModuleNotFoundError(NEEDED) from None
+    book = Workbook()
+    book.remove(book.worksheets[0])
+    for name, table in tables.items():
+        sheet = book.create_sheet(re.sub(r"[\[\]:*?/\\']", " ", name)[:MOST_NAME])
+        columns = _fill(sheet, table)
+        for cell in sheet[1]:
+            cell.font = Font(bold=True)
+        sheet.freeze_panes = "A2"
+        if table.picture is not None and sheet.max_row > 1:
+            _draw(sheet, table, columns)
+    book.save(file)
+
+
+def _fill(sheet: Any, table: Table) -> int:
+    """Writes header and rows; returns the number of columns."""
+    from openpyxl.utils import get_column_letter
+
+    largest: dict[int, float] = {}
+    for i, row in enumerate([table.header, *table.rows][: MOST_ROWS + 1], 1):
+        for j, value in enumerate(map(_native, row), 1):
+            if value is None:
+                continue
+            cell = sheet.cell(i, j, value)
+            if isinstance(value, str):
+                cell.data_type = "s"  # never a formula
+            elif isinstance(value, datetime.date):
+                cell.number_format = "yyyy-mm-dd"
+            elif i > 1 and not isinstance(value, bool):
+                largest[j] = max(largest.get(j, 0.0), abs(value))
+    for j, size in largest.items():
+        for (cell,) in sheet.iter_rows(2, None, j, j):
+            if isinstance(cell.value, float):
+                cell.number_format = _format(size)
+    for j, name in enumerate(table.header, 1):
+        sheet.column_dimensions[get_column_letter(j)].width = max(12, min(40, len(str(name)) + 4))
+    return len(table.header)
+
+
+def _native(value: Any) -> Any:
+    """A value as a cell holds it; nothing for a number that is none."""
+    if value is None or isinstance(value, bool | int | datetime.date):
+        return value
+    if isinstance(value, str):
+        return datetime.date.fromisoformat(value) if DAY.fullmatch(value) else value
+    try:
+        number = float(value)
+    except (TypeError, ValueError):
+        return str(value)
+    return number if math.isfinite(number) else None
+
+
+def _format(largest: float) -> str:
+    """Of a column, by its largest number."""
+    if largest >= 1e4:
+        return "#,##0"
+    if largest >= 10:
+        return "#,##0.00"
+    return "0.0000" if largest >= 1e-2 else "0.00E+00"
+
+
+def _draw(sheet: Any, table: Table, columns: int) -> None:
+    """The chart, to the right of its table."""
+    from openpyxl.chart import BarChart, LineChart, Reference
+    from openpyxl.utils import get_column_letter
+
+    picture, names = table.picture, list(table.header)
+    assert picture is not None
+    chart: Any = LineChart() if picture.kind == "line" else BarChart()
+    for name in picture.y:
+        column = names.index(name) + 1
+        chart.add_data(
+            Reference(sheet, min_col=column, min_row=1, max_row=sheet.max_row),
+            titles_from_data=True,
+        )
+    at = names.index(picture.x) + 1
+    chart.set_categories(Reference(sheet, min_col=at, min_row=2, max_row=sheet.max_row))
+    chart.title, chart.height, chart.width = sheet.title, 9, 18
+    chart.x_axis.title, chart.x_axis.delete, chart.y_axis.delete = picture.x, False, False
+    sheet.add_chart(chart, f"{get_column_letter(columns + 2)}2")
