@@ -4,7 +4,7 @@ import abc
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,9 +110,13 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 
 @dataclass(frozen=True)
 class Engine(abc.ABC):
-    """Rolls paths forward, and takes adjoints back along the same road."""
+    """Rolls paths forward, and takes adjoints back along the same road.
+
+    `steady`: a path's totals have the same bits whatever is recorded beside them.
+    """
 
     precision: str = "float32"
+    steady: ClassVar[bool] = False
 
     @property
     def dtype(self):
@@ -201,7 +205,8 @@ class Engine(abc.ABC):
             for name in found[0].totals
         }
         trees = [(each.policy, each.schedule) for each in found]
-        return Adjoint(totals, *jax.tree.map(lambda *each: np.stack(each), *trees), None)
+        moved, schedules = jax.tree.map(lambda *each: np.stack(each), *trees)
+        return Adjoint(totals, moved, schedules, None)
 
 
 @dataclass(frozen=True, eq=False)

@@ -5,57 +5,35 @@ paths, to the bits: the same functions on the same scenarios, with guide and con
 new case.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
-from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
-from snapo.solver.solve import Evaluation
 from snapo.solver.train import begin, train
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
 from snapo.study.study import Setup, Study
 
+from .counts import Counts
 from .files import Files
 from .places import Places
+from .rolled import Rolled, roll
 from .terms import derivatives, described, slopes
 
-FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
-ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
-DELTA_PATHS, FAN_PATHS, HEALTH_PATHS = 2048, 1024, 2048
+HEALTH_PATHS = 2048
 TOLD = 12  # times that a training tells how far it is
 Values = Mapping[str, np.ndarray]
-
-
-class Counts(NamedTuple):
-    """Paths: of the value, of the derivatives, of the fans."""
-
-    value: int = MOST
-    deltas: int = DELTA_PATHS
-    fans: int = FAN_PATHS
-
-    @classmethod
-    def of(cls, paths: int, deltas: int | None = None) -> "Counts":
-        """So many paths for the value, and no more for anything else."""
-        return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
-
-    @classmethod
-    def enough(cls, solution: Solution, evaluation: Evaluation) -> "Counts":
-        """As many paths as a run's own error says that the value needs, and no more than it had."""
-        share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
-        needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
-        paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
-        return cls.of(paths, evaluation.sensitivity_paths)
 
 
 class Valuation:
@@ -119,12 +97,14 @@ class Valuation:
         **Raises:** `CaseError` where the case's own reader refuses the numbers.
         """
         changed = self.changed(values)
-        setup = self._at(changed)
-        yield "value", self._value(setup, changed)
-        yield "deltas", self._deltas(setup)
-        if self.study.today is not None and self.solution.policy is not None:
-            yield "today", self.study.today(setup, self.solution.policy)._asdict()
-        yield "fans", self._fans(setup)
+        setup, policy = self._at(changed), self.solution.policy
+        assert policy is not None
+        rolled = roll(setup, policy, self.counts)
+        yield "value", self._value(setup, rolled, changed)
+        yield "deltas", self._deltas(setup, rolled)
+        if self.study.today is not None:
+            yield "today", self.study.today(setup, policy)._asdict()
+        yield "fans", fans(rolled.shown)
         yield "health", self._health(setup)
 
     def train_again(self, values: Values, told: Callable[[int, int], None]) -> dict[str, Any]:
@@ -143,8 +123,8 @@ class Valuation:
             setup.problem, state, training, setup.engines.train,
             [lambda progress: told(progress.step, steps)],
         )  # fmt: skip
-        before, _ = self._worth(setup, policy)
-        after, found = self._worth(setup, state.best)
+        before, _ = self._totals_worth(setup)
+        after, found = self._totals_worth(setup, state.best)
         gain = statistics.of_shares(after - before)
         return {
             "value": found.value,
@@ -163,12 +143,10 @@ class Valuation:
         assert self.study.moved is not None
         return self.study.moved(self.setup, moved.case)
 
-    def _value(self, setup: Setup, changed: Values) -> dict[str, Any]:
-        policy = self.solution.policy
-        assert policy is not None
-        groups, found = self._worth(setup, policy)
+    def _value(self, setup: Setup, rolled: Rolled, changed: Values) -> dict[str, Any]:
+        groups, found = _worth(setup, rolled.totals)
         if self._base is None:
-            self._base = groups if not changed else self._worth(self.setup, policy)[0]
+            self._base = groups if not changed else self._totals_worth(self.setup)[0]
         change = statistics.of_shares(groups - self._base)
         first = {
             name: float(self.slopes[name] @ (new - self.named[name].value).ravel())
@@ -184,41 +162,21 @@ class Valuation:
             "by_input": first,
         }
 
-    def _worth(self, setup: Setup, policy: Policy) -> tuple[np.ndarray, Value]:
-        """The shares of independent groups of paths, and the value that they make."""
-        problem = setup.problem
-        source, controls = problem.sources.evaluation, problem.simulator.control_variates()
-        totals = path_totals(problem, policy, self.counts.value, engine=setup.engines.evaluate)
-        groups = worth_of_groups(problem.objective, totals, source, controls)
-        return groups, estimate(problem.objective, totals, source, controls)
+    def _totals_worth(self, setup: Setup, policy: Policy | None = None):
+        """`_worth` of a policy, by default the run's."""
+        policy = policy or self.solution.policy
+        assert policy is not None
+        engine = setup.engines.evaluate
+        return _worth(setup, path_totals(setup.problem, policy, self.counts.value, engine=engine))
 
-    def _deltas(self, setup: Setup) -> list[dict[str, Any]]:
+    def _deltas(self, setup: Setup, rolled: Rolled) -> list[dict[str, Any]]:
         policy = self.solution.policy
         assert policy is not None
         found = sensitivities(
-            setup.problem, policy, self.counts.deltas, engine=setup.engines.evaluate
-        )
+            setup.problem, policy, self.counts.deltas,
+            engine=setup.engines.evaluate, actions=rolled.actions,
+        )  # fmt: skip
         return derivatives(found.held, setup.problem.named)
-
-    def _fans(self, setup: Setup) -> list[dict[str, Any]]:
-        """Bands over time of every number of state and outputs, and of the actions."""
-        problem, policy = setup.problem, self.solution.policy
-        source = problem.sources.evaluation
-        draws = source.draws(np.arange(source.available(self.counts.fans)), problem.simulator)
-        bound = setup.engines.evaluate.bind(problem)
-        kinds = ("state", "action", "outputs")
-        rolled = bound.values(policy, draws, Exact(), record=kinds)
-        found = []
-        for kind in kinds:
-            for name, values in leaves(rolled.record[kind]).items():
-                values = np.asarray(values, np.float64)
-                values = values.reshape(*values.shape[:2], -1)
-                if values.shape[2] > MOST_ENTRIES:
-                    continue
-                for i in range(values.shape[2]):
-                    full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
-                    found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
-        return found
 
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.
@@ -238,6 +196,29 @@ class Valuation:
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)
         bound = setup.engines.evaluate.bind(problem)
         return Way(problem, bound, policy, smooth, held=False).derivatives(blocks).policy.norm()
+
+
+def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Bands over time of every number of state and outputs, and of the actions."""
+    found = []
+    for kind, record in shown.items():
+        for name, values in leaves(record).items():
+            values = np.asarray(values, np.float64)
+            values = values.reshape(*values.shape[:2], -1)
+            if values.shape[2] > MOST_ENTRIES:
+                continue
+            for i in range(values.shape[2]):
+                full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
+                found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
+    return found
+
+
+def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:
+    """The shares of independent groups of paths, and the value that they make."""
+    problem = setup.problem
+    given = problem.objective, totals, problem.sources.evaluation
+    controls = problem.simulator.control_variates()
+    return worth_of_groups(*given, controls), estimate(*given, controls)
 
 
 def open_run(

@@ -18,7 +18,8 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.study.run_folder import plain_json
 
-from .valuation import Counts, Valuation, open_run
+from .counts import Counts
+from .valuation import Valuation, open_run
 
 
 class Post:

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import numpy as np
@@ -34,6 +35,7 @@ class Native(Engine):
     """
 
     threads: int | None = None
+    steady: ClassVar[bool] = True
 
     def values(
         self,
@@ -113,9 +115,9 @@ class Native(Engine):
             size = np.max([np.abs(row) for row in rows.values()], axis=0)
             out = runner.run(call.inputs(runner, rows, size, False, parts), self._threads())
             totals, _ = call.finals(runner, out.final)
-            found = dict(zip(("policy", "schedule"), call.gradients(runner, out)))
-            asked = (found[name] if name in wrt else None for name in found)
-            return Adjoint(totals, *asked, None)
+            moved, schedules, _ = call.gradients(runner, out)
+            asked = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
+            return Adjoint(totals, asked[0], asked[1], None)
 
     def _threads(self) -> int:
         return self.threads or cores()

@@ -38,13 +38,17 @@ class Pulled(NamedTuple):
 
 
 class Way(NamedTuple):
-    """One way to differentiate: with the decisions recorded and replayed, or through the policy."""
+    """One way to differentiate: with the decisions recorded and replayed, or through the policy.
+
+    `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
+    """
 
     problem: Problem
     bound: Bound
     policy: Policy
     smooth: Any
     held: bool
+    recorded: np.ndarray | None = None
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
@@ -122,8 +126,12 @@ class Way(NamedTuple):
         draws = self._draws(paths)
         if not self.held:
             return draws, self.policy, {}
-        rolled = self.bound.values(self.policy, draws, self.smooth, record=("action",))
-        return draws, None, {"actions": rolled.record["action"], "wrt": ("schedule",)}
+        if self.recorded is None:
+            rolled = self.bound.values(self.policy, draws, self.smooth, record=("action",))
+            actions = rolled.record["action"]
+        else:
+            actions = self.recorded[:, paths]
+        return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
     def _pulled(self, result: Adjoint, bad: int) -> Pulled:
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])

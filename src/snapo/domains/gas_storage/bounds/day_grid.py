@@ -99,7 +99,9 @@ def day_grids(
     for t in range(horizon):
         regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
         nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
-    return [one_day(schedule, day_rates[t], t, *nodes[t : t + 2], bends) for t in range(horizon)]
+    return [
+        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)
+    ]
 
 
 def largest_rate(schedule) -> float:

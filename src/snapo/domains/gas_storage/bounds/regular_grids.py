@@ -42,7 +42,8 @@ def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayG
     levels = [day.levels for day in day_rates] + [schedule.constants.end_levels]
     nodes = [inventory_nodes(*each[:2], spacing, each[2]) for each in zip(low, high, levels)]
     return [
-        one_day(schedule, day_rates[t], t, *nodes[t : t + 2], bends=False) for t in range(horizon)
+        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends=False)
+        for t in range(horizon)
     ]
 
 
