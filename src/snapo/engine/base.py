@@ -4,7 +4,7 @@ import abc
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -200,7 +200,7 @@ class Engine(abc.ABC):
             given = simulator, policy, schedule, only(draws, own), smooth, taken
             found.append(self.adjoint(*given, actions=replayed, wrt=wrt))
             first += size
-        totals = {
+        totals: dict[str, Any] = {
             name: np.concatenate([np.asarray(each.totals[name]) for each in found])
             for name in found[0].totals
         }
