@@ -4,7 +4,7 @@ from types import SimpleNamespace
 
 import pytest
 
-from snapo.live.valuation import ENOUGH, FEWEST, MOST, Counts
+from snapo.live.counts import ENOUGH, FEWEST, MOST, Counts
 
 
 @pytest.mark.parametrize(

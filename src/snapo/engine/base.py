@@ -1,10 +1,10 @@
 """What every engine takes and gives."""
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import equinox as eqx
 import jax
@@ -13,7 +13,7 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
-from snapo.problem.noise import Draws, Stored
+from snapo.problem.noise import Draws, Stored, only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
@@ -116,9 +116,13 @@ _bounded.defvjp(_bounded_forward, _bounded_backward)
 
 @dataclass(frozen=True)
 class Engine(abc.ABC):
-    """Rolls paths forward, and takes adjoints back along the same road."""
+    """Rolls paths forward, and takes adjoints back along the same road.
+
+    `steady`: a path's totals have the same bits whatever is recorded beside them.
+    """
 
     precision: str = "float32"
+    steady: ClassVar[bool] = False
 
     @property
     def dtype(self):
@@ -183,6 +187,39 @@ class Engine(abc.ABC):
         `wrt` need not be found.
         """
 
+    def adjoints(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        weights: Mapping[str, ArrayLike],
+        parts: Sequence[int],
+        *,
+        actions=None,
+        wrt: tuple[str, ...] = ("policy", "schedule", "start"),
+    ) -> Adjoint:
+        """`adjoint` of each part of the paths: of the first parts[0], of the next parts[1] …
+
+        Derivatives have a leading axis of parts; there are none at the start.
+        """
+        found, first = [], 0
+        for size in parts:
+            own = np.arange(first, first + size)
+            taken = {name: np.asarray(weight)[own] for name, weight in weights.items()}
+            replayed = None if actions is None else np.asarray(actions)[:, own]
+            given = simulator, policy, schedule, only(draws, own), smooth, taken
+            found.append(self.adjoint(*given, actions=replayed, wrt=wrt))
+            first += size
+        totals: dict[str, Any] = {
+            name: np.concatenate([np.asarray(each.totals[name]) for each in found])
+            for name in found[0].totals
+        }
+        trees = [(each.policy, each.schedule) for each in found]
+        moved, schedules = jax.tree.map(lambda *each: np.stack(each), *trees)
+        return Adjoint(totals, moved, schedules, None)
+
 
 @dataclass(frozen=True, eq=False)
 class Bound:
@@ -208,6 +245,19 @@ class Bound:
     ) -> Adjoint:
         return self.engine.adjoint(
             self.simulator, policy, self.schedule, draws, smooth, weights, **options
+        )
+
+    def adjoints(
+        self,
+        policy: Policy | None,
+        draws: Draws,
+        smooth,
+        weights: Mapping[str, ArrayLike],
+        parts: Sequence[int],
+        **options,
+    ) -> Adjoint:
+        return self.engine.adjoints(
+            self.simulator, policy, self.schedule, draws, smooth, weights, parts, **options
         )
 
 

@@ -13,9 +13,10 @@ from snapo.study.study import Study
 
 from .case.files import read_files
 from .case.places import Places
+from .counts import Counts
 from .moves import Moves
 from .recalculation import Recalculation
-from .valuation import Counts, Valuation
+from .valuation import Valuation
 
 
 def open_run(

@@ -5,57 +5,35 @@ paths, to the bits: the same functions on the same scenarios, with guide and con
 new case.
 """
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
-from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.bound import bound
 from snapo.solver.by_block.passes import Way
 from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
-from snapo.solver.solve import Evaluation
 from snapo.solver.train import begin, train
 from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
 from snapo.study.study import Measured, Setup, Study
 
 from .case.places import Places
+from .counts import Counts
 from .moves import NONE, Anew, Chosen, Moves, Values
+from .rolled import Rolled, roll
 from .terms import derivatives, slopes
 
-FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
-ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
-DELTA_PATHS, FAN_PATHS, HEALTH_PATHS, BOUND_PATHS = 2048, 1024, 2048, 512
+HEALTH_PATHS, BOUND_PATHS = 2048, 512
 TOLD = 12  # times that a training tells how far it is
-
-
-class Counts(NamedTuple):
-    """Paths: of the value, of the derivatives, of the fans."""
-
-    value: int = MOST
-    deltas: int = DELTA_PATHS
-    fans: int = FAN_PATHS
-
-    @classmethod
-    def of(cls, paths: int, deltas: int | None = None) -> "Counts":
-        """So many paths for the value, and no more for anything else."""
-        return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
-
-    @classmethod
-    def enough(cls, solution: Solution, evaluation: Evaluation) -> "Counts":
-        """As many paths as a run's own error says that the value needs, and no more than it had."""
-        share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
-        needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
-        paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
-        return cls.of(paths, evaluation.sensitivity_paths)
 
 
 class Valuation(Moves):
@@ -71,7 +49,6 @@ class Valuation(Moves):
         self.slopes = slopes(solution.sensitivities, self.named)
         self._base: np.ndarray | None = None
         self._trained: tuple[float, float] | None = None
-        self._totals: Any = None
         self._variants: dict[str, tuple[Study, Setup]] = {}
 
     def believed(self, name: str) -> str:
@@ -88,16 +65,19 @@ class Valuation(Moves):
         """Value, the domain's own sections, deltas, today, fans, health."""
         changed = self.changed(values)
         study, setup = self._at(values, chosen)
-        yield "value", self._value(setup, changed, bool(changed or chosen))
+        policy = self.solution.policy
+        assert policy is not None
+        rolled = roll(setup, policy, self.counts)
+        yield "value", self._value(setup, rolled, changed, bool(changed or chosen))
         if study.shown is not None:
             source = setup.problem.sources.evaluation
             groups = source.groups(np.arange(source.available(self.counts.value)))
-            found = study.shown(Measured(setup, self._totals, groups))
+            found = study.shown(Measured(setup, rolled.totals, groups))
             yield "sections", [each._asdict() for each in found]
-        yield "deltas", self._deltas(setup)
-        if study.today is not None and self.solution.policy is not None:
-            yield "today", study.today(setup, self.solution.policy)._asdict()
-        yield "fans", self._fans(setup)
+        yield "deltas", self._deltas(setup, rolled)
+        if study.today is not None:
+            yield "today", study.today(setup, policy)._asdict()
+        yield "fans", fans(rolled.shown)
         yield "health", self._health(setup)
 
     def train_again(
@@ -118,8 +98,8 @@ class Valuation(Moves):
             setup.problem, state, training, setup.engines.train,
             [lambda progress: told(progress.step, steps)],
         )  # fmt: skip
-        before, _ = self._worth(setup, policy)
-        after, found = self._worth(setup, state.best)
+        before, _ = self._totals_worth(setup)
+        after, found = self._totals_worth(setup, state.best)
         gain = statistics.of_shares(after - before)
         return {
             "value": found.value,
@@ -171,14 +151,12 @@ class Valuation(Moves):
             self._variants[key] = study, study.setup()
         return self._variants[key]
 
-    def _value(self, setup: Setup, changed: Values, differs: bool) -> dict[str, Any]:
-        policy = self.solution.policy
-        assert policy is not None
-        if self._base is None and differs:
-            self._base = self._worth(self.setup, policy)[0]
-        groups, found = self._worth(setup, policy)
+    def _value(
+        self, setup: Setup, rolled: Rolled, changed: Values, differs: bool
+    ) -> dict[str, Any]:
+        groups, found = _worth(setup, rolled.totals)
         if self._base is None:
-            self._base = groups
+            self._base = self._totals_worth(self.setup)[0] if differs else groups
         change = statistics.of_shares(groups - self._base)
         first = {
             name: float(self.slopes[name] @ (new - self.named[name].value).ravel())
@@ -194,42 +172,21 @@ class Valuation(Moves):
             "by_input": first,
         }
 
-    def _worth(self, setup: Setup, policy: Policy) -> tuple[np.ndarray, Value]:
-        """The shares of independent groups of paths, and the value that they make."""
-        problem = setup.problem
-        source, controls = problem.sources.evaluation, problem.simulator.control_variates()
-        totals = path_totals(problem, policy, self.counts.value, engine=setup.engines.evaluate)
-        groups = worth_of_groups(problem.objective, totals, source, controls)
-        self._totals = totals
-        return groups, estimate(problem.objective, totals, source, controls)
+    def _totals_worth(self, setup: Setup, policy: Policy | None = None):
+        """`_worth` of a policy, by default the run's."""
+        policy = policy or self.solution.policy
+        assert policy is not None
+        engine = setup.engines.evaluate
+        return _worth(setup, path_totals(setup.problem, policy, self.counts.value, engine=engine))
 
-    def _deltas(self, setup: Setup) -> list[dict[str, Any]]:
+    def _deltas(self, setup: Setup, rolled: Rolled) -> list[dict[str, Any]]:
         policy = self.solution.policy
         assert policy is not None
         found = sensitivities(
-            setup.problem, policy, self.counts.deltas, engine=setup.engines.evaluate
-        )
+            setup.problem, policy, self.counts.deltas,
+            engine=setup.engines.evaluate, actions=rolled.actions,
+        )  # fmt: skip
         return derivatives(found.held, setup.problem.named)
-
-    def _fans(self, setup: Setup) -> list[dict[str, Any]]:
-        """Bands over time of every number of state and outputs, and of the actions."""
-        problem, policy = setup.problem, self.solution.policy
-        source = problem.sources.evaluation
-        draws = source.draws(np.arange(source.available(self.counts.fans)), problem.simulator)
-        bound = setup.engines.evaluate.bind(problem)
-        kinds = ("state", "action", "outputs")
-        rolled = bound.values(policy, draws, Exact(), record=kinds)
-        found = []
-        for kind in kinds:
-            for name, values in leaves(rolled.record[kind]).items():
-                values = np.asarray(values, np.float64)
-                values = values.reshape(*values.shape[:2], -1)
-                if values.shape[2] > MOST_ENTRIES:
-                    continue
-                for i in range(values.shape[2]):
-                    full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
-                    found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
-        return found
 
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.
@@ -247,7 +204,7 @@ class Valuation(Moves):
         smooth = Smooth(np.float64(setup.training.temperature(setup.training.steps)))
         source = problem.sources.evaluation
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)
-        bound = setup.engines.evaluate.bind(problem)
+        bound = setup.engines.evaluate.bind(problem, controls=False)
         return Way(problem, bound, policy, smooth, held=False).derivatives(blocks).policy.norm()
 
 
@@ -255,3 +212,26 @@ def _alike(one: Policy, other: Policy) -> bool:
     """Whether two policies have the same parts, decide on the same set, and are of one shape."""
     shapes = [[np.shape(x) for x in jax.tree.leaves(each)] for each in (one, other)]
     return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
+
+
+def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Bands over time of every number of state and outputs, and of the actions."""
+    found = []
+    for kind, record in shown.items():
+        for name, values in leaves(record).items():
+            values = np.asarray(values, np.float64)
+            values = values.reshape(*values.shape[:2], -1)
+            if values.shape[2] > MOST_ENTRIES:
+                continue
+            for i in range(values.shape[2]):
+                full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
+                found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
+    return found
+
+
+def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:
+    """The shares of independent groups of paths, and the value that they make."""
+    problem = setup.problem
+    given = problem.objective, totals, problem.sources.evaluation
+    controls = problem.simulator.control_variates()
+    return worth_of_groups(*given, controls), estimate(*given, controls)

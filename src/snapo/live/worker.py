@@ -20,9 +20,10 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.study.run_folder import plain_json
 
+from .counts import Counts
 from .moves import Moves
 from .reopen import open_run
-from .valuation import Counts, Valuation
+from .valuation import Valuation
 
 
 class Post:

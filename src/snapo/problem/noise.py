@@ -7,6 +7,7 @@ of the distribution function.
 import equinox as eqx
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float, UInt32
 
 STEP_STREAM, INITIAL_STREAM = 0, 1
@@ -73,6 +74,15 @@ class Stored(eqx.Module):
 
 
 Draws = Counter | Stored
+
+
+def only(draws: Draws, chosen: np.ndarray) -> Draws:
+    """The noise of chosen paths alone."""
+
+    def taken(leaf, axis):
+        return leaf if axis is None else np.take(leaf, chosen, axis)
+
+    return jax.tree.map(taken, draws, draws.axes(), is_leaf=lambda leaf: leaf is None)
 
 
 def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, "..."]):

@@ -8,7 +8,7 @@ from snapo.engine import Engine, Xla
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.scenarios import BLOCKS, Scenarios
+from snapo.problem.scenarios import Scenarios
 from snapo.problem.smooth import Exact
 
 from . import statistics
@@ -73,7 +73,7 @@ def path_totals(
 
 def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:
     """Path numbers of one call of an engine each."""
-    return source.blocks(paths, max(BLOCKS, -(-paths // CHUNK)))
+    return source.blocks(paths, -(-paths // CHUNK))
 
 
 def estimate(

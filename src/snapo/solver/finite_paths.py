@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound
-from snapo.problem.noise import Draws
+from snapo.problem.noise import Draws, only
 from snapo.problem.objective import Objective, Totals, Weights
 
 from .adjoint import float64, weighted_adjoint
@@ -35,7 +35,7 @@ def adjoint_of_finite_paths(
     of all paths.
     """
     value, result = weighted_adjoint(bound, policy, draws, smooth, objective, **options)
-    if not np.isnan(value) and _all_finite(result, objective.outputs):
+    if not np.isnan(value) and all_finite(result, objective.outputs):
         return value, result, 0
     good = _good(bound, policy, draws, smooth, objective.outputs, options)
     bad = int(np.sum(~good))
@@ -58,7 +58,7 @@ def adjoint_of_good_weights(
     Those count for nothing; the weights of the others stay what they are.
     """
     result = bound.adjoint(policy, draws, smooth, weights, **options)
-    if _all_finite(result, weights) or not _finite_leaves(weights):
+    if all_finite(result, weights) or not _finite_leaves(weights):
         return result, 0
     good = _good(bound, policy, draws, smooth, tuple(weights), options)
     if good.all() or not good.any():
@@ -79,12 +79,12 @@ def _good(bound: Bound, policy, draws, smooth, names, options) -> np.ndarray:
     if not good.all() and good.any():
         rest, given = _replaced(good, draws, options)
         weights = {name: np.ones(good.size) for name in names}
-        if _all_finite(bound.adjoint(policy, rest, smooth, weights, **given), names):
+        if all_finite(bound.adjoint(policy, rest, smooth, weights, **given), names):
             return good
     weights = {name: np.ones(1) for name in names}
     for path in np.flatnonzero(good):
         alone, given = _only(np.array([path]), draws, options)
-        good[path] = _all_finite(bound.adjoint(policy, alone, smooth, weights, **given), names)
+        good[path] = all_finite(bound.adjoint(policy, alone, smooth, weights, **given), names)
     return good
 
 
@@ -103,22 +103,15 @@ def _spread(weights: Mapping[str, np.ndarray], good: np.ndarray) -> Weights:
 
 def _only(chosen: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dict]:
     """The noise, the starting states and the recorded actions of chosen paths alone."""
-    axes = draws.axes()
-    picked = jax.tree.map(
-        lambda leaf, axis: leaf if axis is None else np.take(leaf, chosen, axis),
-        draws,
-        axes,
-        is_leaf=lambda leaf: leaf is None,
-    )
     given = dict(options)
     if options.get("start") is not None:
         given["start"] = jax.tree.map(lambda leaf: leaf[chosen], options["start"])
     if options.get("actions") is not None:
         given["actions"] = options["actions"][:, chosen]
-    return picked, given
+    return only(draws, chosen), given
 
 
-def _all_finite(result: Adjoint, names: Iterable[str]) -> bool:
+def all_finite(result: Adjoint, names: Iterable[str]) -> bool:
     """Whether an adjoint, and the totals of these names, are finite."""
     totals = [result.totals[name] for name in names]
     return _finite_leaves((result.policy, result.schedule, totals))

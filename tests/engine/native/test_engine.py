@@ -243,3 +243,16 @@ def test_no_paths_are_refused(store, engine):
         engine.values(*given)
     with pytest.raises(ValueError, match="no paths"):
         engine.adjoint(*given, weights(0))
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("parts", [(16, 21), (1, 30, 6)])
+def test_parts_of_the_paths_have_adjoints_of_their_own(store, parts):
+    simulator, policy, schedule = store
+    given = simulator, policy, schedule, draws(simulator), Smooth(0.3), weights(PATHS)
+    found = Native("float64").adjoints(*given, parts)
+    assert difference(Xla("float64").adjoints(*given, parts), found) < TOLERANCE["float64"]
+    whole = Native("float64").adjoint(*given)
+    summed = jax.tree.map(lambda leaf: leaf.sum(0), (found.policy, found.schedule))
+    assert difference((whole.policy, whole.schedule), summed) < TOLERANCE["float64"]
+    assert difference(whole.totals, found.totals) == 0

@@ -20,7 +20,7 @@ from snapo.study.study import Setup
 
 from .bounds.guide import fitted_marginal
 from .bounds.surprise import surprises
-from .bounds.value_iteration import FittedValue, fit_value
+from .bounds.value_iteration import FittedValue, fit_guide
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
 from .contract.schedule import of_prices
@@ -100,9 +100,9 @@ def _hedged(problem: Problem, engines: Engines, seed: int) -> Problem:
 
 
 def fitted_value(problem: Problem) -> FittedValue | None:
-    """The value by fitted value iteration, where the prices have Gaussian factors."""
+    """The value for guide and control variate, where the prices have Gaussian factors."""
     found, kind = factors(problem), case_of_problem(problem).contract.ratchets.interpolation
-    return None if found is None else fit_value(problem.schedule, found, kind)
+    return None if found is None else fit_guide(problem.schedule, found, kind)
 
 
 def guide(problem: Problem, fitted: FittedValue | None) -> ValueTable:

@@ -70,7 +70,7 @@ def _relaxation(ready: "_Ready"):
     kind = ready.case.objective.kind
     if kind != "mean":
         return f'only a mean is bounded from above, and the objective is "{kind}"'
-    return lambda: StoreRelaxation(ready.setup.problem, ready.fitted)
+    return lambda: StoreRelaxation(ready.setup.problem)
 
 
 class _Ready:
@@ -85,7 +85,7 @@ class _Ready:
 
     @cached_property
     def fitted(self) -> FittedValue | None:
-        """The value function of guide and bound."""
+        """The value function of guide and control variate."""
         return fitted_value(bare_problem(self.case))
 
 

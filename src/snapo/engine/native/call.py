@@ -2,6 +2,7 @@
 
 import math
 from collections import OrderedDict
+from collections.abc import Sequence
 from time import perf_counter
 from typing import Any
 
@@ -27,6 +28,7 @@ from .kernel.context import Stages
 from .kernel.kernel import Kernel, emit
 from .rollout import traced
 from .runtime import Inputs, Runner
+from .seats import Seats
 
 KEPT = 64  # compiled kernels in memory
 COMPILED = "/snapo/compile"  # the event that tells how long a kernel took, as JAX tells of its own
@@ -112,13 +114,15 @@ class Call:
 
     # Into rows.
 
-    def inputs(self, runner: Runner, weights, size, records: bool) -> Inputs:
-        layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
-        traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
+    def inputs(
+        self, runner: Runner, weights, size, records: bool, parts: Sequence[int] | None = None
+    ) -> Inputs:
+        """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
+        layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
+        self.seats = Seats.of(parts or (self.paths,), lanes)
+        path, own, blocks = self.seats.path, self.seats.own, self.seats.blocks
         first, length, _ = self.window
         filled = self._filled(weights, size)
-        # The last path fills the last block.
-        path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
         given, lent = self._noise(path)
         sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
         sizes |= {name: array.nbytes for name, array in given.items()}
@@ -139,9 +143,10 @@ class Call:
             for key, array in arrays.items():
                 view = layouts[name].view(rows, key)
                 view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
-                if name == "weights":  # paths that fill the last block count for nothing
-                    view[-1, lanes - (path.size - self.paths) :] = 0
-        return Inputs(self.paths, length, first, memory, records)
+                if name == "weights":  # paths that fill a last block count for nothing
+                    view[~own.reshape(blocks, lanes)] = 0
+        edges = None if parts is None else self.seats.edges
+        return Inputs(self.paths, length, first, memory, records, edges)
 
     def _filled(self, weights, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""
@@ -175,8 +180,8 @@ class Call:
         self, runner: Runner, name: str, memory: np.ndarray, key, *axes: int
     ) -> np.ndarray:
         """[*axes, paths, ...] from rows of lanes."""
-        rows = memory.reshape(runner.blocks(self.paths), *axes, -1)
-        return _paths(runner.kernel.layouts[name].view(rows, key), self.paths, len(axes))
+        rows = memory.reshape(self.seats.blocks, *axes, -1)
+        return _paths(runner.kernel.layouts[name].view(rows, key), self.seats, len(axes))
 
     def finals(self, runner: Runner, memory: np.ndarray) -> Any:
         traced = runner.kernel.traced
@@ -199,25 +204,31 @@ class Call:
         return jax.tree.unflatten(tree, leaves)
 
     def gradients(self, runner: Runner, out):
-        """(policy, schedule, start) as NumPy arrays in the engine's precision."""
+        """(policy, schedule, start) as NumPy arrays in the engine's precision.
+
+        With a leading axis of parts in policy and schedule, where the sums are theirs.
+        """
+        lead = out.call_sums.shape[:-1]
         traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
         first, length, _ = self.window
 
         def shared(leaf, array, asked):
             if not leaf.active:
-                return np.zeros(np.shape(array), dtype) if asked else None
+                return np.zeros((*lead, *np.shape(array)), dtype) if asked else None
             return layouts["call_sums"].view(out.call_sums, leaf).astype(dtype)
 
         found = map(shared, traced.call, self.shared.arrays, traced.asked[0])
         policy, constants, _, _ = self.shared.like(found)
-        memory = out.step_sums.reshape(length, -1)
+        memory = out.step_sums.reshape(*lead, length, -1)
 
         def stepwise(leaf, array, asked):
             if not asked:
                 return None
-            full = np.zeros(np.shape(array), dtype)
+            full = np.zeros((*lead, *np.shape(array)), dtype)
             if leaf.active:
-                full[first : first + length] = layouts["step_sums"].view(memory, leaf)
+                full[(slice(None),) * len(lead) + (slice(first, first + length),)] = layouts[
+                    "step_sums"
+                ].view(memory, leaf)
             return full
 
         steps = self.steps.like(map(stepwise, traced.now, self.steps.arrays, traced.asked[1]))
@@ -240,12 +251,14 @@ def _blocks(array: np.ndarray, path: np.ndarray, lanes: int, axes: int) -> np.nd
     return split.transpose(axes, *lead, *rest, axes + 1)
 
 
-def _paths(view: np.ndarray, paths: int, axes: int) -> np.ndarray:
+def _paths(view: np.ndarray, seats: Seats, axes: int) -> np.ndarray:
     """[blocks, *axes, ..., lanes] as [*axes, paths, ...], in memory of its own."""
     lead, rest = range(1, axes + 1), range(axes + 1, view.ndim - 1)
     moved = view.transpose(*lead, 0, view.ndim - 1, *rest)
     lanes = view.shape[0] * view.shape[-1]
     flat = moved.reshape(*moved.shape[:axes], lanes, *moved.shape[axes + 2 :])
-    chosen = flat[(slice(None),) * axes + (slice(0, paths),)]
+    several = len(seats.edges) > 2
+    own = np.flatnonzero(seats.own) if several else slice(0, int(seats.path[-1]) + 1)
+    chosen = flat[(slice(None),) * axes + (own,)]
     # A view would keep all that the kernel wrote alive.
     return chosen.copy() if np.may_share_memory(chosen, view) else chosen

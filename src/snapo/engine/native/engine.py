@@ -1,9 +1,12 @@
 """The native engine: `values` and `adjoint` by kernels compiled for simulator and processor."""
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 import jax
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
 from snapo.lanes.machine.threads import cores
@@ -14,6 +17,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from ..base import Adjoint, Clip, Engine, Rollout, Window
 from ..memory import adjoint_without, values_without
 from .call import Call
+from .runtime import SUMS
 
 
 @dataclass(frozen=True)
@@ -31,6 +35,7 @@ class Native(Engine):
     """
 
     threads: int | None = None
+    steady: ClassVar[bool] = True
 
     def values(
         self,
@@ -86,6 +91,33 @@ class Native(Engine):
             given = dict(zip(("policy", "schedule", "start"), gradient))
             asked = (given[name] if name in wrt else None for name in given)
             return adjoint_without(simulator, call.simulator, Adjoint(totals, *asked))
+
+    def adjoints(
+        self,
+        simulator: Simulator,
+        policy: Policy | None,
+        schedule: Schedule,
+        draws: Draws,
+        smooth,
+        weights: Mapping[str, ArrayLike],
+        parts: Sequence[int],
+        *,
+        actions: ArrayLike | None = None,
+        wrt: tuple[str, ...] = ("policy", "schedule", "start"),
+    ) -> Adjoint:
+        given = simulator, policy, schedule, draws, smooth
+        with self.numbers():
+            call = Call(self, *given, actions, None, None)
+            runner = call.runner(True, (), False, tuple(wrt))
+            if len(parts) * runner.sums(simulator.horizon) > SUMS:
+                return super().adjoints(*given, weights, parts, actions=actions, wrt=wrt)
+            rows = {name: np.asarray(w, self.dtype) for name, w in weights.items()}
+            size = np.max([np.abs(row) for row in rows.values()], axis=0)
+            out = runner.run(call.inputs(runner, rows, size, False, parts), self._threads())
+            totals, _ = call.finals(runner, out.final)
+            moved, schedules, _ = call.gradients(runner, out)
+            asked = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
+            return Adjoint(totals, asked[0], asked[1], None)
 
     def _threads(self) -> int:
         return self.threads or cores()

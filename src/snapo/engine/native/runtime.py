@@ -26,18 +26,25 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 
 @dataclass(eq=False)
 class Inputs:
-    """All that one run reads, as rows of the kernel's layouts."""
+    """All that one run reads, as rows of the kernel's layouts.
+
+    `edges`: the blocks at which parts of the paths begin, whose sums are kept apart.
+    """
 
     paths: int
     length: int
     first: int
     memory: Memory
     records: bool = False
+    edges: np.ndarray | None = None
 
 
 @dataclass(eq=False)
 class Outputs:
-    """All that one run writes, as rows of layouts; the sums in an adjoint kernel only."""
+    """All that one run writes, as rows of layouts; the sums in an adjoint kernel only.
+
+    With a row of sums for each part of the paths, where they are kept apart.
+    """
 
     final: np.ndarray
     records: np.ndarray | None
@@ -60,14 +67,17 @@ class Runner:
         """All blocks, forward and (in an adjoint kernel) back."""
         layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
         blocks, length = self.blocks(inputs.paths), inputs.length
-        calls, steps = layouts["call_sums"].stride, length * layouts["step_sums"].stride
-        groups = _groups(blocks, calls + steps if adjoint else 0)
+        edges, calls, size = inputs.edges, layouts["call_sums"].stride, self.sums(length)
+        if edges is None:
+            groups = _groups(blocks, size if adjoint else 0)
+            edges = blocks * np.arange(groups + 1) // groups
+        groups, blocks = len(edges) - 1, int(edges[-1])
         sizes = {"stop": 8, "final": blocks * layouts["final"].stride}
         if inputs.records:
             sizes["records"] = blocks * length * layouts["records"].stride
         if adjoint:
             sizes["start_cotangent"] = blocks * layouts["start_cotangent"].stride
-            sizes["total"], sizes["sums"] = calls + steps, groups * (calls + steps)
+            sizes["total"], sizes["sums"] = size, groups * size
         memory = Memory(sizes)
         segment = self.segment(length)
         numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
@@ -78,9 +88,8 @@ class Runner:
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
         def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
             if adjoint:
-                _add_up_in(own, memory.where["sums"] + group * (calls + steps), calls)
-            first, last = blocks * group // groups, blocks * (group + 1) // groups
-            functions["run"](address(own), first, last)
+                _add_up_in(own, memory.where["sums"] + group * size, calls)
+            functions["run"](address(own), int(edges[group]), int(edges[group + 1]))
 
         mine = partial(self._own, context, scratch)
         with mine() as own:
@@ -88,14 +97,23 @@ class Runner:
         spread(one, groups, min(threads, groups), memory["stop"], mine)
         out = Outputs(memory["final"], memory.rows.get("records"))
         if adjoint:
-            sums, total = memory["sums"].view(np.float64), memory["total"]
-            np.sum(sums.reshape(groups, -1), axis=0, out=total.view(np.float64))
-            out.call_sums, out.step_sums = total[:calls], total[calls:]
+            sums, name = memory["sums"].reshape(groups, size), "sums"
+            if inputs.edges is None:
+                total, name = memory["total"], "total"
+                np.sum(sums.view(np.float64), axis=0, out=total.view(np.float64))
+                sums = total
+            out.call_sums, out.step_sums = sums[..., :calls], sums[..., calls:]
             out.start_cotangent = memory["start_cotangent"]
             with mine() as own:
-                _add_up_in(own, memory.where["total"], calls)
-                functions["finish"](address(own))
+                for row in range(sums.size // size):
+                    _add_up_in(own, memory.where[name] + row * size, calls)
+                    functions["finish"](address(own))
         return out
+
+    def sums(self, length: int) -> int:
+        """Bytes of the sums over paths of so many steps."""
+        layouts = self.kernel.layouts
+        return layouts["call_sums"].stride + length * layouts["step_sums"].stride
 
     def segment(self, length: int) -> int:
         """Steps whose tape is kept at once. It does not depend on the number of threads."""

@@ -1,21 +1,24 @@
 """Derivatives from one adjoint pass for each block of paths, with their standard errors."""
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Bound
+from snapo.engine import Adjoint, Bound
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
 from ..adjoint import float64, pull_back
-from ..finite_paths import DROPPED, adjoint_of_good_weights, finite
+from ..finite_paths import DROPPED, adjoint_of_good_weights, all_finite, finite
 from ..statistics import Estimate
 from .changes import Plan, plan
+
+CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
 class Found(NamedTuple):
@@ -35,13 +38,17 @@ class Pulled(NamedTuple):
 
 
 class Way(NamedTuple):
-    """One way to differentiate: with the decisions recorded and replayed, or through the policy."""
+    """One way to differentiate: with the decisions recorded and replayed, or through the policy.
+
+    `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
+    """
 
     problem: Problem
     bound: Bound
     policy: Policy
     smooth: Any
     held: bool
+    recorded: np.ndarray | None = None
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
@@ -49,7 +56,7 @@ class Way(NamedTuple):
         every, edges = np.concatenate(blocks), np.cumsum(plan.sizes)[:-1]
         split = {name: np.split(weight, edges) for name, weight in plan.whole.items()}
         parts = [{name: split[name][i] for name in split} for i in range(len(blocks))]
-        passes = [self._pull(block, part) for block, part in zip(blocks, parts)]
+        passes = self._passes(blocks, parts)
         further = [self._joined(every[plan.sample], p, len(blocks[0])) for p in plan.pieces]
         bad = np.array([each.bad for each in passes])
         dropped += int(bad.sum())
@@ -73,9 +80,12 @@ class Way(NamedTuple):
             nothing = {name: np.zeros(sum(sizes)) for name in objective.outputs}
             return plan(objective, nothing, sizes), blocks, 0
         parts = []
-        for block in blocks:
-            found = self.bound.values(self.policy, self._draws(block), self.smooth).totals
-            parts.append(float64({name: found[name] for name in objective.outputs}))
+        for own in _batches(blocks):
+            draws = self._draws(np.concatenate(blocks[own]))
+            found = float64(self.bound.values(self.policy, draws, self.smooth).totals)
+            edges = np.cumsum(sizes[own])[:-1]
+            split = {name: np.split(found[name], edges) for name in objective.outputs}
+            parts += [{n: x[k] for n, x in split.items()} for k in range(len(edges) + 1)]
         good = [finite(part, objective.outputs) for part in parts]
         dropped = sum(int(np.sum(~each)) for each in good)
         if dropped and dropped <= DROPPED * sum(sizes):
@@ -87,14 +97,43 @@ class Way(NamedTuple):
     def _draws(self, paths: np.ndarray) -> Draws:
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
 
+    def _passes(self, blocks: list[np.ndarray], weights: list[Weights]) -> list[Pulled]:
+        """One pass for each block, as many of them in one call as an engine may have."""
+        return [
+            each for own in _batches(blocks) for each in self._together(blocks[own], weights[own])
+        ]
+
+    def _together(self, blocks: list[np.ndarray], weights: list[Weights]) -> list[Pulled]:
+        """One pass for each block in one call; one by one where a number is not finite."""
+        if len(blocks) > 1:
+            draws, decider, options = self._asked(np.concatenate(blocks))
+            joined = {n: np.concatenate([each[n] for each in weights]) for n in weights[0]}
+            sizes = [len(block) for block in blocks]
+            result = self.bound.adjoints(decider, draws, self.smooth, joined, sizes, **options)
+            if all_finite(result, joined):
+                return [self._pulled(_row(result, k), 0) for k in range(len(blocks))]
+        return [self._pull(block, part) for block, part in zip(blocks, weights)]
+
     def _pull(self, paths: np.ndarray, weights: Weights) -> Pulled:
-        draws, policy, options = self._draws(paths), self.policy, {}
-        if self.held:
-            rolled = self.bound.values(policy, draws, self.smooth, record=("action",))
-            policy, options = None, {"actions": rolled.record["action"], "wrt": ("schedule",)}
+        draws, decider, options = self._asked(paths)
         result, bad = adjoint_of_good_weights(
-            self.bound, policy, draws, self.smooth, weights, **options
+            self.bound, decider, draws, self.smooth, weights, **options
         )
+        return self._pulled(result, bad)
+
+    def _asked(self, paths: np.ndarray) -> tuple[Draws, Policy | None, dict[str, Any]]:
+        """The noise of these paths, who decides there, and the recorded decisions."""
+        draws = self._draws(paths)
+        if not self.held:
+            return draws, self.policy, {}
+        if self.recorded is None:
+            rolled = self.bound.values(self.policy, draws, self.smooth, record=("action",))
+            actions = rolled.record["action"]
+        else:
+            actions = self.recorded[:, paths]
+        return draws, None, {"actions": actions, "wrt": ("schedule",)}
+
+    def _pulled(self, result: Adjoint, bad: int) -> Pulled:
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
         slope = np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in leaves)])
         return Pulled(jax.tree.map(np.asarray, result.schedule), slope, bad)
@@ -113,3 +152,18 @@ class Way(NamedTuple):
         if not found:
             return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
         return pull_back(problem.simulator, problem.inputs, found)
+
+
+def _batches(blocks: list[np.ndarray]) -> Iterator[slice]:
+    """Blocks that follow one another, as many as fit into a call; at least one."""
+    first = 0
+    while first < len(blocks):
+        paths = np.cumsum([len(block) for block in blocks[first:]])
+        last = first + max(1, int(np.searchsorted(paths, CHUNK, side="right")))
+        yield slice(first, last)
+        first = last
+
+
+def _row(result: Adjoint, k: int) -> Adjoint:
+    """The derivatives of one part."""
+    return jax.tree.map(lambda leaf: leaf[k], result._replace(totals={}))

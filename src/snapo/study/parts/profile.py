@@ -75,8 +75,7 @@ def leaves(tree: Any) -> dict[str, Any]:
 def bands(values: np.ndarray) -> dict[str, list[float]]:
     """Mean and quantiles over paths of numbers [T, paths]; without those not finite."""
     if values.size and np.isfinite(values).all():  # at once, and not row by row
-        quantiles = np.quantile(values, list(QUANTILES.values()), axis=1)
-        rows = {"mean": values.mean(1), **dict(zip(QUANTILES, quantiles))}
+        rows = {"mean": values.mean(1), **dict(zip(QUANTILES, _quantiles(values)))}
         return {name: row.tolist() for name, row in rows.items()}
     kept = np.where(np.isfinite(values), values, np.nan)
     known = np.asarray(np.isfinite(kept).any(1))
@@ -84,3 +83,12 @@ def bands(values: np.ndarray) -> dict[str, list[float]]:
     quantiles = np.nanquantile(filled, list(QUANTILES.values()), axis=1)
     rows = {"mean": np.nanmean(filled, axis=1), **dict(zip(QUANTILES, quantiles))}
     return {name: np.where(known, row, np.nan).tolist() for name, row in rows.items()}
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """[quantiles, T] of finite numbers [T, paths], as `np.quantile` finds them, in less time."""
+    ordered = np.sort(values, axis=1)
+    place = np.array(list(QUANTILES.values())) * (values.shape[1] - 1)
+    left = np.floor(place).astype(int)
+    low, high = ordered[:, left], ordered[:, np.ceil(place).astype(int)]
+    return (low + (place - left) * (high - low)).T

@@ -18,9 +18,8 @@ CASES = Path(__file__).parents[1] / "cases"
 def ready(name: str):
     """The setup of a case, and its relaxation."""
     case = load(Asked(CASES / name)).case
-    fitted = fitted_value(bare_problem(case))
-    setup = make_setup(case, "auto", fitted)
-    return setup, StoreRelaxation(setup.problem, fitted)
+    setup = make_setup(case, "auto", fitted_value(bare_problem(case)))
+    return setup, StoreRelaxation(setup.problem)
 
 
 def certified(name: str, paths: int):

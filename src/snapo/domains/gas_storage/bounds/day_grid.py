@@ -90,7 +90,7 @@ def day_grids(
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
-    spacing = _spacing(schedule, inventories)
+    spacing = spacing_of(schedule, inventories)
     most = int(BENDS * inventories)
     ends = [_bent(each, most) for each in values_after(schedule, interpolation, low, high)]
     day_rates = [rates(schedule, interpolation, t) for t in range(horizon)]
@@ -99,14 +99,20 @@ def day_grids(
     for t in range(horizon):
         regular = inventory_nodes(low[t + 1], high[t + 1], spacing, levels[t + 1])
         nodes.append(_joined(regular, ends[t], spacing, levels[t + 1]))
-    return [_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)]
+    return [
+        one_day(schedule, day_rates[t], t, nodes[t], nodes[t + 1], bends) for t in range(horizon)
+    ]
 
 
-def _spacing(schedule, inventories: int) -> float:
-    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node."""
+def largest_rate(schedule) -> float:
+    """The largest volume that may flow on a day."""
     steps = schedule.steps
-    spacing = volume_scale(schedule) / (inventories - 1)
-    rate = max(np.max(steps.injection_rate), np.max(steps.withdrawal_rate))
+    return float(max(np.max(steps.injection_rate), np.max(steps.withdrawal_rate)))
+
+
+def spacing_of(schedule, inventories: int) -> float:
+    """Of the regular nodes: where it can, a part of the largest flow, which then ends on a node."""
+    spacing, rate = volume_scale(schedule) / (inventories - 1), largest_rate(schedule)
     parts = round(rate / spacing)
     return float(rate / parts) if parts else spacing
 
@@ -132,9 +138,10 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
     return np.union1d(regular[~near | np.isin(regular, fixed)], bent)
 
 
-def _day(
+def one_day(
     schedule, day_rates: Rates, t: int, nodes: np.ndarray, after: np.ndarray, bends: bool
 ) -> DayGrid:
+    """Day t between two grids."""
     keep, down, _, up = moves(schedule, day_rates, t, nodes)
     near = ON_NODE * volume_scale(schedule)
     return DayGrid(

@@ -48,6 +48,7 @@ class Regression:
         self.basis = basis
         self.y, self.level, self.weight = states_of(basis)
         self._days: dict[int, Day] = {}
+        self._noises: dict[int, np.ndarray] = {}
         dates = len(basis.of.decay)
         self._keeps = 2 * dates * basis.size * self.level.size * 8 <= MOST_KEPT
 
@@ -58,6 +59,18 @@ class Regression:
             found = self._made(t)
             if self._keeps:
                 self._days[t] = found
+        return found
+
+    def noise(self, t: int) -> np.ndarray:
+        """Spot over forward price [Q] on day t."""
+        found = self._noises.get(t)
+        if found is None:
+            of, basis = self.basis.of, self.basis
+            log = of.loading[t][list(basis.kept)] @ basis.back(t) @ self.y
+            log += basis.level_deviation(t) * self.level * bool(basis.common)
+            found = np.exp(log - of.variance[t] / 2)
+            if self._keeps:
+                self._noises[t] = found
         return found
 
     @cached_property
@@ -83,7 +96,7 @@ _last: list[tuple[tuple, Regression]] = []
 
 def regression(basis: Basis) -> Regression:
     """The regression of a basis: that of the last one, where the factors are the same."""
-    key = basis.key()
+    key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
     for known, found in _last:
         if known == key:
             return found

@@ -8,32 +8,26 @@ from snapo.problem.problem import Problem
 from ..contract.schedule import of_prices
 from ..contract.simulator import simulator_of
 from .hindsight import INVENTORIES, Hindsight, Scale
-from .value_iteration import FittedValue, fit_value
+from .value_iteration import fit_value
 
 PARTS = 3  # of the penalty: polynomials, hinges, the constant
 
 
 class StoreRelaxation:
-    """See `snapo.solver.bound.Relaxation`; `fitted` is the value function of the penalty, if any.
+    """See `snapo.solver.bound.Relaxation`.
 
-    Without `fitted` it is found here, where the price process has Gaussian factors.
+    `fitted` is the value function of the penalty, where the price process has Gaussian factors; it
+    is a finer one than that of the policy's guide.
     """
 
-    def __init__(
-        self,
-        problem: Problem,
-        fitted: FittedValue | None = None,
-        inventories: int = INVENTORIES,
-    ):
+    def __init__(self, problem: Problem, inventories: int = INVENTORIES):
         simulator = simulator_of(problem)
         self.process, schedule = simulator.process, problem.schedule
         self.prices = of_prices(schedule)
         kind = simulator.case.contract.ratchets.interpolation
         factors = self.process.factors(self.prices)
-        if fitted is None and factors is not None:
-            fitted = fit_value(schedule, factors, kind)
-        self.fitted = fitted
-        self.inner = Hindsight(schedule, kind, fitted, inventories)
+        self.fitted = None if factors is None else fit_value(schedule, factors, kind)
+        self.inner = Hindsight(schedule, kind, self.fitted, inventories)
 
     @property
     def terms(self) -> int:

@@ -5,14 +5,16 @@ from dataclasses import dataclass
 import numpy as np
 
 from ..prices.process import GaussianFactors
-from ..references.day_terms import Interpolation, end_value, unit_prices
+from ..references.day_terms import Interpolation, end_value, unit_prices, volume_scale
 from .basis import Basis, gaussian_basis
 from .best_flow import best_value
-from .day_grid import day_grids
+from .day_grid import DayGrid, day_grids, largest_rate
 from .product import product
 from .regression import regression
+from .regular_grids import regular_grids
 
 INVENTORIES = 101
+FEWEST, A_DAY = 51, 2  # of a guide: inventories, and nodes that the largest flow of a day passes
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,31 +47,39 @@ def fit_value(
     The continuation is the basis' own expectation, so that only the fit is an approximation:
     Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12 (2001). There must be a day.
     """
-    steps, constants = schedule.steps, schedule.constants
-    horizon = len(steps.forward)
-    basis = gaussian_basis(factors, constants.end_fraction != 0)
     days = day_grids(schedule, interpolation, inventories, bends=False)
+    return _fitted(schedule, factors, days)
+
+
+def fit_guide(schedule, factors: GaussianFactors, interpolation: Interpolation) -> FittedValue:
+    """The same on half as many nodes, and none at bends: where slopes over many nodes are enough.
+
+    A policy that reads it loses nothing (of the flagship store less than 1e-5 of its value), but a
+    bound from above would: that takes `fit_value`.
+    """
+    rate = largest_rate(schedule)
+    passed = A_DAY * volume_scale(schedule) / rate if rate else INVENTORIES
+    inventories = int(np.clip(np.ceil(passed) + 1, FEWEST, INVENTORIES))
+    return _fitted(schedule, factors, regular_grids(schedule, interpolation, inventories))
+
+
+def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedValue:
+    steps, constants = schedule.steps, schedule.constants
+    horizon = len(days)
+    basis = gaussian_basis(factors, constants.end_fraction != 0)
     known = regression(basis)
     nodes = [day.nodes for day in days] + [days[-1].after]
-    spot = constants.end_forward * _noise(basis, horizon, known.y, known.level)
+    spot = constants.end_forward * known.noise(horizon)
     value = end_value(schedule, nodes[horizon][:, None], spot)
     coefficients = [np.zeros((0, 0))] * (horizon + 1)
     for t in reversed(range(horizon + 1)):
         coefficients[t] = product(known.day(t).fit, value.T).T
         if t:
-            spot = steps.forward[t - 1] * _noise(basis, t - 1, known.y, known.level)
-            prices = unit_prices(schedule, t - 1, spot)
+            prices = unit_prices(schedule, t - 1, steps.forward[t - 1] * known.noise(t - 1))
             value = best_value(
                 days[t - 1], prices, product(coefficients[t], known.day(t - 1).ahead), above=False
             )
     return FittedValue(basis, nodes, coefficients, float((coefficients[0] @ basis.first)[0]))
-
-
-def _noise(basis: Basis, t: int, y: np.ndarray, level: np.ndarray) -> np.ndarray:
-    """Spot over forward price [Q] on day t."""
-    log = basis.of.loading[t][list(basis.kept)] @ basis.back(t) @ y
-    log += basis.level_deviation(t) * level * bool(basis.common)
-    return np.exp(log - basis.of.variance[t] / 2)
 
 
 def interpolated(nodes: np.ndarray, table: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -1,0 +1,32 @@
+"""How many paths the page takes for each of its figures."""
+
+import math
+from typing import NamedTuple
+
+from snapo.solver.solution import Solution
+from snapo.solver.solve import Evaluation
+
+FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
+ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
+DELTA_PATHS, FAN_PATHS = 2048, 1024
+
+
+class Counts(NamedTuple):
+    """Paths: of the value, of the derivatives, of the fans; the first is the greatest."""
+
+    value: int = MOST
+    deltas: int = DELTA_PATHS
+    fans: int = FAN_PATHS
+
+    @classmethod
+    def of(cls, paths: int, deltas: int | None = None) -> "Counts":
+        """So many paths for the value, and no more for anything else."""
+        return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
+
+    @classmethod
+    def enough(cls, solution: Solution, evaluation: Evaluation) -> "Counts":
+        """As many paths as a run's own error says that the value needs, and no more than it had."""
+        share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
+        needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
+        paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
+        return cls.of(paths, evaluation.sensitivity_paths)
