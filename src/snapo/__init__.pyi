@@ -6,6 +6,7 @@ from snapo.engine import Clip as Clip
 from snapo.engine import Native as Native
 from snapo.engine import Window as Window
 from snapo.engine import Xla as Xla
+from snapo.problem import noise as noise
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice
 from snapo.problem.actions import Product as Product
@@ -22,6 +23,7 @@ from snapo.problem.inputs import Input as Input
 from snapo.problem.memory import GRU as GRU
 from snapo.problem.memory import Memory as Memory
 from snapo.problem.memory import Recent as Recent
+from snapo.problem.noise import Noise as Noise
 from snapo.problem.objective import CRRA as CRRA
 from snapo.problem.objective import CVaR as CVaR
 from snapo.problem.objective import Entropic as Entropic
@@ -68,3 +70,4 @@ from snapo.solver.solve import solve as solve
 from snapo.solver.train import Training as Training
 
 __version__: str
+MODULES: tuple[str, ...]
