@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
-MODULES = ("noise",)  # public names that are modules, such as `snapo.noise.Poisson`
+MODULES = ("noise", "log")  # public names that are modules, such as `snapo.noise.Poisson`
 
 
 @cache

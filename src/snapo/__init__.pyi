@@ -18,6 +18,7 @@ from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.carry.save import load_policy as load_policy
 from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
+from snapo.problem.families.family import Family as Family
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
 from snapo.problem.memory import GRU as GRU
@@ -62,6 +63,8 @@ from snapo.solver.bound import nested_mean as nested_mean
 from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.evaluate import evaluate as evaluate
+from snapo.solver.learning import log as log
+from snapo.solver.learning.imitate import imitate as imitate
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution
