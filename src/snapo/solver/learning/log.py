@@ -66,7 +66,7 @@ def _event(record: Record) -> bytes:
     values = b"".join(
         _text(1, _text(1, name.encode()) + _single(2, value))
         for name, value in found.items()
-        if np.isfinite(value)
+        if np.isfinite(value) and (name, value) != ("exact_error", 0.0)
     )
     return _double(1, time.time()) + b"\x10" + _varint(record.step) + _text(5, values)
 

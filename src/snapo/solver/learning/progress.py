@@ -20,7 +20,7 @@ class Record(NamedTuple):
     """One line of the training history; `exact` and `best` as of the last validation.
 
     `window`: the length of the windows that the step went back through; 0: the whole horizon.
-    `exact_error`: the standard error of `exact`, in the line of its validation.
+    `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
     """
 
     step: int
@@ -32,7 +32,7 @@ class Record(NamedTuple):
     best: float
     seconds: float
     window: int = 0
-    exact_error: float = float("nan")
+    exact_error: float = 0.0
 
 
 @dataclass(frozen=True)
