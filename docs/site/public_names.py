@@ -6,6 +6,7 @@ Docstrings are written to be read in an editor: a backtick is code, and a bar or
 import re
 from collections import defaultdict
 from pathlib import Path
+from types import ModuleType
 
 from docutils import nodes
 from docutils.statemachine import StringList
@@ -42,8 +43,13 @@ class PublicNames(SphinxDirective):
 
     def _written(self, names) -> list[nodes.Node]:
         lines = []
-        for name, _ in names:
-            kind = "class" if isinstance(getattr(snapo, name), type) else "function"
+        things = {name: getattr(snapo, name) for name, _ in names}
+        for name, module in list(things.items()):
+            if isinstance(module, ModuleType):
+                del things[name]
+                things |= {f"{name}.{each}": getattr(module, each) for each in module.__all__}
+        for name, thing in things.items():
+            kind = "class" if isinstance(thing, type) else "function"
             lines += [f".. auto{kind}:: snapo.{name}"]
             lines += ["   :members:", ""] if kind == "class" else [""]
         text = ["```{eval-rst}", *lines, "```"]

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 __version__ = "0.1.0"
+MODULES = ("noise", "log")  # public names that are modules, such as `snapo.noise.Poisson`
 
 
 @cache
@@ -29,7 +30,10 @@ def __getattr__(name: str) -> Any:
     # Names with underscores are asked for by Python itself, on every import of a submodule.
     if name.startswith("_") or name not in _homes():
         raise AttributeError(f"module 'snapo' has no attribute {name!r}")
-    return getattr(import_module(_homes()[name]), name)
+    home = _homes()[name]
+    if name in MODULES:
+        return import_module(f"{home}.{name}")
+    return getattr(import_module(home), name)
 
 
 def __dir__() -> list[str]:

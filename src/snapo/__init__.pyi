@@ -6,6 +6,7 @@ from snapo.engine import Clip as Clip
 from snapo.engine import Native as Native
 from snapo.engine import Window as Window
 from snapo.engine import Xla as Xla
+from snapo.problem import noise as noise
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice
 from snapo.problem.actions import Product as Product
@@ -17,11 +18,13 @@ from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.carry.save import load_policy as load_policy
 from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
+from snapo.problem.families.family import Family as Family
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
 from snapo.problem.memory import GRU as GRU
 from snapo.problem.memory import Memory as Memory
 from snapo.problem.memory import Recent as Recent
+from snapo.problem.noise import Noise as Noise
 from snapo.problem.objective import CRRA as CRRA
 from snapo.problem.objective import CVaR as CVaR
 from snapo.problem.objective import Entropic as Entropic
@@ -60,6 +63,8 @@ from snapo.solver.bound import nested_mean as nested_mean
 from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.evaluate import evaluate as evaluate
+from snapo.solver.learning import log as log
+from snapo.solver.learning.imitate import imitate as imitate
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution
@@ -68,3 +73,4 @@ from snapo.solver.solve import solve as solve
 from snapo.solver.train import Training as Training
 
 __version__: str
+MODULES: tuple[str, ...]

@@ -7,7 +7,7 @@ import pytest
 from scipy import special, stats
 
 from snapo.problem.actions import Box
-from snapo.problem.noise import normal, threefry
+from snapo.problem.noise.counter import normal, threefry
 from snapo.problem.scenarios import Pseudo, Sobol, Sources, Supplied, bridge
 from snapo.problem.simulator import Schedule, Simulator
 

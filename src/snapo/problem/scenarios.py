@@ -16,7 +16,7 @@ from jaxtyping import Float
 from scipy import special
 from scipy.stats import qmc
 
-from .noise import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
+from .noise.counter import INITIAL_STREAM, STEP_STREAM, Counter, Draws, Stored
 from .simulator import Simulator
 
 BLOCKS = 32

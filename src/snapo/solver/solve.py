@@ -65,7 +65,7 @@ class Evaluation:
 def solve(
     problem: Problem | Simulator,
     inputs: PyTree = None,
-    policy: Policy | None = None,
+    policy: Policy | Solution | None = None,
     *,
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
@@ -82,12 +82,14 @@ def solve(
 
     - `problem`: a `Problem`; or a simulator, with `inputs`, `objective` and `scenarios` beside it.
     - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
-      itself; by default an `MLP` with two hidden layers of 32.
+      itself; by default an `MLP` with two hidden layers of 32. A policy that is trained already, or
+      an earlier `Solution`, is trained on from where it stands.
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
     - `engine`: "auto", "xla" or "native", or an engine.
-    - `callbacks`: told the `Progress` at every validation; `progress`: one to go on from.
+    - `callbacks`: told the `Progress` at every validation, the last line of whose history is
+      `progress.record`; one that returns True stops the training. `progress`: one to go on from.
     - `check`: looks for mistakes that tracing shows, in tenths of a second.
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
@@ -100,7 +102,7 @@ def solve(
             problem = Problem(problem, inputs, objective or _only_output(problem, inputs), sources)
         elif any(each is not None for each in (inputs, objective, scenarios)):
             raise ValueError("solve: a Problem has its own inputs, objective and scenarios.")
-        policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
+        policy = _begun(policy).for_problem(problem.interface, jax.random.key(training.seed))
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
@@ -122,6 +124,15 @@ def solve(
         versions=versions(),
         problem=problem,
     )
+
+
+def _begun(policy: Policy | Solution | None) -> Policy:
+    """The policy to train: the one given, or that of an earlier solution."""
+    if isinstance(policy, Solution):
+        policy = policy.policy
+        if policy is None:
+            raise ValueError("solve: this solution was loaded without its policy.")
+    return policy or MLP()
 
 
 def _refuse_mistakes(problem: Problem, policy: Policy) -> None:

@@ -22,7 +22,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
-from .evaluate import worth
+from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
 from .learning.growth import Growth
@@ -37,7 +37,7 @@ from .windows.window import UPDATES, sweep, window_adjoint
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
 
 
-Callback = Callable[[Progress], None]
+Callback = Callable[[Progress], object]  # one that returns True stops the training
 
 
 class Loop(NamedTuple):
@@ -59,8 +59,9 @@ def train(
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
 
-    On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
-    of the result is "trained", "stopped early" or "diverged".
+    It stops early where a callback returns True. On Ctrl-C they are told once more, and the
+    interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
+    "diverged".
     """
     problem = remembering(problem, progress.policy)
     loop = Loop(problem, training, engine.bind(problem, controls=False), *_updaters(training))
@@ -77,8 +78,9 @@ def train(
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             progress = moved
-            for callback in callbacks if due else ():
-                callback(progress)
+            # Each is told, also after one that stops the training.
+            if due and any([callback(progress) is True for callback in callbacks]):
+                progress = stopped(progress)
     except KeyboardInterrupt:
         for callback in callbacks:
             callback(progress)
@@ -230,19 +232,28 @@ def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
     )
 
 
+def stopped(progress: Progress) -> Progress:
+    """The end that a callback asks for."""
+    going = progress.status == "training"
+    return replace(progress, status="stopped early") if going else progress
+
+
 def _validate(loop: Loop, progress: Progress) -> Progress:
     """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
     problem, source = loop.problem, loop.problem.sources.validation
     paths = np.arange(source.available(loop.training.validation_paths))
     draws = source.draws(paths, problem.simulator)
     totals = loop.bound.values(progress.average, draws, Exact()).totals
-    value = worth(problem.objective, float64(totals))
+    totals = float64(totals)
+    value = worth(problem.objective, totals)
     better = np.isfinite(value) and value > progress.best_value
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value
     history = progress.history
     if history:
-        history = (*history[:-1], history[-1]._replace(exact=value, best=best_value))
+        error = estimate(problem.objective, totals, source).standard_error
+        known = {"exact": value, "best": best_value, "exact_error": error}
+        history = (*history[:-1], history[-1]._replace(**known))
     stale = 0 if better else progress.stale + 1
     return replace(progress, best=best, best_value=best_value, stale=stale, history=history)
 

@@ -1,4 +1,4 @@
-"""Noise drawn inside the kernel against `snapo.problem.noise`: the same words, normals to rounding."""
+"""Noise drawn inside the kernel against `snapo.problem.noise.counter`: the same words, normals to rounding."""
 
 from typing import ClassVar
 
@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from snapo.engine.native import Native
-from snapo.problem import noise
 from snapo.problem.actions import Box
+from snapo.problem.noise import counter as noise
 from snapo.problem.policy import Constant
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator

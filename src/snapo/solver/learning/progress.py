@@ -20,6 +20,7 @@ class Record(NamedTuple):
     """One line of the training history; `exact` and `best` as of the last validation.
 
     `window`: the length of the windows that the step went back through; 0: the whole horizon.
+    `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
     """
 
     step: int
@@ -31,6 +32,7 @@ class Record(NamedTuple):
     best: float
     seconds: float
     window: int = 0
+    exact_error: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -60,6 +62,11 @@ class Progress:
     clip: float | None = None
     since: int = 0
     growth: Growth | None = None
+
+    @property
+    def record(self) -> Record:
+        """The line of the last step taken."""
+        return self.history[-1]
 
 
 def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:

@@ -1,4 +1,4 @@
-"""Normals drawn inside the kernel: the words and the inverse normal of `snapo.problem.noise`.
+"""Normals drawn inside the kernel: words and inverse normal of `snapo.problem.noise.counter`.
 
 Words from a counter, and Wichura's AS241. The words are bit-identical to those of `scenarios`.
 """
@@ -11,7 +11,7 @@ from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.module import Module
 from snapo.lanes.emit.ref import Ref
 from snapo.lanes.threefry import threefry
-from snapo.problem.noise import _PPND7, _PPND16
+from snapo.problem.noise.counter import _PPND7, _PPND16
 
 ENOUGH = 32  # normals per path that are drawn at once where the steps allow it
 SIDE_BY_SIDE = 4  # vector registers of counters worked on at once
@@ -19,7 +19,7 @@ SPARE = 2 * SIDE_BY_SIDE + 2  # rows that may be written beyond the last
 
 
 def normal(code: Code, word: Ref, dtype: str) -> Ref:
-    """The normal of a word, operation by operation as `snapo.problem.noise` has it."""
+    """The normal of a word, operation by operation as `snapo.problem.noise.counter` has it."""
     a = Arithmetic(code, dtype, word.lanes)
     centre, outer = _PPND16 if dtype == "float64" else _PPND7
     mask = code.constant(0x7FFFFFFF, "uint32", word.lanes)

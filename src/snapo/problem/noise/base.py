@@ -1,0 +1,146 @@
+"""The protocol of noise: the values of one step as a function of standard normals.
+
+Engines draw standard normals from a counter. A `Noise` turns some of them into a value by plain
+`jax.numpy`, inside `step`, so that both engines trace the same function, and antithetic, Sobol and
+supplied scenarios serve every distribution. Its parameters are leaves of a tree: numbers, or
+`Input`s, which makes them differentiable:
+
+    inputs = {"demand": snapo.noise.Poisson(snapo.Input(4.0, "units")),
+              "price": snapo.noise.Student(df=snapo.Input(5.0))}
+
+    def prepare(self, inputs):
+        return snapo.Schedule({"noises": snapo.noise.prepare(inputs)}, …)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        drawn = snapo.noise.draw(constants["noises"], noise)
+        … drawn["demand"], drawn["price"]
+"""
+
+import abc
+from typing import Any, ClassVar
+
+import equinox as eqx
+import jax
+import numpy as np
+from jax.core import Tracer
+from jax.scipy.special import ndtr
+from jaxtyping import Array, Float, PyTree
+
+from ..inputs import Input
+
+
+class Noise(eqx.Module):
+    """A distribution, as a function of `size` standard normals. Subclass it and write `draw`.
+
+    **Attributes:**
+
+    - `size`: the number of standard normals that one draw takes.
+
+    Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
+    plain arrays. The derivative by a parameter is that of `draw`: where a draw jumps, it is zero
+    unless the class says otherwise.
+
+    >>> import jax.numpy as jnp
+    >>> class Logistic(snapo.Noise):
+    ...     scale: float
+    ...     def draw(self, normals):
+    ...         u = snapo.noise.uniform(normals[0])
+    ...         return self.scale * jnp.log(u / (1 - u))
+    >>> float(Logistic(2.0).draw(np.zeros(1)))
+    0.0
+    """
+
+    size: ClassVar[int] = 1
+
+    def prepare(self) -> "Noise":
+        """The same noise with all that no path changes worked out, for `Simulator.prepare`."""
+        return self
+
+    @abc.abstractmethod
+    def draw(self, normals: Float[Array, " size"], *state: Any) -> Any:
+        """The value at these normals; `state` is that of a noise with memory, such as `Markov`."""
+
+
+def uniform(normal: Float[Array, "..."]) -> Float[Array, "..."]:
+    """The uniform number between 0 and 1 at a standard normal; 1 less it is that at -normal."""
+    return ndtr(normal)
+
+
+def size(noises: PyTree) -> int:
+    """The number of standard normals that one draw of a `Noise`, or of a tree of them, takes.
+
+    >>> snapo.noise.size({"demand": snapo.noise.Poisson(4.0), "price": snapo.noise.Student(5.0)})
+    3
+    """
+    return sum(each.size for each in leaves(noises))
+
+
+def prepare(noises: PyTree) -> PyTree:
+    """All noises of a tree prepared, for `Simulator.prepare`; other leaves stay as they are."""
+    return jax.tree.map(
+        lambda each: each.prepare() if _is_noise(each) else each, noises, is_leaf=_is_noise
+    )
+
+
+def draw(noises: PyTree, normals: Float[Array, " size"], **states: Any) -> PyTree:
+    """The values of one step, shaped like the tree: a dictionary of noises gives one of values.
+
+    `states` are those of noises with memory, by name: `draw(noises, normals, regime=regime)`. The
+    normals are dealt out in the order of the tree, a dictionary's in that of its sorted keys.
+    """
+    found, structure = jax.tree_util.tree_flatten_with_path(noises, is_leaf=_is_noise)
+    wanted = size(noises)
+    if normals.shape != (wanted,):
+        raise ValueError(
+            f"noise: these noises take {wanted} normals a step, and {normals.shape} came; set "
+            f"noise_size = {wanted}."
+        )
+    values, first = [], 0
+    for path, each in found:
+        if not _is_noise(each):
+            raise TypeError(f"noise: {jax.tree_util.keystr(path)} is {each!r}, which is no Noise.")
+        name = getattr(path[0], "key", None) if path else None
+        state = (states[name],) if name in states else ()
+        values.append(each.draw(normals[first : first + each.size], *state))
+        first += each.size
+    return structure.unflatten(values)
+
+
+def only(normals: Float[Array, " 1"]) -> Float[Array, ""]:
+    """The normal of a noise that takes one, which may come as a number."""
+    return normals.reshape(-1)[0]
+
+
+def numbers(value: Any) -> Any:
+    """A parameter as it is kept: lists are arrays, not trees of numbers."""
+    return np.asarray(value, np.float64) if isinstance(value, list | tuple) else value
+
+
+def parameter(**options: Any) -> Any:
+    """The field of a parameter."""
+    return eqx.field(converter=numbers, **options)
+
+
+def known(value: Any) -> np.ndarray | None:
+    """A parameter as numbers; None while JAX traces it."""
+    value = value.value if isinstance(value, Input) else value
+    return None if isinstance(value, Tracer) else np.asarray(value, np.float64)
+
+
+def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> None:
+    """Refuses a parameter outside low < x < high, as far as it is known."""
+    value = known(getattr(noise, name))
+    if value is None or (np.all(value > low) and np.all(value < high)):
+        return
+    above = "" if high == np.inf else f" and below {high:g}"
+    raise ValueError(
+        f"{type(noise).__name__}: {name} is {value.tolist()}; allowed is above {low:g}{above}."
+    )
+
+
+def _is_noise(each: Any) -> bool:
+    return isinstance(each, Noise)
+
+
+def leaves(noises: PyTree) -> list[Noise]:
+    return [each for each in jax.tree.leaves(noises, is_leaf=_is_noise) if _is_noise(each)]

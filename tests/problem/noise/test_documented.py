@@ -1,0 +1,28 @@
+"""The example of docs/own_simulator.md, as it stands there."""
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+PAGE = Path(__file__).parents[3] / "docs" / "own_simulator.md"
+
+
+@pytest.mark.prove
+def test_the_shop_runs_and_the_own_noise_draws():
+    blocks = re.findall(r"```python\n(.*?)```", PAGE.read_text(), re.S)
+    shop, spike = (next(b for b in blocks if name in b) for name in ("class Shop", "class Spike"))
+    code, verb, rest = shop.partition("solution = snapo.solve(Shop(), inputs, ")
+    few = (
+        "training=snapo.Training(steps=3, paths=64, validation_paths=64),"
+        "evaluation=snapo.Evaluation(512, 256, 0, 0), "
+    )
+    found = {}
+    exec(code + verb + few + rest + spike, found)
+    solution = found["solution"]
+    assert solution.status == "trained" and solution.engine.startswith("native")
+    by = solution.sensitivities.held
+    assert np.all(np.isfinite(by["storm.transition"].value)) and by["demand.mean"].value != 0
+    drawn = found["Spike"](0.3, 2.0).draw(np.array([-1.0, 0.0]))
+    assert float(drawn) == pytest.approx(2 * np.log(2), rel=1e-5)
