@@ -26,7 +26,7 @@ from .given import Given, cast
 from .kernel.context import Stages
 from .kernel.kernel import Kernel, emit
 from .rollout import traced
-from .runtime import Inputs, Runner
+from .runtime import Back, Inputs, Runner
 
 KEPT = 64  # compiled kernels in memory
 COMPILED = "/snapo/compile"  # the event that tells how long a kernel took, as JAX tells of its own
@@ -116,7 +116,8 @@ class Call:
         layouts, lanes = runner.kernel.layouts, runner.kernel.lanes
         traced, blocks = runner.kernel.traced, runner.blocks(self.paths)
         first, length, _ = self.window
-        filled = self._filled(weights, size)
+        filled = self._filled(size if weights is not None else None)
+        columns = 1 if weights is None else len(next(iter(weights.values())))
         # The last path fills the last block.
         path = np.minimum(np.arange(blocks * lanes), self.paths - 1)
         given, lent = self._noise(path)
@@ -124,6 +125,8 @@ class Call:
         sizes |= {name: array.nbytes for name, array in given.items()}
         for name, (_, axes) in filled.items():
             sizes[name] = blocks * math.prod(axes) * layouts[name].stride
+        if weights is not None:
+            sizes["weights"] = columns * blocks * layouts["weights"].stride
         memory = Memory(sizes)
         for leaf, array in zip(traced.call, self.shared.arrays):
             layouts["table"].view(memory["table"], leaf)[...] = array
@@ -139,11 +142,15 @@ class Call:
             for key, array in arrays.items():
                 view = layouts[name].view(rows, key)
                 view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
-                if name == "weights":  # paths that fill the last block count for nothing
-                    view[-1, lanes - (path.size - self.paths) :] = 0
-        return Inputs(self.paths, length, first, memory, records)
+        for name, array in (weights or {}).items():
+            rows = memory["weights"].reshape(columns, blocks, -1)
+            # Paths that fill the last block count for nothing.
+            padded = np.pad(array, ((0, 0), (0, path.size - self.paths)))
+            view = layouts["weights"].view(rows, ("final", name))
+            view[...] = padded.reshape(columns, blocks, lanes)
+        return Inputs(self.paths, length, first, memory, records, columns)
 
-    def _filled(self, weights, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
+    def _filled(self, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""
         filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
         if self.actions is not None:
@@ -151,8 +158,7 @@ class Call:
         if self.start is not None:
             leaves = enumerate(jax.tree.leaves(self.start))
             filled["start"] = {("start", i): x for i, x in leaves}, ()
-        if weights is not None:
-            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
+        if size is not None:
             filled["bounds"] = {"bound": size}, ()
         return filled
 
@@ -198,8 +204,8 @@ class Call:
         ]
         return jax.tree.unflatten(tree, leaves)
 
-    def gradients(self, runner: Runner, out):
-        """(policy, schedule, start) as NumPy arrays in the engine's precision."""
+    def gradients(self, runner: Runner, out: Back):
+        """(policy, schedule, start) as NumPy arrays in the engine's precision, of one column."""
         traced, layouts, dtype = runner.kernel.traced, runner.kernel.layouts, self.engine.dtype
         first, length, _ = self.window
 

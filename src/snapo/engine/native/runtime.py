@@ -5,7 +5,7 @@ import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -26,24 +26,32 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 
 @dataclass(eq=False)
 class Inputs:
-    """All that one run reads, as rows of the kernel's layouts."""
+    """All that one run reads, as rows of the kernel's layouts; weights for each column."""
 
     paths: int
     length: int
     first: int
     memory: Memory
     records: bool = False
+    columns: int = 1
 
 
 @dataclass(eq=False)
 class Outputs:
-    """All that one run writes, as rows of layouts; the sums in an adjoint kernel only."""
+    """All that one run writes, as rows of layouts; in an adjoint kernel the sums of each column."""
 
     final: np.ndarray
     records: np.ndarray | None
-    call_sums: np.ndarray | None = None
-    step_sums: np.ndarray | None = None
-    start_cotangent: np.ndarray | None = None
+    back: list["Back"] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class Back:
+    """One column of an adjoint: sums over paths, and the cotangents of given states."""
+
+    call_sums: np.ndarray
+    step_sums: np.ndarray
+    start_cotangent: np.ndarray
 
 
 class Runner:
@@ -57,28 +65,32 @@ class Runner:
         return -(-paths // self.kernel.lanes)
 
     def run(self, inputs: Inputs, threads: int) -> Outputs:
-        """All blocks, forward and (in an adjoint kernel) back."""
+        """All blocks, forward and (in an adjoint kernel) back, for every column of weights."""
         layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
-        blocks, length = self.blocks(inputs.paths), inputs.length
-        calls, steps = layouts["call_sums"].stride, length * layouts["step_sums"].stride
-        groups = _groups(blocks, calls + steps if adjoint else 0)
+        blocks, length, columns = self.blocks(inputs.paths), inputs.length, inputs.columns
+        calls, steps = self._sums(length)
+        each, starts = calls + steps, blocks * layouts["start_cotangent"].stride
+        groups = _groups(blocks, each if adjoint else 0)
         sizes = {"stop": 8, "final": blocks * layouts["final"].stride}
         if inputs.records:
             sizes["records"] = blocks * length * layouts["records"].stride
         if adjoint:
-            sizes["start_cotangent"] = blocks * layouts["start_cotangent"].stride
-            sizes["total"], sizes["sums"] = calls + steps, groups * (calls + steps)
+            sizes["start_cotangent"] = columns * starts
+            sizes["total"], sizes["sums"] = columns * each, groups * columns * each
         memory = Memory(sizes)
         segment = self.segment(length)
         numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
-        context = _context(inputs.memory.where | memory.where | numbers | {"segment": segment})
-        scratch = self._scratch(segment, -(-length // segment))
+        numbers |= {"segment": segment, "columns": columns}
+        context = _context(inputs.memory.where | memory.where | numbers, columns)
+        _apart(context, "weights", blocks * layouts["weights"].stride)
+        _apart(context, "start_cotangent", starts)
+        scratch = self._scratch(segment, -(-length // segment), columns)
         functions = self.machine.functions
 
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
         def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
             if adjoint:
-                _add_up_in(own, memory.where["sums"] + group * (calls + steps), calls)
+                _add_up_in(own, memory.where["sums"] + group * columns * each, calls, each)
             first, last = blocks * group // groups, blocks * (group + 1) // groups
             functions["run"](address(own), first, last)
 
@@ -90,12 +102,24 @@ class Runner:
         if adjoint:
             sums, total = memory["sums"].view(np.float64), memory["total"]
             np.sum(sums.reshape(groups, -1), axis=0, out=total.view(np.float64))
-            out.call_sums, out.step_sums = total[:calls], total[calls:]
-            out.start_cotangent = memory["start_cotangent"]
             with mine() as own:
-                _add_up_in(own, memory.where["total"], calls)
-                functions["finish"](address(own))
+                _add_up_in(own, memory.where["total"], calls, each)
+                for column in own:
+                    functions["finish"](address(column))
+            left = memory["start_cotangent"].reshape(columns, -1)
+            rows = zip(total.reshape(columns, -1), left)
+            out.back = [Back(row[:calls], row[calls:], start) for row, start in rows]
         return out
+
+    def together(self, paths: int, length: int) -> int:
+        """The most columns of one run: as many as memory allows for their gradients."""
+        each = sum(self._sums(length))
+        return int(max(1, SUMS // max(1, _groups(self.blocks(paths), each) * each)))
+
+    def _sums(self, length: int) -> tuple[int, int]:
+        """Bytes of the gradients by numbers of the call, and by those of all steps."""
+        layouts = self.kernel.layouts
+        return layouts["call_sums"].stride, length * layouts["step_sums"].stride
 
     def segment(self, length: int) -> int:
         """Steps whose tape is kept at once. It does not depend on the number of threads."""
@@ -103,12 +127,12 @@ class Runner:
             return length
         return int(min(length, max(1, TAPE // self.kernel.layouts["tape"].stride)))
 
-    def _scratch(self, segment: int, segments: int) -> dict[str, int]:
+    def _scratch(self, segment: int, segments: int, columns: int) -> dict[str, int]:
         """The sizes of one thread's scratch memory."""
         layouts, sizes = self.kernel.layouts, self.kernel.sizes
         return {
             "work": sizes["work"], "carry": layouts["carry"].stride,
-            "cotangent": layouts["cotangent"].stride,
+            "cotangent": columns * layouts["cotangent"].stride,
             "tape_initial": layouts["tape_initial"].stride,
             "tape_final": layouts["tape_final"].stride,
             "tape": segment * layouts["tape"].stride, "chunk": sizes["chunk"],
@@ -123,7 +147,8 @@ class Runner:
             scratch = Memory(sizes)
         own = context.copy()
         for name, place in scratch.where.items():
-            own[SLOTS[name]] = place
+            own[:, SLOTS[name]] = place
+        _apart(own, "cotangent", self.kernel.layouts["cotangent"].stride)
         try:
             yield own
         finally:
@@ -180,14 +205,20 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _context(values: dict[str, int]) -> np.ndarray:
-    """The table of addresses and numbers that kernel functions take."""
-    return np.array([values.get(name, 0) for name in CONTEXT], np.int64)
+def _context(values: dict[str, int], columns: int) -> np.ndarray:
+    """[columns, slots]: the tables of addresses and numbers that kernel functions take."""
+    return np.tile(np.array([values.get(name, 0) for name in CONTEXT], np.int64), (columns, 1))
 
 
-def _add_up_in(context: np.ndarray, place: int, calls: int) -> None:
-    """Sums of the call from here on, then those of the steps."""
-    context[SLOTS["call_sums"]], context[SLOTS["step_sums"]] = place, place + calls
+def _apart(context: np.ndarray, name: str, size: int) -> None:
+    """Every column's own rows, of so many bytes, one column after the other."""
+    context[:, SLOTS[name]] += size * np.arange(len(context))
+
+
+def _add_up_in(context: np.ndarray, place: int, calls: int, each: int) -> None:
+    """By column, sums of the call from here on, then those of the steps: `each` bytes together."""
+    places = place + each * np.arange(len(context))
+    context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = places, places + calls
 
 
 def _groups(blocks: int, size: int) -> int:

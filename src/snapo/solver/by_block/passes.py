@@ -1,5 +1,7 @@
 """Derivatives from one adjoint pass for each block of paths, with their standard errors."""
 
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -8,7 +10,7 @@ from jaxtyping import PyTree
 
 from snapo.engine import Bound
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Weights
+from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
@@ -45,18 +47,30 @@ class Way(NamedTuple):
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
-        plan, blocks, dropped = self._plan(blocks)
-        every, edges = np.concatenate(blocks), np.cumsum(plan.sizes)[:-1]
-        split = {name: np.split(weight, edges) for name, weight in plan.whole.items()}
-        parts = [{name: split[name][i] for name in split} for i in range(len(blocks))]
-        passes = [self._pull(block, part) for block, part in zip(blocks, parts)]
-        further = [self._joined(every[plan.sample], p, len(blocks[0])) for p in plan.pieces]
+        return self.of((self.problem.objective,), blocks)[0]
+
+    def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[Found]:
+        """Derivatives of several objectives, whose cotangents share every forward sweep."""
+        plans, blocks, dropped = self._plans(objectives, blocks)
+        every = np.concatenate(blocks)
+        passes = [self._pull(*part) for part in zip(blocks, _parts(plans, blocks))]
+        found = []
+        for k, own in enumerate(plans):
+            further = self._joined(every[own.sample], own.pieces, len(blocks[0]))
+            found.append(self._found(own, [each[k] for each in passes], further, dropped))
+        return found
+
+    def _found(
+        self, plan: Plan, passes: list[Pulled], further: list[Pulled], dropped: int
+    ) -> Found:
+        """One objective's derivatives from the passes of its blocks and of its pieces."""
+        count = int(plan.sizes.sum())
         bad = np.array([each.bad for each in passes])
         dropped += int(bad.sum())
         # The paths that are left have the weight of those that are not.
-        scale = every.size / max(1, every.size - bad.sum())
+        scale = count / max(1, count - bad.sum())
         known = all(np.isfinite(weight).all() for weight in plan.whole.values())
-        if not known or dropped > DROPPED * (every.size + dropped):
+        if not known or dropped > DROPPED * (count + dropped):
             # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - bad)
@@ -66,43 +80,55 @@ class Way(NamedTuple):
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
         return Found(found, Estimate(plan.estimate(scale * slopes, others)), dropped)
 
-    def _plan(self, blocks: list[np.ndarray]) -> tuple[Plan, list[np.ndarray], int]:
+    def _plans(
+        self, objectives: Sequence[Objective], blocks: list[np.ndarray]
+    ) -> tuple[list[Plan], list[np.ndarray], int]:
         """The weights, the blocks without paths that are not finite, and the number of those."""
-        objective, sizes = self.problem.objective, [len(block) for block in blocks]
-        if objective.linear:
-            nothing = {name: np.zeros(sum(sizes)) for name in objective.outputs}
-            return plan(objective, nothing, sizes), blocks, 0
+        sizes = [len(block) for block in blocks]
+        names = tuple(dict.fromkeys(name for each in objectives for name in each.outputs))
+        if all(objective.linear for objective in objectives):
+            nothing = {name: np.zeros(sum(sizes)) for name in names}
+            return [plan(each, nothing, sizes) for each in objectives], blocks, 0
         parts = []
         for block in blocks:
             found = self.bound.values(self.policy, self._draws(block), self.smooth).totals
-            parts.append(float64({name: found[name] for name in objective.outputs}))
-        good = [finite(part, objective.outputs) for part in parts]
+            parts.append(float64({name: found[name] for name in names}))
+        good = [finite(part, names) for part in parts]
         dropped = sum(int(np.sum(~each)) for each in good)
         if dropped and dropped <= DROPPED * sum(sizes):
             blocks = [block[each] for block, each in zip(blocks, good)]
             parts = [{n: x[each] for n, x in part.items()} for part, each in zip(parts, good)]
-        totals = {n: np.concatenate([part[n] for part in parts]) for n in objective.outputs}
-        return plan(objective, totals, [len(block) for block in blocks]), blocks, dropped
+        totals = {n: np.concatenate([part[n] for part in parts]) for n in names}
+        sizes = [len(block) for block in blocks]
+        return [plan(each, totals, sizes) for each in objectives], blocks, dropped
 
     def _draws(self, paths: np.ndarray) -> Draws:
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
 
-    def _pull(self, paths: np.ndarray, weights: Weights) -> Pulled:
+    def _pull(self, paths: np.ndarray, weights: list[Weights]) -> list[Pulled]:
+        """One pass for all weights {output: [N]} on the same paths."""
         draws, policy, options = self._draws(paths), self.policy, {}
         if self.held:
             rolled = self.bound.values(policy, draws, self.smooth, record=("action",))
             policy, options = None, {"actions": rolled.record["action"], "wrt": ("schedule",)}
         result, bad = adjoint_of_good_weights(
-            self.bound, policy, draws, self.smooth, weights, **options
+            self.bound, policy, draws, self.smooth, _columns(weights, len(paths)), **options
         )
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
-        slope = np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in leaves)])
-        return Pulled(jax.tree.map(np.asarray, result.schedule), slope, bad)
+        schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
+        if len(weights) == 1:
+            return [Pulled(schedule, _flat(leaves), bad)]
+        return [
+            Pulled(jax.tree.map(lambda x, k=k: x[k], schedule), _flat(x[k] for x in leaves), bad)
+            for k in range(len(weights))
+        ]
 
-    def _joined(self, paths: np.ndarray, weights: Weights, most: int) -> Pulled:
-        """The sum of passes on no more than so many paths each."""
+    def _joined(self, paths: np.ndarray, weights: list[Weights], most: int) -> list[Pulled]:
+        """For each of the weights, the sum of passes on no more than so many paths each."""
+        if not weights:
+            return []
         passes = [
-            self._pull(paths[k : k + most], {n: w[k : k + most] for n, w in weights.items()})
+            self._pull(paths[k : k + most], _cut(weights, slice(k, k + most)))
             for k in range(0, len(paths), most)
         ]
         return jax.tree.map(lambda *each: sum(each[1:], each[0]), *passes)
@@ -113,3 +139,28 @@ class Way(NamedTuple):
         if not found:
             return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
         return pull_back(problem.simulator, problem.inputs, found)
+
+
+def _parts(plans: list[Plan], blocks: list[np.ndarray]) -> list[list[Weights]]:
+    """By block, the weights of its paths under every plan."""
+    ends = np.cumsum([0, *map(len, blocks)])
+    return [
+        _cut([plan.whole for plan in plans], slice(first, last)) for first, last in pairwise(ends)
+    ]
+
+
+def _cut(weights: list[Weights], paths: slice) -> list[Weights]:
+    return [{name: w[paths] for name, w in each.items()} for each in weights]
+
+
+def _columns(weights: list[Weights], paths: int) -> Weights:
+    """{output: [N]} of one, or {output: [K, N]} of several, zero where one has no such output."""
+    if len(weights) == 1:
+        return weights[0]
+    names = dict.fromkeys(name for each in weights for name in each)
+    nothing = np.zeros(paths)
+    return {name: np.stack([each.get(name, nothing) for each in weights]) for name in names}
+
+
+def _flat(leaves: Iterable[np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *map(np.ravel, leaves)])
