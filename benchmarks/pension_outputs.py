@@ -6,8 +6,8 @@ The small pension example over two years, native engine in float64, decisions re
 the sensitivities of several outputs need them. In one process and alternately; medians.
 
 On two busy cores (1024 paths, value pass 71 ms): K = 1 to 5 cost 1.04, 1.76, 2.17, 2.43 and 3.13
-value passes in one call: all cotangents go back over the tape of one forward sweep, so that one more
-costs half a value pass. A sweep for each of them cost 1.16, 1.86, 2.85, 3.65 and 4.60.
+value passes in one call: all cotangents go back over the tape of one forward sweep, so that one
+more costs half a value pass. A sweep for each of them cost 1.16, 1.86, 2.85, 3.65 and 4.60.
 """
 
 import argparse

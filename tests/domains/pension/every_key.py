@@ -180,7 +180,7 @@ CASES: dict[str, dict[str, Any]] = {
             "indexation": {"kind": "capped", "cap": 0.05, "floor": 0.0},
             "contribution": {"kind": "target", "target_ratio": 1.1, "recovery_years": 8.0},
         },
-        "liability": {"basis": "risk-free", "future_indexation": "full"},
+        "liability": {"basis": "risk-free", "future_indexation": "capped"},
         "evaluation": VALUED | {"scenarios": "sobol"},
     },
     "career of salaries": MARKET
@@ -191,7 +191,7 @@ CASES: dict[str, dict[str, Any]] = {
             "indexation": {"kind": "full"},
             "contribution": {"kind": "normal-cost", "normal_cost": "rate", "rate": 0.2},
         },
-        "liability": {"basis": "fixed", "rate": 0.03},
+        "liability": {"basis": "fixed", "rate": 0.03, "future_indexation": "full"},
         "objective": {"kind": "mean", "output": "shortfall_square", "weight": -1.0},
         "training": SHORT,
     },

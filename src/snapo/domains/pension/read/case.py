@@ -111,6 +111,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
             reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
         ),
     )
+    plan.check_limited(case)
     seen = settings.observation
     case = replace(
         case,

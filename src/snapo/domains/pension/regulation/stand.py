@@ -8,6 +8,7 @@ import numpy as np
 
 from ..market.curve import log_bond
 from ..people.liability import paid_at
+from ..people.lpi import limited, log_growth
 from ..records.case import PensionCase
 from ..records.regulation import Regulation
 from ..results.figures.reconcile import payments
@@ -133,6 +134,9 @@ def shocked(case: PensionCase, inputs: dict[str, Any], due: Due, name: str) -> S
 def _due(case: PensionCase, inputs: dict[str, Any]) -> Due:
     with jax.enable_x64(True):
         flow, discount = map(np.asarray, jax.jit(lambda given: payments(case, given))(inputs))
+        if limited(case):  # what increases are expected to add belongs to the payments
+            grown = np.exp(log_growth(case, inputs))[paid_at(case, np.arange(len(flow)))]
+            flow, discount = flow * grown, discount / grown
     return Due(flow, discount, paid_at(case, np.arange(len(flow))) * case.step)
 
 
