@@ -159,6 +159,8 @@ CASES: dict[str, dict[str, Any]] = {
             {"kind": "entropic", "risk_aversion": 0.1},
         ],
         "sensitivity": {"held": ["asset_cost"]},
+        "funding": {"rules": "uk", "technical_provisions": 0.01, "low_dependency": 0.005}
+        | {"buy_out": -0.001, "recovery_years": 5.0},
         "regulation": {"rules": "dutch-ftk", "policy_ratios": [1.0, 1.01]}
         | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
