@@ -83,6 +83,20 @@ def black(forward: float, strike: float, deviation: float) -> float:
 
 
 @pytest.mark.prove
+def test_a_case_of_years_is_valued_by_months_too():
+    """`check` compares the two: volatilities are written for the years' steps."""
+    one = scheme()
+    by_month = replace(one, step=1 / 12, steps=12)
+    with jax.enable_x64(True):
+        yearly, monthly = (
+            np.asarray(jax.jit(lambda given_, c=c: log_growth(c, given_))(plain(pension_inputs(c))))
+            for c in (one, by_month)
+        )
+    # A year's first payment is in arrears of it, a month's is not: one increase less.
+    assert monthly[12 * 25] == pytest.approx(yearly[25], abs=2e-3)
+
+
+@pytest.mark.prove
 @pytest.mark.parametrize(("floor", "cap"), [(0.0, 0.05), (0.0, 0.025), (-0.02, 0.03)])
 def test_independent_years_are_products_of_blacks_caplets_and_floorlets(floor, cap):
     """Expected inflation and rates that stand still: every year has its own forward and option."""

@@ -46,10 +46,11 @@ class PriceGrowth(NamedTuple):
     later: Array
 
 
-def price_growth(case: PensionCase, inputs: dict[str, Any]) -> PriceGrowth:
-    """All moments, exact at every time of the grid."""
+def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
+    """All moments, exact at every time of the grid; `today`: at time 0 alone, without the scan
+    over the steps that the others need."""
     each, d = round(1 / case.step), case.step
-    times = np.arange(case.steps + 1)
+    times = np.arange(1 if today else case.steps + 1)
     first = np.ones_like(times)
     if each > 1:
         # A step s ends on a date where (start_month + s) % 12 + 1 is the month.
@@ -136,13 +137,15 @@ class _Model:
     def forward(self, times: np.ndarray, dates: np.ndarray) -> Float[Array, "T1 n"]:
         """ln of the forward index of each date over the index now, at factors of zero."""
         case, inputs, d = self.case, self.inputs, self.case.step
+        ahead = np.arange(times[-1] + dates.max() + 1) * d
+        index = -log_bond(case.inflation.break_even, inputs, ahead)
+        row = times[:, None]
+        if len(times) == 1:  # today the forwards are those of the curve
+            return index[dates]
         both, together = factors(case, inputs), covariance(case, inputs)
         far = np.arange(dates.max() + 1)
         change = jnp.zeros((len(times), len(far)))
         for sign, bond in ((1.0, real(case, inputs)), (-1.0, nominal(case))):
             slopes = slope(both, bond, far * d)
             change = change + sign * shape(slopes, moments(case, both, bond, together))
-        ahead = np.arange(times[-1] + dates.max() + 1) * d
-        index = -log_bond(case.inflation.break_even, inputs, ahead)
-        row = times[:, None]
         return index[row + dates] - index[row] + change[row, dates]
