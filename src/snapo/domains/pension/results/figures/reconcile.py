@@ -1,6 +1,8 @@
 """The actuary's figures from the model's own cash flows and curve, before any simulation."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -51,16 +53,8 @@ class Line(NamedTuple):
 
 def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     """All figures; `inputs` are plain arrays by name."""
-    case = replace(case, scenarios=None)
-    held = _with_curves(case, inputs)
-
-    def worth(given):
-        both = payments(case, given)
-        return jnp.dot(*both), both
-
     with jax.enable_x64(True):
-        # Compiled in one piece: hundreds of small operations take several times as long.
-        found = jax.jit(jax.grad(worth, has_aux=True))(held)
+        found = _slopes(case)(_with_curves(case, inputs))
         slopes, (flow, discount) = jax.tree.map(np.asarray, found)
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
@@ -76,6 +70,21 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
         inflation01=BASIS_POINT * float(slopes[prices].sum()),
         cash_flow=flow[: horizon(case) - case.steps],
     )
+
+
+@lru_cache(maxsize=4)  # stresses ask for the same case at other inputs
+def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
+    """Slopes of the liability by every input, with payments and discount factors.
+
+    Compiled in one piece: hundreds of small operations take several times as long.
+    """
+    case = replace(case, scenarios=None)
+
+    def worth(given):
+        both = payments(case, given)
+        return jnp.dot(*both), both
+
+    return jax.jit(jax.grad(worth, has_aux=True))
 
 
 def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = None) -> list[Line]:
