@@ -13,7 +13,8 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, Float, PyTree
 
-from snapo.problem.noise import Draws, Stored, only
+from snapo.problem.noise import Draws, Stored
+from snapo.problem.noise.counter import only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator

@@ -13,7 +13,8 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound
-from snapo.problem.noise import Draws, only
+from snapo.problem.noise import Draws
+from snapo.problem.noise.counter import only
 from snapo.problem.objective import Objective, Totals, Weights
 
 from .adjoint import float64, weighted_adjoint
@@ -53,7 +54,7 @@ def adjoint_of_finite_paths(
 def adjoint_of_good_weights(
     bound: Bound, policy, draws: Draws, smooth, weights: Weights, **options
 ) -> tuple[Adjoint, int]:
-    """The adjoint for weights {output: [N]} that are known, and the number of bad paths.
+    """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
     Those count for nothing; the weights of the others stay what they are.
     """
@@ -64,7 +65,9 @@ def adjoint_of_good_weights(
     if good.all() or not good.any():
         return result, good.size
     draws, options = _replaced(good, draws, options)
-    weights = _spread({name: np.asarray(weight)[good] for name, weight in weights.items()}, good)
+    weights = _spread(
+        {name: np.asarray(weight)[..., good] for name, weight in weights.items()}, good
+    )
     return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~good))
 
 
@@ -95,9 +98,9 @@ def _replaced(good: np.ndarray, draws: Draws, options: dict) -> tuple[Draws, dic
 
 def _spread(weights: Mapping[str, np.ndarray], good: np.ndarray) -> Weights:
     """Weights of the good paths, and zeros for the others."""
-    spread = {name: np.zeros(good.size) for name in weights}
+    spread = {name: np.zeros((*weight.shape[:-1], good.size)) for name, weight in weights.items()}
     for name, weight in weights.items():
-        spread[name][good] = weight
+        spread[name][..., good] = weight
     return spread
 
 

@@ -8,7 +8,7 @@ sub-optimality, smoothing and noise together; zero is necessary, not sufficient.
 of the two to believe.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -19,6 +19,7 @@ from snapo.engine import Engine, Xla
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.noise import Draws
+from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
@@ -194,6 +195,24 @@ def sensitivities(
     soft = Way(problem, bound, policy, smooth, held=False).derivatives(blocks)
     dropped = held.dropped + soft.dropped
     return result._replace(smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped)
+
+
+def held_of_several(
+    problem: Problem,
+    objectives: Sequence[Objective],
+    policy: Policy,
+    paths: int,
+    *,
+    engine: Engine | None = None,
+) -> list[dict[str, Estimate]]:
+    """Held derivatives {input: Estimate} of each objective, as `sensitivities` gives of one.
+
+    The objectives share the recorded decisions and every forward sweep: one adjoint pass for each
+    block of paths has a column of cotangents for each objective.
+    """
+    bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
+    way = Way(problem, bound, policy, Exact(), held=True)
+    return [found.inputs for found in way.of(objectives, source.blocks(source.available(paths)))]
 
 
 def second_order(

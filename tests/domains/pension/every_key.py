@@ -159,6 +159,8 @@ CASES: dict[str, dict[str, Any]] = {
             {"kind": "entropic", "risk_aversion": 0.1},
         ],
         "sensitivity": {"held": ["asset_cost"]},
+        "funding": {"rules": "uk", "technical_provisions": 0.01, "low_dependency": 0.005}
+        | {"buy_out": -0.001, "recovery_years": 5.0},
         "regulation": {"rules": "dutch-ftk", "policy_ratios": [1.0, 1.01]}
         | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
@@ -180,7 +182,7 @@ CASES: dict[str, dict[str, Any]] = {
             "indexation": {"kind": "capped", "cap": 0.05, "floor": 0.0},
             "contribution": {"kind": "target", "target_ratio": 1.1, "recovery_years": 8.0},
         },
-        "liability": {"basis": "risk-free", "future_indexation": "full"},
+        "liability": {"basis": "risk-free", "future_indexation": "capped"},
         "evaluation": VALUED | {"scenarios": "sobol"},
     },
     "career of salaries": MARKET
@@ -191,7 +193,7 @@ CASES: dict[str, dict[str, Any]] = {
             "indexation": {"kind": "full"},
             "contribution": {"kind": "normal-cost", "normal_cost": "rate", "rate": 0.2},
         },
-        "liability": {"basis": "fixed", "rate": 0.03},
+        "liability": {"basis": "fixed", "rate": 0.03, "future_indexation": "full"},
         "objective": {"kind": "mean", "output": "shortfall_square", "weight": -1.0},
         "training": SHORT,
     },

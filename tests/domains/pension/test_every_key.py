@@ -43,6 +43,7 @@ TABLES = {
     "objective": ObjectiveTable,
     "sensitivity": tables.SensitivityTable,
     "regulation": tables.RegulationTable,
+    "funding": tables.FundingTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
     "training": TrainingTable,

@@ -8,7 +8,8 @@ from jaxtyping import Array
 from tests.engine.native.problems import TOLERANCE, Store, Tanh, Wide, difference
 
 from snapo.engine import Clip, Window, Xla
-from snapo.engine.native import Native
+from snapo.engine.native import Native, runtime
+from snapo.engine.native.runtime import Runner
 from snapo.lanes.machine.processor import host
 from snapo.problem.noise import Stored
 from snapo.problem.scenarios import Pseudo, Supplied
@@ -97,6 +98,31 @@ def test_many_cotangents_and_a_choice_of_gradients(store):
     only = Native().adjoint(*args, wrt=("policy",))
     assert only.schedule is None and only.start is None
     assert difference(Xla().adjoint(*args).policy, only.policy) < 1e-5
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("limit", [None, "TAPE", "SUMS"])
+def test_columns_of_weights_share_one_forward_sweep(store, limit, monkeypatch):
+    """Bit for bit the gradients of single passes; with a tape in segments, and in several runs."""
+    simulator, policy, schedule = store
+    noise, smooth, native = draws(simulator), Smooth(0.3), Native("float64")
+    columns = {n: np.stack([w, 0 * w, w[::-1]]) for n, w in weights(PATHS).items()}
+    args = simulator, policy, schedule, noise, smooth
+    alone = [native.adjoint(*args, {n: w[k] for n, w in columns.items()}) for k in range(3)]
+    if limit is not None:
+        monkeypatch.setattr(runtime, limit, 1)
+    again = [native.adjoint(*args, {n: w[k] for n, w in columns.items()}) for k in range(3)]
+    runs, ran = [], Runner.run
+    monkeypatch.setattr(
+        Runner, "run", lambda self, given, threads: runs.append(given) or ran(self, given, threads)
+    )
+    found = native.adjoint(*args, columns)
+    assert len(runs) == (3 if limit == "SUMS" else 1)
+    for name in ("policy", "schedule", "start"):
+        for k in range(3):
+            one = jax.tree.map(lambda x, k=k: x[k], getattr(found, name))
+            jax.tree.map(np.testing.assert_array_equal, one, getattr(again[k], name))
+            assert difference(getattr(alone[k], name), one) < 1e-13
 
 
 @pytest.mark.prove

@@ -27,7 +27,7 @@ from .given import Given, cast
 from .kernel.context import Stages
 from .kernel.kernel import Kernel, emit
 from .rollout import traced
-from .runtime import Inputs, Runner
+from .runtime import Back, Inputs, Runner
 from .seats import Seats
 
 KEPT = 64  # compiled kernels in memory
@@ -122,12 +122,15 @@ class Call:
         self.seats = Seats.of(parts or (self.paths,), lanes)
         path, own, blocks = self.seats.path, self.seats.own, self.seats.blocks
         first, length, _ = self.window
-        filled = self._filled(weights, size)
+        filled = self._filled(size if weights is not None else None)
+        columns = 1 if weights is None else len(next(iter(weights.values())))
         given, lent = self._noise(path)
         sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
         sizes |= {name: array.nbytes for name, array in given.items()}
         for name, (_, axes) in filled.items():
             sizes[name] = blocks * math.prod(axes) * layouts[name].stride
+        if weights is not None:
+            sizes["weights"] = columns * blocks * layouts["weights"].stride
         memory = Memory(sizes)
         for leaf, array in zip(traced.call, self.shared.arrays):
             layouts["table"].view(memory["table"], leaf)[...] = array
@@ -143,12 +146,16 @@ class Call:
             for key, array in arrays.items():
                 view = layouts[name].view(rows, key)
                 view[...] = _blocks(np.asarray(array), path, lanes, len(axes))
-                if name == "weights":  # paths that fill a last block count for nothing
-                    view[~own.reshape(blocks, lanes)] = 0
+        for name, array in (weights or {}).items():
+            rows = memory["weights"].reshape(columns, blocks, -1)
+            # Paths that fill a last block count for nothing.
+            counted = np.where(own, np.asarray(array)[:, path], 0)
+            view = layouts["weights"].view(rows, ("final", name))
+            view[...] = counted.reshape(columns, blocks, lanes)
         edges = None if parts is None else self.seats.edges
-        return Inputs(self.paths, length, first, memory, records, edges)
+        return Inputs(self.paths, length, first, memory, records, columns, edges)
 
-    def _filled(self, weights, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
+    def _filled(self, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""
         filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
         if self.actions is not None:
@@ -156,8 +163,7 @@ class Call:
         if self.start is not None:
             leaves = enumerate(jax.tree.leaves(self.start))
             filled["start"] = {("start", i): x for i, x in leaves}, ()
-        if weights is not None:
-            filled["weights"] = {("final", name): w for name, w in weights.items()}, ()
+        if size is not None:
             filled["bounds"] = {"bound": size}, ()
         return filled
 
@@ -203,8 +209,8 @@ class Call:
         ]
         return jax.tree.unflatten(tree, leaves)
 
-    def gradients(self, runner: Runner, out):
-        """(policy, schedule, start) as NumPy arrays in the engine's precision.
+    def gradients(self, runner: Runner, out: Back):
+        """(policy, schedule, start) as NumPy arrays in the engine's precision, of one column.
 
         With a leading axis of parts in policy and schedule, where the sums are theirs.
         """

@@ -76,16 +76,19 @@ class Native(Engine):
         with self.numbers():
             call = Call(self, simulator, policy, schedule, draws, smooth, actions, window, start)
             runner = call.runner(True, (), clip is not None, tuple(wrt))
-            arrays = {name: np.asarray(w, self.dtype) for name, w in weights.items()}
-            stacked = [w.shape[0] for w in arrays.values() if w.ndim == 2]
-            size = np.max(
-                [np.abs(w).reshape(-1, call.paths).max(0) for w in arrays.values()], axis=0
-            ) * (1.0 if clip is None else clip.norm)
-            rows = []
-            for k in range(stacked[0] if stacked else 1):
-                row = {name: w[k] if w.ndim == 2 else w for name, w in arrays.items()}
-                out = runner.run(call.inputs(runner, row, size, False), self._threads())
-                rows.append(call.gradients(runner, out))
+            stacked = any(np.ndim(w) == 2 for w in weights.values())
+            count = max(np.shape(w)[0] if np.ndim(w) == 2 else 1 for w in weights.values())
+            arrays = {
+                name: np.broadcast_to(np.asarray(w, self.dtype), (count, call.paths))
+                for name, w in weights.items()
+            }
+            size = np.max([np.abs(w).max(0) for w in arrays.values()], axis=0)
+            size = size * (1.0 if clip is None else clip.norm)
+            rows, most = [], runner.together(call.paths, call.window.length)
+            for first in range(0, count, most):
+                part = {name: w[first : first + most] for name, w in arrays.items()}
+                out = runner.run(call.inputs(runner, part, size, False), self._threads())
+                rows += [call.gradients(runner, back) for back in out.back]
             totals, _ = call.finals(runner, out.final)
             gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
             given = dict(zip(("policy", "schedule", "start"), gradient))
@@ -109,13 +112,13 @@ class Native(Engine):
         with self.numbers():
             call = Call(self, *given, actions, None, None)
             runner = call.runner(True, (), False, tuple(wrt))
-            if len(parts) * runner.sums(simulator.horizon) > SUMS:
+            if len(parts) * sum(runner.sums(simulator.horizon)) > SUMS:
                 return super().adjoints(*given, weights, parts, actions=actions, wrt=wrt)
-            rows = {name: np.asarray(w, self.dtype) for name, w in weights.items()}
-            size = np.max([np.abs(row) for row in rows.values()], axis=0)
+            rows = {name: np.asarray(w, self.dtype)[None] for name, w in weights.items()}
+            size = np.max([np.abs(row[0]) for row in rows.values()], axis=0)
             out = runner.run(call.inputs(runner, rows, size, False, parts), self._threads())
             totals, _ = call.finals(runner, out.final)
-            moved, schedules, _ = call.gradients(runner, out)
+            moved, schedules, _ = call.gradients(runner, out.back[0])
             asked = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None
             return Adjoint(totals, asked[0], asked[1], None)
 

@@ -5,7 +5,7 @@ import threading
 import weakref
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import partial
 
 import numpy as np
@@ -26,7 +26,7 @@ GROUPS = 32  # independent partial sums: fixed, so that threads do not change th
 
 @dataclass(eq=False)
 class Inputs:
-    """All that one run reads, as rows of the kernel's layouts.
+    """All that one run reads, as rows of the kernel's layouts; weights for each column.
 
     `edges`: the blocks at which parts of the paths begin, whose sums are kept apart.
     """
@@ -36,21 +36,26 @@ class Inputs:
     first: int
     memory: Memory
     records: bool = False
+    columns: int = 1
     edges: np.ndarray | None = None
 
 
 @dataclass(eq=False)
 class Outputs:
-    """All that one run writes, as rows of layouts; the sums in an adjoint kernel only.
-
-    With a row of sums for each part of the paths, where they are kept apart.
-    """
+    """All that one run writes, as rows of layouts; in an adjoint kernel the sums of each column."""
 
     final: np.ndarray
     records: np.ndarray | None
-    call_sums: np.ndarray | None = None
-    step_sums: np.ndarray | None = None
-    start_cotangent: np.ndarray | None = None
+    back: list["Back"] = field(default_factory=list)
+
+
+@dataclass(eq=False)
+class Back:
+    """One column of an adjoint: sums over paths, and the cotangents of given states."""
+
+    call_sums: np.ndarray
+    step_sums: np.ndarray
+    start_cotangent: np.ndarray
 
 
 class Runner:
@@ -64,31 +69,36 @@ class Runner:
         return -(-paths // self.kernel.lanes)
 
     def run(self, inputs: Inputs, threads: int) -> Outputs:
-        """All blocks, forward and (in an adjoint kernel) back."""
+        """All blocks, forward and (in an adjoint kernel) back, for every column of weights."""
         layouts, adjoint = self.kernel.layouts, self.kernel.traced.setup.adjoint
-        blocks, length = self.blocks(inputs.paths), inputs.length
-        edges, calls, size = inputs.edges, layouts["call_sums"].stride, self.sums(length)
+        columns, length, edges = inputs.columns, inputs.length, inputs.edges
+        calls, steps = self.sums(length)
+        each, blocks = calls + steps, self.blocks(inputs.paths)
         if edges is None:
-            groups = _groups(blocks, size if adjoint else 0)
+            groups = _groups(blocks, each if adjoint else 0)
             edges = blocks * np.arange(groups + 1) // groups
         groups, blocks = len(edges) - 1, int(edges[-1])
+        starts = blocks * layouts["start_cotangent"].stride
         sizes = {"stop": 8, "final": blocks * layouts["final"].stride}
         if inputs.records:
             sizes["records"] = blocks * length * layouts["records"].stride
         if adjoint:
-            sizes["start_cotangent"] = blocks * layouts["start_cotangent"].stride
-            sizes["total"], sizes["sums"] = size, groups * size
+            sizes["start_cotangent"] = columns * starts
+            sizes["total"], sizes["sums"] = columns * each, groups * columns * each
         memory = Memory(sizes)
         segment = self.segment(length)
         numbers = {"length": length, "first": inputs.first, "count": inputs.paths}
-        context = _context(inputs.memory.where | memory.where | numbers | {"segment": segment})
-        scratch = self._scratch(segment, -(-length // segment))
+        numbers |= {"segment": segment, "columns": columns}
+        context = _context(inputs.memory.where | memory.where | numbers, columns)
+        _apart(context, "weights", blocks * layouts["weights"].stride)
+        _apart(context, "start_cotangent", starts)
+        scratch = self._scratch(segment, -(-length // segment), columns)
         functions = self.machine.functions
 
         # A helper may go on after an interrupt: its work keeps the memory and the code alive.
         def one(group: int, own: np.ndarray, _held: tuple = (inputs, memory, self.machine)) -> None:
             if adjoint:
-                _add_up_in(own, memory.where["sums"] + group * size, calls)
+                _add_up_in(own, memory.where["sums"] + group * columns * each, calls, each)
             functions["run"](address(own), int(edges[group]), int(edges[group + 1]))
 
         mine = partial(self._own, context, scratch)
@@ -97,23 +107,36 @@ class Runner:
         spread(one, groups, min(threads, groups), memory["stop"], mine)
         out = Outputs(memory["final"], memory.rows.get("records"))
         if adjoint:
-            sums, name = memory["sums"].reshape(groups, size), "sums"
-            if inputs.edges is None:
-                total, name = memory["total"], "total"
-                np.sum(sums.view(np.float64), axis=0, out=total.view(np.float64))
-                sums = total
-            out.call_sums, out.step_sums = sums[..., :calls], sums[..., calls:]
-            out.start_cotangent = memory["start_cotangent"]
-            with mine() as own:
-                for row in range(sums.size // size):
-                    _add_up_in(own, memory.where[name] + row * size, calls)
-                    functions["finish"](address(own))
+            out.back = self._back(memory, mine, inputs, (groups, columns), (calls, steps))
         return out
 
-    def sums(self, length: int) -> int:
-        """Bytes of the sums over paths of so many steps."""
+    def _back(self, memory: Memory, mine, inputs: Inputs, shape, sizes) -> list["Back"]:
+        """The sums of every column, finished: over all paths, or over each part of them."""
+        (groups, columns), (calls, steps) = shape, sizes
+        rows, name, each = memory["sums"], "sums", calls + steps
+        if inputs.edges is None:
+            rows, name = memory["total"], "total"
+            sums = memory["sums"].view(np.float64).reshape(groups, -1)
+            np.sum(sums, axis=0, out=rows.view(np.float64))
+        rows = rows.reshape(-1, columns, each)
+        with mine() as own:
+            for part in range(len(rows)):
+                _add_up_in(own, memory.where[name] + part * columns * each, calls, each)
+                for column in own:
+                    self.machine.functions["finish"](address(column))
+        rows = rows[0] if inputs.edges is None else rows
+        left = memory["start_cotangent"].reshape(columns, -1)
+        return [Back(rows[..., k, :calls], rows[..., k, calls:], left[k]) for k in range(columns)]
+
+    def together(self, paths: int, length: int) -> int:
+        """The most columns of one run: as many as memory allows for their gradients."""
+        each = sum(self.sums(length))
+        return int(max(1, SUMS // max(1, _groups(self.blocks(paths), each) * each)))
+
+    def sums(self, length: int) -> tuple[int, int]:
+        """Bytes of the gradients by numbers of the call, and by those of all steps."""
         layouts = self.kernel.layouts
-        return layouts["call_sums"].stride + length * layouts["step_sums"].stride
+        return layouts["call_sums"].stride, length * layouts["step_sums"].stride
 
     def segment(self, length: int) -> int:
         """Steps whose tape is kept at once. It does not depend on the number of threads."""
@@ -121,12 +144,12 @@ class Runner:
             return length
         return int(min(length, max(1, TAPE // self.kernel.layouts["tape"].stride)))
 
-    def _scratch(self, segment: int, segments: int) -> dict[str, int]:
+    def _scratch(self, segment: int, segments: int, columns: int) -> dict[str, int]:
         """The sizes of one thread's scratch memory."""
         layouts, sizes = self.kernel.layouts, self.kernel.sizes
         return {
             "work": sizes["work"], "carry": layouts["carry"].stride,
-            "cotangent": layouts["cotangent"].stride,
+            "cotangent": columns * layouts["cotangent"].stride,
             "tape_initial": layouts["tape_initial"].stride,
             "tape_final": layouts["tape_final"].stride,
             "tape": segment * layouts["tape"].stride, "chunk": sizes["chunk"],
@@ -141,7 +164,8 @@ class Runner:
             scratch = Memory(sizes)
         own = context.copy()
         for name, place in scratch.where.items():
-            own[SLOTS[name]] = place
+            own[:, SLOTS[name]] = place
+        _apart(own, "cotangent", self.kernel.layouts["cotangent"].stride)
         try:
             yield own
         finally:
@@ -198,14 +222,20 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_after_fork)
 
 
-def _context(values: dict[str, int]) -> np.ndarray:
-    """The table of addresses and numbers that kernel functions take."""
-    return np.array([values.get(name, 0) for name in CONTEXT], np.int64)
+def _context(values: dict[str, int], columns: int) -> np.ndarray:
+    """[columns, slots]: the tables of addresses and numbers that kernel functions take."""
+    return np.tile(np.array([values.get(name, 0) for name in CONTEXT], np.int64), (columns, 1))
 
 
-def _add_up_in(context: np.ndarray, place: int, calls: int) -> None:
-    """Sums of the call from here on, then those of the steps."""
-    context[SLOTS["call_sums"]], context[SLOTS["step_sums"]] = place, place + calls
+def _apart(context: np.ndarray, name: str, size: int) -> None:
+    """Every column's own rows, of so many bytes, one column after the other."""
+    context[:, SLOTS[name]] += size * np.arange(len(context))
+
+
+def _add_up_in(context: np.ndarray, place: int, calls: int, each: int) -> None:
+    """By column, sums of the call from here on, then those of the steps: `each` bytes together."""
+    places = place + each * np.arange(len(context))
+    context[:, SLOTS["call_sums"]], context[:, SLOTS["step_sums"]] = places, places + calls
 
 
 def _groups(blocks: int, size: int) -> int:

@@ -1,6 +1,7 @@
 """Derivatives from one adjoint pass for each block of paths, with their standard errors."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
+from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -9,7 +10,7 @@ from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Weights
+from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
@@ -52,18 +53,30 @@ class Way(NamedTuple):
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
-        plan, blocks, dropped = self._plan(blocks)
-        every, edges = np.concatenate(blocks), np.cumsum(plan.sizes)[:-1]
-        split = {name: np.split(weight, edges) for name, weight in plan.whole.items()}
-        parts = [{name: split[name][i] for name in split} for i in range(len(blocks))]
-        passes = self._passes(blocks, parts)
-        further = [self._joined(every[plan.sample], p, len(blocks[0])) for p in plan.pieces]
+        return self.of((self.problem.objective,), blocks)[0]
+
+    def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[Found]:
+        """Derivatives of several objectives, whose cotangents share every forward sweep."""
+        plans, blocks, dropped = self._plans(objectives, blocks)
+        every = np.concatenate(blocks)
+        passes = self._passes(blocks, _parts(plans, blocks))
+        found = []
+        for k, own in enumerate(plans):
+            further = self._joined(every[own.sample], own.pieces, len(blocks[0]))
+            found.append(self._found(own, [each[k] for each in passes], further, dropped))
+        return found
+
+    def _found(
+        self, plan: Plan, passes: list[Pulled], further: list[Pulled], dropped: int
+    ) -> Found:
+        """One objective's derivatives from the passes of its blocks and of its pieces."""
+        count = int(plan.sizes.sum())
         bad = np.array([each.bad for each in passes])
         dropped += int(bad.sum())
         # The paths that are left have the weight of those that are not.
-        scale = every.size / max(1, every.size - bad.sum())
+        scale = count / max(1, count - bad.sum())
         known = all(np.isfinite(weight).all() for weight in plan.whole.values())
-        if not known or dropped > DROPPED * (every.size + dropped):
+        if not known or dropped > DROPPED * (count + dropped):
             # Under ruin there is no derivative; nor is there one of what is left of many.
             scale = np.nan
         plan = plan._replace(sizes=plan.sizes - bad)
@@ -73,53 +86,63 @@ class Way(NamedTuple):
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
         return Found(found, Estimate(plan.estimate(scale * slopes, others)), dropped)
 
-    def _plan(self, blocks: list[np.ndarray]) -> tuple[Plan, list[np.ndarray], int]:
+    def _plans(
+        self, objectives: Sequence[Objective], blocks: list[np.ndarray]
+    ) -> tuple[list[Plan], list[np.ndarray], int]:
         """The weights, the blocks without paths that are not finite, and the number of those."""
-        objective, sizes = self.problem.objective, [len(block) for block in blocks]
-        if objective.linear:
-            nothing = {name: np.zeros(sum(sizes)) for name in objective.outputs}
-            return plan(objective, nothing, sizes), blocks, 0
+        sizes = [len(block) for block in blocks]
+        names = tuple(dict.fromkeys(name for each in objectives for name in each.outputs))
+        if all(objective.linear for objective in objectives):
+            nothing = {name: np.zeros(sum(sizes)) for name in names}
+            return [plan(each, nothing, sizes) for each in objectives], blocks, 0
         parts = []
         for own in _batches(blocks):
             draws = self._draws(np.concatenate(blocks[own]))
             found = float64(self.bound.values(self.policy, draws, self.smooth).totals)
             edges = np.cumsum(sizes[own])[:-1]
-            split = {name: np.split(found[name], edges) for name in objective.outputs}
+            split = {name: np.split(found[name], edges) for name in names}
             parts += [{n: x[k] for n, x in split.items()} for k in range(len(edges) + 1)]
-        good = [finite(part, objective.outputs) for part in parts]
+        good = [finite(part, names) for part in parts]
         dropped = sum(int(np.sum(~each)) for each in good)
         if dropped and dropped <= DROPPED * sum(sizes):
             blocks = [block[each] for block, each in zip(blocks, good)]
             parts = [{n: x[each] for n, x in part.items()} for part, each in zip(parts, good)]
-        totals = {n: np.concatenate([part[n] for part in parts]) for n in objective.outputs}
-        return plan(objective, totals, [len(block) for block in blocks]), blocks, dropped
+        totals = {n: np.concatenate([part[n] for part in parts]) for n in names}
+        sizes = [len(block) for block in blocks]
+        return [plan(each, totals, sizes) for each in objectives], blocks, dropped
 
     def _draws(self, paths: np.ndarray) -> Draws:
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
 
-    def _passes(self, blocks: list[np.ndarray], weights: list[Weights]) -> list[Pulled]:
-        """One pass for each block, as many of them in one call as an engine may have."""
+    def _passes(self, blocks: list[np.ndarray], weights: list[list[Weights]]) -> list[list[Pulled]]:
+        """One pass for each block: several in one call of an engine, where there is one column."""
+        if len(weights[0]) > 1:
+            return [self._pull(*part) for part in zip(blocks, weights)]
         return [
             each for own in _batches(blocks) for each in self._together(blocks[own], weights[own])
         ]
 
-    def _together(self, blocks: list[np.ndarray], weights: list[Weights]) -> list[Pulled]:
+    def _together(
+        self, blocks: list[np.ndarray], weights: list[list[Weights]]
+    ) -> list[list[Pulled]]:
         """One pass for each block in one call; one by one where a number is not finite."""
         if len(blocks) > 1:
             draws, decider, options = self._asked(np.concatenate(blocks))
-            joined = {n: np.concatenate([each[n] for each in weights]) for n in weights[0]}
+            joined = {n: np.concatenate([each[n] for each, *_ in weights]) for n in weights[0][0]}
             sizes = [len(block) for block in blocks]
             result = self.bound.adjoints(decider, draws, self.smooth, joined, sizes, **options)
             if all_finite(result, joined):
-                return [self._pulled(_row(result, k), 0) for k in range(len(blocks))]
+                return [self._pulled(_row(result, k), 0, 1) for k in range(len(blocks))]
         return [self._pull(block, part) for block, part in zip(blocks, weights)]
 
-    def _pull(self, paths: np.ndarray, weights: Weights) -> Pulled:
+    def _pull(self, paths: np.ndarray, weights: list[Weights]) -> list[Pulled]:
+        """One pass for all weights {output: [N]} on the same paths."""
         draws, decider, options = self._asked(paths)
+        columns = _columns(weights, len(paths))
         result, bad = adjoint_of_good_weights(
-            self.bound, decider, draws, self.smooth, weights, **options
+            self.bound, decider, draws, self.smooth, columns, **options
         )
-        return self._pulled(result, bad)
+        return self._pulled(result, bad, len(weights))
 
     def _asked(self, paths: np.ndarray) -> tuple[Draws, Policy | None, dict[str, Any]]:
         """The noise of these paths, who decides there, and the recorded decisions."""
@@ -133,15 +156,23 @@ class Way(NamedTuple):
             actions = self.recorded[:, paths]
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
-    def _pulled(self, result: Adjoint, bad: int) -> Pulled:
+    def _pulled(self, result: Adjoint, bad: int, count: int) -> list[Pulled]:
+        """The derivatives of each of so many columns."""
         leaves = [] if self.held else jax.tree.leaves(trainable(result.policy)[0])
-        slope = np.concatenate([np.zeros(0), *(np.ravel(leaf) for leaf in leaves)])
-        return Pulled(jax.tree.map(np.asarray, result.schedule), slope, bad)
+        schedule, leaves = jax.tree.map(np.asarray, (result.schedule, leaves))
+        if count == 1:
+            return [Pulled(schedule, _flat(leaves), bad)]
+        return [
+            Pulled(jax.tree.map(lambda x, k=k: x[k], schedule), _flat(x[k] for x in leaves), bad)
+            for k in range(count)
+        ]
 
-    def _joined(self, paths: np.ndarray, weights: Weights, most: int) -> Pulled:
-        """The sum of passes on no more than so many paths each."""
+    def _joined(self, paths: np.ndarray, weights: list[Weights], most: int) -> list[Pulled]:
+        """For each of the weights, the sum of passes on no more than so many paths each."""
+        if not weights:
+            return []
         passes = [
-            self._pull(paths[k : k + most], {n: w[k : k + most] for n, w in weights.items()})
+            self._pull(paths[k : k + most], _cut(weights, slice(k, k + most)))
             for k in range(0, len(paths), most)
         ]
         return jax.tree.map(lambda *each: sum(each[1:], each[0]), *passes)
@@ -167,3 +198,28 @@ def _batches(blocks: list[np.ndarray]) -> Iterator[slice]:
 def _row(result: Adjoint, k: int) -> Adjoint:
     """The derivatives of one part."""
     return jax.tree.map(lambda leaf: leaf[k], result._replace(totals={}))
+
+
+def _parts(plans: list[Plan], blocks: list[np.ndarray]) -> list[list[Weights]]:
+    """By block, the weights of its paths under every plan."""
+    ends = np.cumsum([0, *map(len, blocks)])
+    return [
+        _cut([plan.whole for plan in plans], slice(first, last)) for first, last in pairwise(ends)
+    ]
+
+
+def _cut(weights: list[Weights], paths: slice) -> list[Weights]:
+    return [{name: w[paths] for name, w in each.items()} for each in weights]
+
+
+def _columns(weights: list[Weights], paths: int) -> Weights:
+    """{output: [N]} of one, or {output: [K, N]} of several, zero where one has no such output."""
+    if len(weights) == 1:
+        return weights[0]
+    names = dict.fromkeys(name for each in weights for name in each)
+    nothing = np.zeros(paths)
+    return {name: np.stack([each.get(name, nothing) for each in weights]) for name in names}
+
+
+def _flat(leaves: Iterable[np.ndarray]) -> np.ndarray:
+    return np.concatenate([np.zeros(0), *map(np.ravel, leaves)])

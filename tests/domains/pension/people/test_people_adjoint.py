@@ -68,7 +68,7 @@ def whole(case):
     def value(inputs):
         found = people(case, inputs, basis_log_bond(case, inputs))
         total = jnp.zeros(())
-        for leaf, weight in zip(found, weights):
+        for leaf, weight in zip(jax.tree.leaves(found), weights):
             total = total + jnp.sum(weight * leaf)
         return total
 
@@ -76,7 +76,7 @@ def whole(case):
     found = people(case, inputs, basis_log_bond(case, inputs))
     weights = [
         random.uniform(0.5, 1.5, leaf.shape) / max(float(jnp.abs(leaf).sum()), 1e-6)
-        for leaf in found
+        for leaf in jax.tree.leaves(found)
     ]
     return jax.jit(value), inputs
 

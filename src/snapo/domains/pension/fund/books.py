@@ -6,6 +6,8 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..market.state import Market, log_factor
+from ..people.lpi import limited
+from ..people.lpi import log_factor as lpi_factor
 from ..records.case import PensionCase
 from .schedule import Terms
 
@@ -70,6 +72,9 @@ def balance(case: PensionCase, terms: Terms, people, shape: Array, state: State)
     if case.liability.future_indexation == "full":
         # Increases are due that prices have called for and no indexation has granted yet.
         scale = scale + market.log_price - state.log_price_last
+    if limited(case):
+        growth = market.log_price - state.log_price_last
+        factor = factor + lpi_factor(people.lpi, terms.plan, growth, market.factors[-1])
     factor, scale = jnp.exp(factor), jnp.exp(scale)
     by_node = scale * (people.accrued + state.fresh * people.fresh) * factor
     liability = jnp.sum(by_node)

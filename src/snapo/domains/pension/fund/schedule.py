@@ -13,6 +13,7 @@ from ..market.curve import log_bond
 from ..market.dynamics import market_schedule
 from ..market.state import MarketSteps, MarketTerms, without_empty
 from ..people.liability import People, nodes, people
+from ..people.lpi import limited, log_growth, lpi
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
@@ -69,6 +70,8 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
     found = people(case, inputs, basis_log_bond(case, inputs))
+    if limited(case):
+        found = found._replace(lpi=lpi(case, inputs, payment_nodes))
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
     due, averaging = indexation_flags(case)
     assets = case.assets
@@ -133,15 +136,20 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability.basis`: payments that
-    follow prices are multiplied by the expected index; under ready-made scenarios the curve
+    follow prices are multiplied by the expected index, within a cap and a floor by the value of
+    the options in it; under ready-made scenarios the curve
     comes with the path, and only the addition to it is left here.
     """
     basis, count = case.liability, case.steps + round(PAYMENT_YEARS / case.step)
     years = np.arange(count + 1) * case.step
-    added = -use(inputs, basis.rate) * years
+    added = jnp.zeros(count + 1)
+    if basis.basis != "risk-free":
+        added = -use(inputs, basis.rate) * years
+    if limited(case):
+        added = added + log_growth(case, inputs)
     if basis.basis == "fixed":
         return added
-    found = added if basis.basis == "spread" else 0 * added
+    found = added
     if case.scenarios is None:
         found = found + log_bond(case.curve, inputs, years)
     if basis.future_indexation == "full":

@@ -18,6 +18,7 @@ from snapo.problem.simulator import Schedule, Simulator
 
 from ..market.dynamics import move, noise_size
 from ..market.state import Move
+from ..people.lpi import limited
 from ..records.case import PensionCase
 from .books import LEAST, Balance, State, balance, opening
 from .observation import observe
@@ -221,6 +222,8 @@ class PensionSimulator(Simulator):
         if rule.kind != "none" or rule.cut_years:
             theta = theta * (1 + granted - cut)
             jump = jnp.log1p(granted - cut)
+            if limited(case):  # the options end as the increase
+                jump = jump - jnp.log1p(granted)
             if case.liability.future_indexation == "full":
                 jump = jump - now.due * (market.log_price - last)
             last = last + now.due * (market.log_price - last)

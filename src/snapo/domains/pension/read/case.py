@@ -16,6 +16,7 @@ from ..market.correlation import all_names
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.plan import Plan
+from ..regulation.bases import read_funding
 from ..regulation.read import read_regulation
 from . import people, plan, tables, tables_people
 from .assets import read_assets
@@ -107,10 +108,14 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         regulation=read_regulation(
             reader.place("regulation"), reader.maybe(tables.RegulationTable, "regulation"), start
         ),
+        funding=read_funding(
+            reader.place("funding"), reader.maybe(tables.FundingTable, "funding"), start
+        ),
         frontier=plan.read_frontier(
             reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
         ),
     )
+    plan.check_limited(case)
     seen = settings.observation
     case = replace(
         case,

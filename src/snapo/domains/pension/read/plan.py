@@ -5,13 +5,16 @@ A number that the rule of a case does not look at is no input: its `Given` stays
 
 from collections.abc import Iterable
 
+import numpy as np
+
 from snapo.case.csv import Mention
+from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.table import Section, Table
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
-from ..records.case import Frontier
+from ..records.case import Frontier, PensionCase
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
 from ..records.said import YEARLY, Said, amount, rate, share, time
 from .cash_plan import Clock, read_cash_plan
@@ -176,6 +179,25 @@ def read_liability(section: Section, table: LiabilityTable) -> Liability:
     name = "liability_rate"
     added = single(name, table.rate, VALUED) if table.rate is not None else _nothing(name)
     return Liability(table.basis, added, table.future_indexation)
+
+
+def check_limited(case: PensionCase) -> None:
+    """Options in limited increases can be valued where increases are limited and models hold.
+
+    **Raises:** `CaseError` with the reason where they cannot.
+    """
+    if case.liability.future_indexation != "capped":
+        return
+    models = (case.rates.volatility, case.inflation.volatility, case.inflation.index_volatility)
+    what = None
+    if case.plan.indexation.kind != "capped":
+        what = 'increases of plan.indexation are not limited: kind "capped" is needed'
+    elif case.scenarios is not None:
+        what = "ready-made scenarios hold no volatilities, which the options' value needs"
+    elif any(np.ptp(each.used(), axis=0).any() for each in models):
+        what = "options are valued at volatilities of rates and inflation that do not change"
+    if what is not None:
+        raise CaseError(str(case.file), "liability.future_indexation", "capped", what)
 
 
 def read_frontier(section: Section, table: FrontierTable | None, plan: Plan) -> Frontier | None:

@@ -198,6 +198,16 @@ class RegulationTable(Table):
     active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
 
 
+class FundingTable(Table):
+    """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
+
+    rules: Name = Field(description='"uk", or the name of a TOML file of rules')
+    technical_provisions: Rate = Field(description=f"over gilts, {RATE}")
+    low_dependency: Rate | None = Field(None, description=f"over gilts, {RATE}")
+    buy_out: Rate = Field(description=f"over gilts, {RATE}")
+    recovery_years: Positive | None = Field(None, description=ABOVE)
+
+
 class PensionTable(Table):
     """The whole file."""
 
@@ -227,5 +237,6 @@ class PensionTable(Table):
     stress: dict | None = Field(None, description="the table [stress]")
     frontier: dict | None = Field(None, description="the table [frontier]")
     regulation: dict | None = Field(None, description="the table [regulation]")
+    funding: dict | None = Field(None, description="the table [funding]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

@@ -133,7 +133,9 @@ class LiabilityTable(Table):
         "risk-free", "spread", "fixed", default="risk-free"
     )
     rate: Rate | None = Field(None, description=RATE)
-    future_indexation: Literal["none", "full"] = words("none", "full", default="none")
+    future_indexation: Literal["none", "full", "capped"] = words(
+        "none", "full", "capped", default="none"
+    )
 
 
 class ReconcileTable(Table):

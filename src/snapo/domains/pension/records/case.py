@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Literal
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 
 from .assets import Assets, Overlay
+from .funding import Funding
 from .market import Correlation, Credit, Currencies, Curve, Inflation, SuppliedScenarios
 from .people import CashFlows, LeeCarter, Members, Mortality
 from .plan import Liability, Plan, Reconcile
@@ -85,6 +86,7 @@ class PensionCase:
     evaluation: EvaluationTable
     frontier: Frontier | None = None
     regulation: Regulation | None = None
+    funding: Funding | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

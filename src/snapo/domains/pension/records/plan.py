@@ -120,12 +120,13 @@ class Liability:
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
       for all terms (continuous). `rate`: index [].
     - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
-      curve; basis "fixed" then takes `rate` as real).
+      curve; basis "fixed" then takes `rate` as real), "capped" payments that follow them within
+      the cap and the floor of the plan's indexation, as the options they are (`people.lpi`).
     """
 
     basis: Literal["risk-free", "spread", "fixed"]
     rate: Given
-    future_indexation: Literal["none", "full"]
+    future_indexation: Literal["none", "full", "capped"]
 
 
 @dataclass(frozen=True, eq=False)

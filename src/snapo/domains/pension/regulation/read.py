@@ -1,8 +1,6 @@
 """Reads `[regulation]`, and the file of rules that it names: the state of the law at the date."""
 
 import datetime
-import tomllib
-from importlib.resources import files
 from typing import Any
 
 import numpy as np
@@ -10,6 +8,7 @@ import numpy as np
 from ..read.cells import Place
 from ..read.tables import RegulationTable
 from ..records.regulation import MARKETS, RISKS, Regulation, Rules
+from .in_force import in_force
 
 OWN = {"dutch-ftk": "dutch_ftk.toml"}  # rules that come with the package
 FACTORS = ("rise", "fall", "real_rise", "real_fall")
@@ -29,35 +28,12 @@ def read_regulation(
     """
     if table is None:
         return None
-    rules = _in_force(section, table.rules, day)
+    rules = in_force(section, table.rules, OWN, day, _rules)
     if len(table.policy_ratios) > rules.averaging_months:
         what = f"the policy ratio is that of {rules.averaging_months} months: give no more"
         raise section.error("policy_ratios", len(table.policy_ratios), what)
     ratios = tuple(table.policy_ratios)
     return Regulation(rules, ratios, table.insurance_risk, table.active_risk)
-
-
-def _in_force(section: Place, name: str, day: datetime.date) -> Rules:
-    try:
-        if name in OWN:
-            text = (files(__package__ or "") / OWN[name]).read_text(encoding="utf-8")
-        else:
-            text = (section.file.parent / name).read_text(encoding="utf-8")
-        versions = tomllib.loads(text)["version"]
-        known = [(each["from"], each) for each in versions if each["from"] <= day]
-    except FileNotFoundError:
-        what = f"there is no such file, nor rules of this name ({', '.join(OWN)})"
-        raise section.error("rules", name, what) from None
-    except (tomllib.TOMLDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
-        what = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
-        raise section.error("rules", name, what) from None
-    if not known:
-        raise section.error("rules", name, f"no version holds on {day}")
-    try:
-        return _rules(max(known, key=lambda pair: pair[0])[1])
-    except (KeyError, TypeError, ValueError) as error:
-        what = f"its version for {day} lacks a number or has one that cannot be read: {error}"
-        raise section.error("rules", name, what) from None
 
 
 def _rules(data: dict[str, Any]) -> Rules:

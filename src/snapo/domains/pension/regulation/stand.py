@@ -7,10 +7,9 @@ import jax
 import numpy as np
 
 from ..market.curve import log_bond
-from ..people.liability import paid_at
 from ..records.case import PensionCase
 from ..records.regulation import Regulation
-from ..results.figures.reconcile import payments
+from .due import Due, due
 from .required import Losses, currency_loss, equity_loss, moved_discount, total
 
 ROUNDS = 200  # of the standard model on the assets that its last result asks for
@@ -29,14 +28,6 @@ class Stand(NamedTuple):
     policy_ratio: float
 
 
-class Due(NamedTuple):
-    """Expected payments `flow` [N], their `discount` factors and their times in `years`."""
-
-    flow: np.ndarray
-    discount: np.ndarray
-    years: np.ndarray
-
-
 class Shocked(NamedTuple):
     """Changes under one move of rates: of the liability, money, and of each class and swap per unit
     held, [n] and [b]."""
@@ -50,9 +41,9 @@ def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
     """The standard model with the present mix on invested assets of liability plus required funds,
     until both agree (annex 3, article 2); swaps keep their share of the assets."""
     regulation, case = known(case), replace(case, scenarios=None)
-    due = _due(case, inputs)
-    moves = [shocked(case, inputs, due, name) for name in ("rise", "fall")]
-    liability, assets = float(due.flow @ due.discount), float(case.assets.amount.used())
+    paid = due(case, inputs)
+    moves = [shocked(case, inputs, paid, name) for name in ("rise", "fall")]
+    liability, assets = float(paid.flow @ paid.discount), float(case.assets.amount.used())
     required = 0.0
     for _ in range(ROUNDS):
         losses = losses_on(case, moves, assets, liability)
@@ -103,11 +94,11 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
     )
 
 
-def shocked(case: PensionCase, inputs: dict[str, Any], due: Due, name: str) -> Shocked:
+def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> Shocked:
     """Everything revalued at once, each payment at the factor of its own term."""
-    rules, after = known(case).rules, due.discount
+    rules, after = known(case).rules, paid.discount
     if case.liability.basis != "fixed":
-        after = moved_discount(rules, name, due.years, due.discount)
+        after = moved_discount(rules, name, paid.years, paid.discount)
 
     def change(maturity: np.ndarray, real: bool) -> np.ndarray:
         """[k] relative change of zero-coupon bonds."""
@@ -127,13 +118,7 @@ def shocked(case: PensionCase, inputs: dict[str, Any], due: Due, name: str) -> S
         first = case.buckets - case.overlay.inflation
         swaps = change(case.overlay.maturity, False)
         swaps[first:] = change(case.overlay.maturity[first:], True) - swaps[first:]
-    return Shocked(float(due.flow @ (after - due.discount)), classes * (maturity > 0), swaps)
-
-
-def _due(case: PensionCase, inputs: dict[str, Any]) -> Due:
-    with jax.enable_x64(True):
-        flow, discount = map(np.asarray, jax.jit(lambda given: payments(case, given))(inputs))
-    return Due(flow, discount, paid_at(case, np.arange(len(flow))) * case.step)
+    return Shocked(float(paid.flow @ (after - paid.discount)), classes * (maturity > 0), swaps)
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:

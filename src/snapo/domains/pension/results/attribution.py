@@ -59,7 +59,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     paths = problem.sources.evaluation.available(min(PATHS, setup.evaluation.paths))
     totals = path_totals(problem, policy, paths, engine=setup.engines.evaluate)
     rows = []
-    prices = case.liability.future_indexation == "full"
+    prices = case.liability.future_indexation != "none"
     for key, name in ROWS:
         if key == "rates" and prices:
             name = name.replace("Rates", "Rates and prices")

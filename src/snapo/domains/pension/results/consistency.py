@@ -89,7 +89,7 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
         paid = totals["pv_benefit"] + totals["pv_expenses"] + totals["pv_cost"]
         left = totals["pv_assets"] + paid - totals["pv_contribution"]
         tests.append(("Assets: remainder and payments", left, float(case.assets.amount.used())))
-    plain_basis = case.liability.basis == "risk-free" and case.liability.future_indexation == "none"
+    plain_basis = case.liability.basis == "risk-free" and not _real(case)
     if plain_basis and case.lee_carter is None:
         added = totals["pv_indexation"] + totals["pv_accrual"]
         left = totals["pv_liability"] + totals["pv_benefit"] - added

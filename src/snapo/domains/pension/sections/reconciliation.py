@@ -8,6 +8,7 @@ from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Sect
 from snapo.report.quantity import finite, number, percent, plus_minus, power
 
 from .evidence import checks
+from .funding import funding
 from .regulation import regulation
 from .run import PensionRun, points, share
 
@@ -110,7 +111,7 @@ def reconciliation(run: PensionRun) -> Section:
             ]
         )
     )
-    blocks += regulation(run)
+    blocks += [*regulation(run), *funding(run)]
     if tests := run.get("market_consistency"):
         blocks.append(_consistency(run, tests))
     if durations := data.get("key_rate_durations"):

@@ -12,14 +12,15 @@ from snapo.lanes.program.program import Program, walk
 from ..rollout import Traced
 from .layouts import Layouts, layouts
 
-# The table of addresses and numbers that every function reads.
+# The table of addresses and numbers that every function reads. Every column of an adjoint, which
+# is one weight of each total, has a table: only its own cotangents, weights and sums differ.
 CONTEXT = (
     "table", "steps", "work", "carry", "cotangent", "tape_initial", "tape", "tape_final", "chunk",
     "saved", "call_sums", "step_sums", "keys", "paths", "positions", "noise_initial", "noise",
     "actions", "start", "final", "weights", "bounds", "start_cotangent", "records", "length",
-    "first", "segment", "count", "stop",
+    "first", "segment", "count", "stop", "columns",
 )  # fmt: skip
-NUMBERS = ("length", "first", "segment", "count")
+NUMBERS = ("length", "first", "segment", "count", "columns")
 
 Stages = list[tuple[str, str]]  # titles and programs as text
 

@@ -3,7 +3,7 @@
 from snapo.lanes.emit.code import Code
 from snapo.lanes.emit.denormals import flush_denormals
 
-from .context import Build, field
+from .context import CONTEXT, Build, field
 
 
 def run(build: Build) -> None:
@@ -11,6 +11,7 @@ def run(build: Build) -> None:
 
     A horizon whose tape would be too long is done in segments: the carry at each segment's start
     is saved on the way forward, and on the way back a segment goes forward again, with a tape.
+    Several columns of weights go back one after the other over the same tape.
     """
     function = build.function("run", ", i64 %begin, i64 %end")
     code = function.code
@@ -32,13 +33,13 @@ def run(build: Build) -> None:
                 sweeps.call("step_forward", blocks.i, *sweeps.span(s.i), stride)
             sweeps.call("final_forward", blocks.i)
             if build.adjoint:
-                sweeps.call("final_reverse", blocks.i)
+                sweeps.back("final_reverse", blocks.i)
                 with code.loop(segments, down=True) as s:
                     with code.branch(code.index(f"icmp ne i64 {s.i}, {final}")):
                         sweeps.restore(s.i)
                         sweeps.call("step_forward", blocks.i, *sweeps.span(s.i), str(tape))
-                    sweeps.call("step_reverse", blocks.i, *sweeps.span(s.i), str(tape))
-                sweeps.call("initial_reverse", blocks.i)
+                    sweeps.back("step_reverse", blocks.i, *sweeps.span(s.i), str(tape))
+                sweeps.back("initial_reverse", blocks.i)
     restore()
     function.close()
 
@@ -50,10 +51,19 @@ class _Sweeps:
         self.code, self.size = code, size
         code.module.declare("declare void @llvm.memcpy.p0.p0.i64(ptr, ptr, i64, i1)")
 
-    def call(self, name: str, block: str, first="0", last="1", stride="0") -> None:
+    def call(
+        self, name: str, block: str, first="0", last="1", stride="0", context="%context"
+    ) -> None:
         self.code.do(
-            f"call void @{name}(ptr %context, i64 {block}, i64 {first}, i64 {last}, i64 {stride})"
+            f"call void @{name}(ptr {context}, i64 {block}, i64 {first}, i64 {last}, i64 {stride})"
         )
+
+    def back(self, name: str, block: str, first="0", last="1", stride="0") -> None:
+        """A reverse sweep of every column, with the column's own table."""
+        with self.code.loop(field("columns")) as column:
+            distance = self.code.index(f"mul nsw i64 {column.i}, {8 * len(CONTEXT)}")
+            own = self.code.pointer("%context", distance)
+            self.call(name, block, first, last, stride, own)
 
     def span(self, segment: str) -> tuple[str, str]:
         """The first step of a segment, and the one after its last."""

@@ -103,7 +103,7 @@ def single(linked: bool, **changes):
         "plan": plan(indexation="full"),
         "liability": Liability("risk-free", given("liability_rate", 0.0), "full"),
     }
-    return case(1, **usual | changes)
+    return case(**{"steps": 1} | usual | changes)
 
 
 @pytest.mark.prove
@@ -178,8 +178,10 @@ def test_today_its_price_moves_with_both_curves_as_the_liability_does():
 @pytest.mark.prove
 @pytest.mark.parametrize("measure", ["P", "Q"])
 def test_its_derivatives_are_those_of_differences(measure):
-    """Of a log return of the class by every number, in float64."""
+    """Of returns of an index-linked bond and of a swap of inflation by every number, in float64."""
     one = with_linked(measure)
+    assert one.overlay is not None
+    one = replace(one, overlay=replace(one.overlay, inflation=1))
     start = plain(pension_inputs(one))
     (noise,) = draws(one, 1)
     simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
@@ -188,7 +190,8 @@ def test_its_derivatives_are_those_of_differences(measure):
         schedule = simulator.prepare(given_)
         terms = schedule.constants.market
         now = jax.tree.map(lambda leaf: leaf[3], schedule.steps.market)
-        return jnp.log(move(one, terms, now, terms.start, noise).gross[4])
+        found = move(one, terms, now, terms.start, noise)
+        return jnp.log(found.gross[4]) + 0.7 * found.swaps[1]
 
     with jax.enable_x64(True):
         start = {name: np.asarray(each, np.float64) for name, each in start.items()}
@@ -251,3 +254,42 @@ def test_the_ladders_of_a_matched_index_linked_fund_cancel_at_every_node():
     seen = human(scaled, inputs, found)
     assert seen.hedge_ratio == pytest.approx(1.0, abs=1e-9)
     assert seen.inflation_hedge_ratio == pytest.approx(1.0, abs=1e-9)
+
+
+def rolled(one, inputs, noise):
+    """ln(F' / F) after some steps, in each of which all is in the bond that matches."""
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    schedule = simulator.prepare(inputs)
+    state = simulator.initial(schedule.constants, None)
+    for t in range(one.steps):
+        now = jax.tree.map(lambda leaf, t=t: leaf[t], schedule.steps)
+        action = jnp.zeros(one.steps + 1).at[t + 1].set(1.0)
+        state, _ = simulator.step(schedule.constants, now, state, action, noise[t], Exact())
+    return simulator.terminal(schedule.constants, state, Exact())["log_relative"]
+
+
+@pytest.mark.prove
+def test_a_fund_that_rolls_matched_bonds_feels_nothing_over_several_steps():
+    """Each year all moves into the index-linked bond with the years left: the funding ratio does
+    not move on any path (its variance is zero), nor with any quote of either curve (PV01, IE01)."""
+    years = 3
+    held = [IndexLinked(f"Linked {10 - t}", maturity=10 - t) for t in range(years)]
+    break_even = curve("break_even", [1.0, 5.0, 10.0, 30.0], [0.018, 0.02, 0.021, 0.022])
+    one = single(
+        True,
+        steps=years,
+        held_assets=assets(years, [CASH, *held], weight=[0.0, 1.0] + [0.0] * (years - 1)),
+        rates=rates(years, A, S, -0.1),
+        inflation=inflation(years, break_even, volatility=SP, index=SI, price=0.05),
+    )
+    simulator = PensionSimulator(one)  # pyright: ignore[reportCallIssue]
+    noise = np.random.default_rng(5).standard_normal((8, years, simulator.noise_size))
+    with jax.enable_x64(True):
+        inputs = {name: jnp.asarray(each) for name, each in plain(pension_inputs(one)).items()}
+        both = jax.jit(jax.vmap(jax.value_and_grad(lambda g, z: rolled(one, g, z)), (None, 0)))
+        values, found = jax.tree.map(np.asarray, both(inputs, jnp.asarray(noise)))
+    assert np.abs(values).max() < 1e-9
+    assert np.var(np.exp(values)) < 1e-9
+    for name, slope_ in found.items():
+        if name.startswith((*PRICES, "zero_rate", "rate")):
+            assert np.abs(slope_).max() < 1e-9, name

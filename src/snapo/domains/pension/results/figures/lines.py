@@ -8,6 +8,7 @@ from snapo.problem.inputs import plain
 
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
+from ...regulation.bases import bases
 from ...regulation.stand import stand
 from .human import Human, human
 from .monthly import against_months
@@ -54,6 +55,7 @@ def lines(case: PensionCase) -> list[str]:
         f"{len(case.held)} held",
         *_human(case, found.human),
         *_regulation(case),
+        *_funding(case),
         *(_line(case, line) for line in found.lines),
         *(f"note: {each}" for each in found.remarks),
     ]
@@ -90,6 +92,23 @@ def _regulation(case: PensionCase) -> list[str]:
         f" {found.required_ratio:.1%}, minimum {found.minimum_ratio:.1%}, policy ratio"
         f" {found.policy_ratio:.1%} (rules from {case.regulation.rules.since})"
     ]
+
+
+def _funding(case: PensionCase) -> list[str]:
+    """The bases of funding side by side; nothing where the case has none."""
+    if case.funding is None:
+        return []
+    found, currency = bases(case, plain(pension_inputs(case))), case.currency
+    told = [
+        f"{each.name.lower()} (gilts {each.margin:+.2%}): {readable(each.liability, currency)},"
+        f" funded {each.ratio:.1%}"
+        for each in found.bases
+    ]
+    plan = found.recovery
+    if plan.deficit:
+        what = f"recovery plan: {readable(plan.each, currency)} a year for {plan.years:g} years"
+        told.append(f"{what} (deficit {readable(plan.deficit, currency)})")
+    return told
 
 
 def _by_tenor(values: dict[int, float]) -> str:

@@ -1,6 +1,8 @@
 """The actuary's figures from the model's own cash flows and curve, before any simulation."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -51,12 +53,9 @@ class Line(NamedTuple):
 
 def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     """All figures; `inputs` are plain arrays by name."""
-    case = replace(case, scenarios=None)
-    held = _with_curves(case, inputs)
     with jax.enable_x64(True):
-        flow, discount = map(np.asarray, payments(case, held))
-        slopes = jax.grad(lambda given: jnp.dot(*payments(case, given)))(held)
-        slopes = {name: np.asarray(slope) for name, slope in slopes.items()}
+        found = _slopes(case)(_with_curves(case, inputs))
+        slopes, (flow, discount) = jax.tree.map(np.asarray, found)
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
     total = float(value.sum())
@@ -73,6 +72,21 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     )
 
 
+@lru_cache(maxsize=4)  # stresses ask for the same case at other inputs
+def _slopes(case: PensionCase) -> Callable[[dict[str, Any]], Any]:
+    """Slopes of the liability by every input, with payments and discount factors.
+
+    Compiled in one piece: hundreds of small operations take several times as long.
+    """
+    case = replace(case, scenarios=None)
+
+    def worth(given):
+        both = payments(case, given)
+        return jnp.dot(*both), both
+
+    return jax.jit(jax.grad(worth, has_aux=True))
+
+
 def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = None) -> list[Line]:
     """The actuary's liability and duration against the model's, then the model against itself;
     `known`: the figures, where they are known already."""
@@ -85,7 +99,8 @@ def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = Non
     plain = replace(case, scenarios=None)
     with jax.enable_x64(True):
         given = _with_curves(plain, inputs)
-        split = people(plain, given, basis_log_bond(plain, given)).accrued[0].sum()
+        whole = jax.jit(lambda given: people(plain, given, basis_log_bond(plain, given)).accrued[0])
+        split = np.asarray(whole(given)).sum()
     lines.append(_line("liability on payment nodes", float(split), found.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
         parallel = -BASIS_POINT * found.duration * found.liability

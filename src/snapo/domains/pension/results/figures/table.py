@@ -9,6 +9,7 @@ from snapo.study.study import StudyRun
 
 from ...records.case import PensionCase
 from ...records.inputs import pension_inputs
+from ...regulation.bases import bases
 from ...regulation.stand import stand
 from ..setup import case_of
 from .lines import examine
@@ -45,6 +46,15 @@ def work(run: StudyRun) -> dict[str, Any]:
         rules = case.regulation.rules
         told = asked._asdict() | {"losses": asked.losses._asdict()}
         table["regulation"] = told | {"since": rules.since, "source": rules.source}
+    if case.funding is not None:
+        sides = bases(case, plain(pension_inputs(case)))
+        table["funding"] = {
+            "bases": [each._asdict() for each in sides.bases],
+            "recovery": sides.recovery._asdict(),
+            "mature": sides.mature,
+            "since": case.funding.since,
+            "source": case.funding.source,
+        }
     return {"reconciliation": table, "liability": found.liability, "funding": seen.funding}
 
 

@@ -1,0 +1,151 @@
+"""Growth of prices from date to date, as Gaussians under the measures of payments.
+
+Y_k = ln I(u_k) / I(u_{k-1}) seen from time t, u_k years later. With N(u) the part of ln I(t + u)
+that is not known at t, in the model of `factors` with volatilities that do not change,
+
+    K(u, v) = Cov(N(u), N(v)) = int_0^min (s_p B(u-s) dW_p + s_I dW_I)(s_p B(v-s) dW_p + s_I dW_I)
+    C(u, T) = Cov(N(u), int_0^T r) = int_0^u sum_i (s_p B(u-s) dW_p + s_I dW_I) s_i B_i(T-s) dW_i
+
+the forward index of u is exp(E N(u) - C(u, u) + K(u, u) / 2), which the fitted real and nominal
+bonds give (Jarrow and Yildirim, JFQA 38, 2003), and under the measure of a payment at T the mean
+of ln I falls by C(u, T).
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ..records.case import PensionCase
+from ..records.inputs import use
+from ..records.people import PAYMENT_YEARS
+from .correlation import matrix
+from .curve import log_bond
+from .factors import factors, moments, nominal, real, shape, slope
+from .shocks import covariance, reach
+
+
+class PriceGrowth(NamedTuple):
+    """Dates k = 1 ... N after each time t = 0 ... T, in phases by the steps to the first of them.
+
+    - `phase` [T+1]: row of `variance`, `together`, `later` and `load`. `first` [T+1]: steps to the
+      first date.
+    - `mean` [T+1, N]: of Y_k under the measure of a payment after date k, at an expected inflation
+      of zero surprise; `load` [phases, N]: its rise per unit of the factor of expected inflation.
+    - `variance` [phases, N]; `together` [phases, N, N]: covariances of pairs.
+    - `later` [phases, N, N]: [n, k] fall of the mean of Y_k where the payment follows date n.
+    """
+
+    phase: np.ndarray
+    first: np.ndarray
+    mean: Array
+    load: Array
+    variance: Array
+    together: Array
+    later: Array
+
+
+def price_growth(case: PensionCase, inputs: dict[str, Any], today: bool = False) -> PriceGrowth:
+    """All moments, exact at every time of the grid; `today`: at time 0 alone, without the scan
+    over the steps that the others need."""
+    each, d = round(1 / case.step), case.step
+    times = np.arange(1 if today else case.steps + 1)
+    first = np.ones_like(times)
+    if each > 1:
+        # A step s ends on a date where (start_month + s) % 12 + 1 is the month.
+        last = case.plan.indexation.month - 1 - case.start_month
+        first = (last - times) % each + 1
+    count = round(PAYMENT_YEARS) + -(-case.steps // each) + 1
+    phases = np.unique(first)
+    dates = phases[:, None] + each * np.arange(-1, count)  # date 0 is now
+    dates[:, 0] = 0
+    years = d * dates
+    own = _Model(case, inputs)
+    spread = own.among(years)
+    step = np.diff(np.eye(count + 1), axis=0)
+    # Payments follow an increase all the year; the middle one stands for them.
+    after = ((each - 1) / 2 + (case.plan.timing == "arrears")) * d
+    due = own.with_rates(years[:, 1:, None], years[:, None, :], after)  # [phases, n, k]
+    at = jnp.concatenate([jnp.zeros((len(phases), 1)), own.with_rates_at(years[:, 1:])], axis=1)
+    variance = jnp.diagonal(spread, axis1=1, axis2=2)
+    falls = jnp.diff(due, axis=2)
+    own_fall = jnp.diagonal(falls, axis1=1, axis2=2)
+    phase = np.searchsorted(phases, first)
+    mean = own.forward(times, dates[phase])
+    steady = jnp.diff(at, axis=1) - jnp.diff(variance, axis=1) / 2 - own_fall
+    together = jnp.einsum("ki,pij,lj->pkl", step, spread, step)
+    return PriceGrowth(
+        phase=phase,
+        first=first,
+        mean=jnp.diff(mean, axis=1) + steady[phase],
+        load=jnp.diff(reach(own.reversion, years), axis=1),
+        variance=jnp.diagonal(together, axis1=1, axis2=2),
+        together=together,
+        later=falls - own_fall[:, None, :],
+    )
+
+
+class _Model:
+    """The numbers of rates and inflation in a case, and their integrals."""
+
+    def __init__(self, case: PensionCase, inputs: dict[str, Any]):
+        self.case, self.inputs = case, inputs
+        prices, count = case.inflation, case.rates.count()
+        self.reversion = use(inputs, prices.mean_reversion)
+        self.rates = use(inputs, case.rates.mean_reversion)
+        known = matrix(case, inputs)
+        volatility = use(inputs, case.rates.volatility)[0]
+        expected, index = use(inputs, prices.volatility)[0], use(inputs, prices.index_volatility)[0]
+        self.expected, self.index = expected**2, index**2
+        self.both = expected * index * known[count, count + 1]
+        self.drift = expected * volatility * known[count, :count]
+        self.own = index * volatility * known[count + 1, :count]
+
+    def among(self, years: np.ndarray) -> Float[Array, "phases n n"]:
+        """K of all pairs of times."""
+        u, v = years[:, :, None], years[:, None, :]
+        m, k = np.minimum(u, v), self.reversion
+
+        def left(w):
+            return (jnp.exp(-k * (w - m)) - jnp.exp(-k * w)) / k
+
+        product = (jnp.exp(-k * (u + v - 2 * m)) - jnp.exp(-k * (u + v))) / (2 * k)
+        squares = (m - left(u) - left(v) + product) / k**2
+        crossed = (2 * m - left(u) - left(v)) / k
+        return self.expected * squares + self.both * crossed + self.index * m
+
+    def with_rates(self, paid: np.ndarray, u: np.ndarray, after: float) -> Array:
+        """C(u, paid + after), for u up to `paid`; beyond, that of `paid`."""
+        return self._with(np.minimum(u, paid), paid + after)
+
+    def with_rates_at(self, u: np.ndarray) -> Array:
+        """C(u, u)."""
+        return self._with(u, u)
+
+    def _with(self, u: np.ndarray, paid: np.ndarray) -> Array:
+        k, found = self.reversion, jnp.zeros(np.broadcast_shapes(np.shape(u), np.shape(paid)))
+        for i in range(self.case.rates.count()):
+            a = self.rates[i]
+            left = (jnp.exp(-a * (paid - u)) - jnp.exp(-a * paid)) / a
+            single = (u - left) / a
+            faded = (jnp.exp(-a * (paid - u)) - jnp.exp(-k * u - a * paid)) / (k + a)
+            double = (u + jnp.expm1(-k * u) / k - left + faded) / (k * a)
+            found = found + self.drift[i] * double + self.own[i] * single
+        return found
+
+    def forward(self, times: np.ndarray, dates: np.ndarray) -> Float[Array, "T1 n"]:
+        """ln of the forward index of each date over the index now, at factors of zero."""
+        case, inputs, d = self.case, self.inputs, self.case.step
+        ahead = np.arange(times[-1] + dates.max() + 1) * d
+        index = -log_bond(case.inflation.break_even, inputs, ahead)
+        row = times[:, None]
+        if len(times) == 1:  # today the forwards are those of the curve
+            return index[dates]
+        both, together = factors(case, inputs), covariance(case, inputs)
+        far = np.arange(dates.max() + 1)
+        change = jnp.zeros((len(times), len(far)))
+        for sign, bond in ((1.0, real(case, inputs)), (-1.0, nominal(case))):
+            slopes = slope(both, bond, far * d)
+            change = change + sign * shape(slopes, moments(case, both, bond, together))
+        return index[row + dates] - index[row] + change[row, dates]

@@ -1,0 +1,169 @@
+"""Limited price indexation: increases by prices within a cap and a floor, valued as options.
+
+From date to date rights grow by X = min(max(e^Y, 1 + floor), 1 + cap), Y Gaussian growth of
+prices (`market.price_growth`). With m, s its mean and deviation, by Black's formula (F. Black,
+J. Financial Economics 3, 1976) of a caplet and a floorlet on the year's growth
+
+    E X = (1 + floor) + call(1 + floor) - call(1 + cap),
+    call(K) = exp(m + s^2 / 2) N((m + s^2 - ln K) / s) - K N((m - ln K) / s)
+
+Years are not independent, as expected inflation lasts: to first order in their covariances
+(R. Price, IRE Trans. Inform. Theory 4, 1958), d_k being d ln E X_k / d m_k,
+
+    ln E prod X_k = sum ln E X_k + sum_{j<k} d_j d_k Cov(Y_j, Y_k)
+
+which is exact without limits. A later payment's measure shifts means, and ln E X_k by d_k of that.
+On a path the first year's part depends on the growth of prices so far, and is computed there; what
+the later ones add is a polynomial in the factor of expected inflation, fitted in `prepare`.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import erf
+from jaxtyping import Array, Float
+
+from ..market.price_growth import PriceGrowth, price_growth
+from ..records.case import PensionCase
+from ..records.inputs import use
+from ..records.people import PAYMENT_YEARS
+
+DEGREE = 12  # of the polynomials in the factor
+WIDE = 5.0  # deviations of the factor in the long run, at which it counts as no larger
+LEAST = 1e-16  # variance that takes the place of none
+
+
+class Lpi(NamedTuple):
+    """What increases add to ln of the payments on the nodes, beyond that seen today. [T+1, ...].
+
+    - `mean`, `load`, `deviation` [T+1]: of the growth of prices up to the first date: its mean,
+      that mean's rise with the factor, and its deviation.
+    - `begun` [T+1, J]: 1 where a node's payments have an increase ahead.
+    - `later`, `joint` [T+1, J, DEGREE+1]: Chebyshev coefficients, in factor over `width` [T+1]: of
+      the later dates' part, and of the part that goes with d_1.
+    """
+
+    mean: Array
+    load: Array
+    deviation: Array
+    begun: Array
+    later: Array
+    joint: Array
+    width: Array
+
+
+def limited(case: PensionCase) -> bool:
+    """Whether liabilities hold the options in limited increases."""
+    return case.liability.future_indexation == "capped"
+
+
+def expected(mean, deviation, floor, cap) -> tuple[Array, Array]:
+    """ln E X and d ln E X / d mean; `floor`, `cap` per year, above -1."""
+    low, high = jnp.log1p(floor), jnp.log1p(cap)
+
+    def below(strike, shift):
+        return (1 + erf((mean + shift - strike) / (deviation * np.sqrt(2)))) / 2
+
+    inside = jnp.exp(mean + deviation**2 / 2)
+    inside = inside * (below(low, deviation**2) - below(high, deviation**2))
+    under, over = 1 - below(low, 0.0), below(high, 0.0)
+    value = inside + (1 + floor) * under + (1 + cap) * over
+    return jnp.log(value), inside / value
+
+
+def dates_before(case: PensionCase, first: np.ndarray, wait: np.ndarray) -> np.ndarray:
+    """How many increases rights have had before a payment of `wait` steps later, `first` being the
+    steps to the first date."""
+    each = round(1 / case.step)
+    return np.where(wait >= first, 1 + (wait - first) // each, 0)
+
+
+def log_growth(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
+    """ln of the expected growth of rights until each payment at time s * step, seen today, under
+    the payment's own measure; s = 0 ... T + `PAYMENT_YEARS` / step."""
+    found, none = price_growth(case, inputs, today=True), jnp.zeros(1)
+    first, d_first, later, joint = _parts(case, inputs, found, none)
+    whole = first[0, 0] + later[0, 0] + d_first[0, 0] * joint[0, 0]
+    whole = jnp.concatenate([none, whole])
+    return whole[dates_before(case, found.first[:1], _waits(case, _times(case)))]
+
+
+def lpi(case: PensionCase, inputs: dict[str, Any], nodes: np.ndarray) -> Lpi:
+    """The numbers that all paths share; `nodes` [J] whole steps to a payment."""
+    found, seen = price_growth(case, inputs), log_growth(case, inputs)
+    points = np.cos(np.pi * (np.arange(DEGREE + 1) + 0.5) / (DEGREE + 1))
+    to_chebyshev = np.cos(np.arange(DEGREE + 1)[:, None] * np.arccos(points)) * 2 / len(points)
+    to_chebyshev[0] /= 2
+    width = _width(case)
+    _, _, later, joint = _parts(case, inputs, found, jnp.asarray(width * points))
+    times = np.arange(case.steps + 1)
+    dates = dates_before(case, found.first[:, None], _waits(case, nodes))
+    ahead = seen[times[:, None] + nodes] - seen[times[:, None]]
+
+    def on_nodes(values: Array) -> Array:
+        """[T+1, J, points] from [T+1, points, N], by the dates before each node."""
+        rows = jnp.concatenate([jnp.zeros_like(values[..., :1]), values], axis=-1)
+        return jnp.take_along_axis(rows, jnp.asarray(dates)[:, None, :], -1).transpose(0, 2, 1)
+
+    after = on_nodes(later) - ahead[..., None]
+    return Lpi(
+        mean=found.mean[:, 0],
+        load=found.load[found.phase, 0],
+        deviation=jnp.sqrt(found.variance[found.phase, 0] + LEAST),
+        begun=jnp.asarray(dates > 0, float),
+        later=after @ to_chebyshev.T,
+        joint=on_nodes(joint) @ to_chebyshev.T,
+        width=jnp.full(case.steps + 1, width),
+    )
+
+
+def log_factor(now: Lpi, terms, growth: Array, factor: Array) -> Float[Array, " J"]:
+    """What is added to ln of the value of each node's payments on a path.
+
+    **Arguments:**
+
+    - `now`: of one time. `growth`: of ln prices since the last date. `factor`: of expected
+      inflation. `terms`: the plan's, with `cap` and `floor`.
+    """
+    mean = now.mean + now.load * factor + growth
+    first, slope = expected(mean, now.deviation, terms.floor, terms.cap)
+    x = jnp.clip(factor / now.width, -1.0, 1.0)
+    powers = [jnp.ones_like(x), x]
+    while len(powers) <= DEGREE:
+        powers.append(2 * x * powers[-1] - powers[-2])
+    basis = jnp.stack(powers)
+    return now.later @ basis + now.begun * (first + slope * (now.joint @ basis))
+
+
+def _parts(case: PensionCase, inputs: dict[str, Any], found: PriceGrowth, factor: Array):
+    """[T+1, points, N] or [.., 1]: ln E X_1, d_1, and by the number of dates the later dates' part
+    and the part that goes with d_1, at values of the factor [points]."""
+    rule = case.plan.indexation
+    cap, floor = use(inputs, rule.cap), use(inputs, rule.floor)
+    load, deviation = found.load[found.phase], jnp.sqrt(found.variance[found.phase] + LEAST)
+    mean = found.mean[:, None, :] + load[:, None, :] * factor[:, None]
+    log, slope = expected(mean, deviation[:, None, :], floor, cap)
+    rest = slope.at[..., 0].set(0.0)
+    together, shift = found.together[found.phase], found.later[found.phase]
+    pairs = rest * jnp.einsum("tqj,tkj->tqk", rest, jnp.tril(together, -1))
+    # Means under the measure of a payment after date n, for all dates before it.
+    moved = jnp.einsum("tqk,tnk->tqn", rest, jnp.tril(shift))
+    later = jnp.cumsum(log.at[..., 0].set(0.0) + pairs, axis=-1) - moved
+    joint = jnp.cumsum(rest * together[:, None, 0, :], axis=-1) - shift[:, None, :, 0]
+    return log[..., :1], slope[..., :1], later, joint
+
+
+def _width(case: PensionCase) -> float:
+    """`WIDE` deviations of the factor in the long run; no input moves it."""
+    spread = case.inflation.volatility.used()[0] / np.sqrt(2 * case.inflation.mean_reversion.used())
+    return float(WIDE * max(spread, 1e-4))
+
+
+def _times(case: PensionCase) -> np.ndarray:
+    return np.arange(case.steps + round(PAYMENT_YEARS / case.step) + 1)
+
+
+def _waits(case: PensionCase, at: np.ndarray) -> np.ndarray:
+    """Steps until the step whose payment is made `at` this many steps from now."""
+    return at - (case.plan.timing == "arrears")

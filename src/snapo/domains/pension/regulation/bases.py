@@ -1,0 +1,117 @@
+"""Technical provisions beside low dependency and buy-out, and the payments of a recovery plan.
+
+Each basis discounts the expected payments at annual rates of the curve plus its margin (gilts plus
+a margin). Payments, and so mortality, are the same on every basis: a case has one set of them.
+"""
+
+import datetime
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..read.cells import Place
+from ..read.tables import FundingTable
+from ..records.case import PensionCase
+from ..records.funding import Funding
+from .due import Due, due
+from .in_force import in_force
+
+OWN = {"uk": "uk_funding.toml"}  # rules that come with the package
+PROVISIONS, LOW, BUY_OUT = "Technical provisions", "Low dependency", "Buy-out"
+
+
+class Basis(NamedTuple):
+    """One basis: `margin` over the curve; `liability` and `surplus` (assets less it), money;
+    `ratio` assets over it; `duration` years."""
+
+    name: str
+    margin: float
+    liability: float
+    surplus: float
+    ratio: float
+    duration: float
+
+
+class Recovery(NamedTuple):
+    """Level payments `each` year, money, at the end of each of `years` years, which are worth the
+    deficit on technical provisions; their `total`; all 0 without a deficit."""
+
+    deficit: float
+    years: float
+    each: float
+    total: float
+
+
+class Bases(NamedTuple):
+    """All bases, the recovery plan, and whether the scheme is at significant maturity."""
+
+    bases: list[Basis]
+    recovery: Recovery
+    mature: bool
+
+
+def read_funding(section: Place, table: FundingTable | None, day: datetime.date) -> Funding | None:
+    """The bases of a case under the rules in force on `day`; None without the table."""
+    if table is None:
+        return None
+
+    def made(data: dict[str, Any]) -> Funding:
+        low = (
+            float(data["low_dependency"]) if table.low_dependency is None else table.low_dependency
+        )
+        return Funding(
+            since=data["from"].isoformat(),
+            source=str(data["source"]),
+            margins={PROVISIONS: table.technical_provisions, LOW: low, BUY_OUT: table.buy_out},
+            significant_maturity=float(data["significant_maturity"]),
+            longest=float(data["recovery_years"]),
+            mature=float(data["mature_recovery_years"]),
+            recovery_years=table.recovery_years,
+        )
+
+    return in_force(section, table.rules, OWN, day, made)
+
+
+def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
+    """Every basis side by side. Where payments follow prices, margins are over real rates."""
+    plain = replace(case, liability=replace(case.liability, basis="risk-free"))
+    return side_by_side(case, due(plain, inputs))
+
+
+def side_by_side(case: PensionCase, paid: Due) -> Bases:
+    """The same from expected payments, discounted on the curve alone."""
+    assert case.funding is not None
+    assets = float(case.assets.amount.used())
+    found = [_basis(name, margin, paid, assets) for name, margin in case.funding.margins.items()]
+    mature = next(each for each in found if each.name == LOW).duration
+    old = mature <= case.funding.significant_maturity
+    years = case.funding.recovery_years
+    if years is None:
+        years = case.funding.mature if old else case.funding.longest
+    return Bases(found, _recovery(found[0], paid, years), old)
+
+
+def discounted(paid: Due, margin: float) -> np.ndarray:
+    """Discount factors at annual rates of the curve plus a margin."""
+    years = np.where(paid.years > 0, paid.years, 1.0)
+    rate = paid.discount ** (-1 / years) - 1 + margin
+    return np.where(paid.years > 0, (1 + rate) ** -years, paid.discount)
+
+
+def _basis(name: str, margin: float, paid: Due, assets: float) -> Basis:
+    value = paid.flow * discounted(paid, margin)
+    total = float(value.sum())
+    duration = float(value @ paid.years) / (total or 1.0)
+    return Basis(name, margin, total, assets - total, assets / (total or np.nan), duration)
+
+
+def _recovery(provisions: Basis, owed: Due, years: float) -> Recovery:
+    """A whole number of payments, and one in proportion for the rest of a year."""
+    deficit = max(-provisions.surplus, 0.0)
+    ends = np.append(np.arange(1, int(years) + 1), years)
+    paid = np.append(np.ones(int(years)), years - int(years))
+    rates = np.interp(ends, owed.years, discounted(owed, provisions.margin))
+    worth = float(paid @ rates)
+    each = deficit / worth
+    return Recovery(deficit, years, each, each * float(paid.sum()))

@@ -1,0 +1,48 @@
+"""The state of the law at a date, from a file of dated rules."""
+
+import datetime
+import tomllib
+from collections.abc import Callable, Mapping
+from importlib.resources import files
+from typing import Any, TypeVar
+
+from ..read.cells import Place
+
+Found = TypeVar("Found")
+
+
+def in_force(
+    section: Place,
+    name: str,
+    own: Mapping[str, str],
+    day: datetime.date,
+    made: Callable[[dict[str, Any]], Found],
+) -> Found:
+    """`made` of the newest version on `day` of the rules `name`, those of the package or a file.
+
+    **Arguments:**
+
+    - `own`: {name: file} of the rules that come with the package.
+
+    **Raises:** `CaseError` where the file is missing or incomplete, or holds nothing for the day.
+    """
+    try:
+        if name in own:
+            text = (files(__package__ or "") / own[name]).read_text(encoding="utf-8")
+        else:
+            text = (section.file.parent / name).read_text(encoding="utf-8")
+        versions = tomllib.loads(text)["version"]
+        known = [(each["from"], each) for each in versions if each["from"] <= day]
+    except FileNotFoundError:
+        what = f"there is no such file, nor rules of this name ({', '.join(own)})"
+        raise section.error("rules", name, what) from None
+    except (tomllib.TOMLDecodeError, KeyError, TypeError, UnicodeDecodeError) as error:
+        what = f"a TOML file with tables [[version]], each with a date from, is needed ({error})"
+        raise section.error("rules", name, what) from None
+    if not known:
+        raise section.error("rules", name, f"no version holds on {day}")
+    try:
+        return made(max(known, key=lambda pair: pair[0])[1])
+    except (KeyError, TypeError, ValueError) as error:
+        what = f"its version for {day} lacks a number or has one that cannot be read: {error}"
+        raise section.error("rules", name, what) from None
