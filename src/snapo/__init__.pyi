@@ -54,12 +54,12 @@ from snapo.problem.stages import Stages as Stages
 from snapo.solver.adjoint import Gradient as Gradient
 from snapo.solver.adjoint import value_and_gradient as value_and_gradient
 from snapo.solver.bound import Bound as Bound
-from snapo.solver.bound import Relaxation as Relaxation
 from snapo.solver.bound import bound as bound
 from snapo.solver.bound import nested_mean as nested_mean
 from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.evaluate import evaluate as evaluate
+from snapo.solver.relaxations.known import Relaxation as Relaxation
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution

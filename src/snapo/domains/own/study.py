@@ -11,7 +11,7 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
-from snapo.solver.bound import Relaxable
+from snapo.solver.relaxations.known import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.domain import Options
@@ -122,11 +122,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
 
 
 def _relaxation(problem: Problem):
-    """What the simulator's `relaxation` gives; or the reason why a run has no bound from above."""
-    simulator = problem.simulator
-    if isinstance(simulator, Relaxable):
-        return lambda: simulator.relaxation(problem)
-    return "its simulator has no method `relaxation`; see docs/bounds.md"
+    """The inner problem of the bound from above; or the reason why a run has none."""
+    return (lambda: relaxation_of(problem)) if bounded(problem) else UNKNOWN
 
 
 def make_setup(case: OwnCase, engine: str) -> Setup:

@@ -14,7 +14,7 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 
 
 class StoreRelaxation:
-    """See `snapo.solver.bound.Relaxation`; `fitted` is the value function of the penalty, if any.
+    """See `snapo.Relaxation`; `fitted` is the value function of the penalty, if any.
 
     Without `fitted` it is found here, where the price process has Gaussian factors.
     """

@@ -44,7 +44,7 @@ class Scale(NamedTuple):
 def functions(numbers: Float[Array, " d"], scale: Scale) -> Float[Array, " functions"]:
     """The monomials of one path's numbers."""
     x = jnp.clip((numbers - scale.centre) * scale.per, -REACH, REACH)
-    found = {(): jnp.ones((), x.dtype)}
+    found: dict[tuple[int, ...], Array] = {(): jnp.ones((), x.dtype)}
     for factors in exponents(x.shape[0])[1:]:
         found[factors] = found[factors[:-1]] * x[factors[-1]]
     return jnp.stack(list(found.values()))

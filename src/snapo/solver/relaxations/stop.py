@@ -19,7 +19,6 @@ from scipy.stats import qmc
 from snapo.engine import Rollout
 from snapo.engine.base import cast
 from snapo.problem.noise import Draws, Stored
-from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.simulator import at
@@ -27,7 +26,7 @@ from snapo.problem.simulator import at
 from .decisions import NotStopping, decisions, whole
 from .value import better, fit, value
 
-FIT, INNER = 16384, 128  # paths of the regression, and nested draws of every step
+FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
 FITTING = 258  # stream of the paths of the regression
 SHIFTS = 259  # seed of the shifts of nested draws
 TOGETHER = 32  # paths whose nested draws are in memory at once
@@ -35,7 +34,8 @@ NOT_DRAWN = "its scenarios are supplied: from a state nothing can be drawn"
 
 
 class StopRelaxation:
-    """See `snapo.solver.bound.Relaxation`. `policy` rolls the paths of the regression.
+    """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
+    nested draws of every path and step.
 
     **Raises:** `NotStopping` where the problem has no such bound; it says why.
     """
@@ -43,7 +43,7 @@ class StopRelaxation:
     terms = 1
     words = "the surprises of a fitted value of the rights"
 
-    def __init__(self, problem: Problem, policy: Policy, paths: int = FIT, inner: int = INNER):
+    def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
         if not isinstance(problem.sources.training, Pseudo):
             raise NotStopping(NOT_DRAWN)
@@ -52,9 +52,7 @@ class StopRelaxation:
         source = Pseudo(problem.sources.training.seed, stream=stream(EVALUATE, FITTING))
         with jax.enable_x64(True):
             self.schedule = cast(problem.schedule, np.float64)
-            self.fitted = jax.tree.map(
-                jnp.asarray, fit(self.decisions, policy, source, paths, self.schedule)
-            )
+            self.fitted = fit(self.decisions, source, paths, self.schedule)
             self._surprises, self._end = self._compiled()
             self._better = jax.jit(jax.vmap(better))
         self._kept: list[tuple[Rollout, np.ndarray, np.ndarray]] = []

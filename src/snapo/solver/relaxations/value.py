@@ -27,7 +27,7 @@ class Fitted(NamedTuple):
     """The value: `scales` of every step, leaves [T, d]; `waiting` [T, rights + 1, functions]."""
 
     scales: Scale
-    waiting: Float[np.ndarray, "steps left functions"]
+    waiting: Float[Array, "steps left functions"]
 
 
 def value(
@@ -53,12 +53,13 @@ def known(decisions: Decisions, schedule, t: Array, state: PyTree) -> tuple[Arra
     return jnp.append(decisions.observe(schedule, t, state), gain), earnings
 
 
-def fit(decisions: Decisions, policy, source: Scenarios, paths: int, schedule) -> Fitted:
+def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted:
     """The value fitted on paths of a source; call it inside `jax.enable_x64(True)`."""
     problem = decisions.problem
     engine, simulator = Xla(precision="float64").bind(problem), problem.simulator
     draws = source.draws(np.arange(source.available(paths)), simulator)
-    states = whole(engine.values(policy, draws, Exact(), record=("state",)))
+    waits = np.zeros((simulator.horizon, draws.size, decisions.rights))
+    states = whole(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
     numbers_of = jax.jit(jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0)))
     functions_of = jax.jit(jax.vmap(functions, (0, None)))
     better_of = jax.jit(jax.vmap(better))
@@ -75,4 +76,5 @@ def fit(decisions: Decisions, policy, source: Scenarios, paths: int, schedule) -
         ahead = np.asarray(better_of(earnings, basis @ found.T))
         scales.insert(0, scale)
         waiting.insert(0, found)
-    return Fitted(Scale(*map(np.stack, zip(*scales))), np.stack(waiting))
+    centre, per = (jnp.stack(each) for each in zip(*scales))
+    return Fitted(Scale(centre, per), jnp.stack(waiting))
