@@ -19,6 +19,8 @@ from snapo.problem.carry.table import decision_table as decision_table
 from snapo.problem.chain import Chain as Chain
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
+from snapo.problem.limits import AtLeast as AtLeast
+from snapo.problem.limits import AtMost as AtMost
 from snapo.problem.memory import GRU as GRU
 from snapo.problem.memory import Memory as Memory
 from snapo.problem.memory import Recent as Recent

@@ -131,7 +131,8 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     training = Training(**case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
-    problem = Problem(case.simulator, case.inputs, case.objective, sources)
+    limits = tuple(getattr(case.simulator, "limits", ()))
+    problem = Problem(case.simulator, case.inputs, case.objective, sources, limits)
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")

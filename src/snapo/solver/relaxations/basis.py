@@ -38,7 +38,8 @@ class Scale(NamedTuple):
         """From a sample; a number that is the same on all paths counts as zero."""
         centre, deviation = numbers.mean(0), numbers.std(0)
         varies = deviation > LEAST * np.maximum(np.abs(centre), 1.0)
-        return cls(centre, np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0))
+        per = np.where(varies, 1 / np.where(varies, deviation, 1.0), 0.0)
+        return cls(jnp.asarray(centre), jnp.asarray(per))
 
 
 def functions(numbers: Float[Array, " d"], scale: Scale) -> Float[Array, " functions"]:
