@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from .objective import Mean, Objective, Probability, Totals, Weighted
+from ..objective import Mean, Objective, Probability, Totals, Weighted
 
 
 @dataclass(frozen=True)
