@@ -21,6 +21,8 @@ from snapo.problem.chain import Chain as Chain
 from snapo.problem.families.family import Family as Family
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
+from snapo.problem.limits import AtLeast as AtLeast
+from snapo.problem.limits import AtMost as AtMost
 from snapo.problem.memory import GRU as GRU
 from snapo.problem.memory import Memory as Memory
 from snapo.problem.memory import Recent as Recent
@@ -57,7 +59,6 @@ from snapo.problem.stages import Stages as Stages
 from snapo.solver.adjoint import Gradient as Gradient
 from snapo.solver.adjoint import value_and_gradient as value_and_gradient
 from snapo.solver.bound import Bound as Bound
-from snapo.solver.bound import Relaxation as Relaxation
 from snapo.solver.bound import bound as bound
 from snapo.solver.bound import nested_mean as nested_mean
 from snapo.solver.certificate import bump_check as bump_check
@@ -65,6 +66,7 @@ from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.evaluate import evaluate as evaluate
 from snapo.solver.learning import log as log
 from snapo.solver.learning.imitate import imitate as imitate
+from snapo.solver.relaxations.known import Relaxation as Relaxation
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
 from snapo.solver.solution import Solution as Solution

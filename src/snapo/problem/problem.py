@@ -1,5 +1,6 @@
 """A problem: all that `solve` needs to know, in one object that everything above takes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -11,6 +12,7 @@ from jaxtyping import PyTree
 
 from . import inputs as inputs_
 from .actions import Actions
+from .limits import Limit, priced
 from .objective import Objective
 from .prepare import prepare
 from .scenarios import Sources
@@ -26,12 +28,14 @@ class Problem:
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
     - `objective`: of the path totals; made as large as possible.
     - `sources`: the scenarios of training, validation and evaluation.
+    - `limits`: kept on average or with a probability: `(AtMost("unserved", 0.05),)`.
     """
 
     simulator: Simulator
     inputs: PyTree
     objective: Objective
     sources: Sources = field(default_factory=lambda: Sources.of(None))
+    limits: tuple[Limit, ...] = ()
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -56,6 +60,15 @@ class Problem:
         steps = f"{type(self.simulator).__name__}, {self.simulator.horizon} steps"
         about = escape(f"{steps}, actions {self.action}, objective {self.objective}")
         return f"<p>{about}</p><table><tr>{head}</tr>{''.join(rows)}</table>"
+
+    def priced(self, prices: Sequence[float]) -> "Problem":
+        """The problem whose objective pays for its limits; the schedule is prepared no second
+        time."""
+        if not self.limits:
+            return self
+        other = replace(self, objective=priced(self.objective, self.limits, prices), limits=())
+        other.__dict__["schedule"] = self.schedule
+        return other
 
     @property
     def features(self) -> int:

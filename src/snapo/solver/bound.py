@@ -13,7 +13,7 @@ earnings as a control variate, and the gap of a path, hindsight less policy, is 
 
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
-from typing import Any, Literal, NamedTuple, Protocol, runtime_checkable
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -25,6 +25,7 @@ from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64
+from .relaxations.known import Relaxation, relaxation_of
 from .show import html
 from .statistics import mean
 
@@ -32,40 +33,6 @@ Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
 TRAINED, BOUND = 256, 257  # streams: of the paths that train a penalty, and of the bound's
 SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
-
-
-class Relaxation(Protocol):
-    """The inner problem of a simulator: best decisions of one path in hindsight, penalised.
-
-    - `terms`: how many parts the penalty has that can be scaled; 0 without a penalty.
-    - `words`: the penalty in a phrase, for a report.
-    """
-
-    @property
-    def terms(self) -> int: ...
-
-    @property
-    def words(self) -> str: ...
-
-    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the most that each path can be worth to the objective, or more; penalties subtracted.
-
-        `rolled` has the policy's states ("state": leaves [T, N, …]) and final states on the same
-        paths, whose exogenous part is that of every policy; `scale` [terms] multiplies the
-        penalty's parts (zeros: perfect foresight).
-        """
-        ...
-
-    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
-        """[N] the penalties of the policy's own decisions: of mean zero."""
-        ...
-
-
-@runtime_checkable
-class Relaxable(Protocol):
-    """A simulator that knows its relaxation."""
-
-    def relaxation(self, problem: Problem) -> Relaxation: ...
 
 
 class Between(NamedTuple):
@@ -130,7 +97,7 @@ class Bound:
 def bound(
     problem: Problem,
     policy: Policy,
-    relaxation: Relaxation,
+    relaxation: Relaxation | None = None,
     paths: int = 1024,
     *,
     penalty: Penalty = "value",
@@ -142,18 +109,21 @@ def bound(
 
     **Arguments:**
 
-    - `relaxation`: the inner problem; see `Relaxation`.
+    - `relaxation`: the inner problem (see `Relaxation`); by default that of the simulator, or of
+      stopping where `Stop` is the only decision.
     - `penalty`: "none" is perfect foresight; "value" the approximate value function as it is;
       "trained" scales its parts by descent on the bound, on `training_paths` other paths.
     - `source`: scenarios, by default ones that nothing else uses.
 
-    **Raises:** `ValueError` where the objective is no mean over paths, or the inner problem earns
-    less than the policy on some path: then it is not a relaxation.
+    **Raises:** `ValueError` where the objective is no mean over paths, where no relaxation is given
+    or known, or where the inner problem earns less than the policy on some path: then it is none.
     """
     if not problem.objective.by_path:
         kind = type(problem.objective).__name__
         what = "only a mean of what each path is worth is bounded from above"
         raise ValueError(f"bound: the objective is {kind}; {what}.")
+    if relaxation is None:
+        relaxation = relaxation_of(problem)
     fresh = _Paths(problem, policy, relaxation, engine or Xla(precision="float64"))
     seed = getattr(problem.sources.evaluation, "seed", 0)
     source = source or _fresh(problem, seed, BOUND)

@@ -16,6 +16,7 @@ from snapo.problem.describe import described, difference
 
 from .learning.growth import Growth
 from .learning.progress import Progress, Record
+from .limits.dual import Dual
 from .windows.critic import blank
 
 POLICIES = ("policy", "halfway")  # their settings are those of all policies of a training
@@ -40,6 +41,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "since": progress.since,
         "window": progress.window,
         "growth": progress.growth,
+        "dual": progress.dual,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
         "mark": mark,
@@ -59,12 +61,12 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
             raise CheckpointError(f"{file}: this file belongs to another run.")
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
-        growth = Growth.read(state["growth"])
+        growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    return replace(like, **trees, **plain, history=history, growth=growth)
+    return replace(like, **trees, **plain, history=history, growth=growth, dual=dual)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:

@@ -17,6 +17,7 @@ from .files import write_csv, write_text
 from .judge import COLUMNS, Verdict
 from .learning.growth import Growth
 from .learning.progress import Record
+from .limits.found import LimitFound
 from .sensitivity import Row, Sensitivities
 from .show import html
 from .show.figures import Figures
@@ -49,6 +50,7 @@ class Solution:
       "barely moved" (an untrained rule does as well); empty where the value is no number.
     - `growth`: adjoints by step and by part of the state, where training measured them.
     - `problem`: what was solved, None in one that was loaded: figures over time need it.
+    - `limits`: each of the problem's limits on fresh paths, with its shadow price.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -78,6 +80,7 @@ class Solution:
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
     problem: Problem | None = field(default=None, repr=False, compare=False)
+    limits: tuple[LimitFound, ...] = ()
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -132,6 +135,7 @@ class Solution:
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
+            *map(str, self.limits),
             *self.notes,
         ]
 
@@ -153,6 +157,7 @@ class Solution:
             "seed": self.seed,
             "status": self.status,
             "convergence": self.convergence,
+            "limits": [each._asdict() for each in self.limits],
         }
 
     def save(self, folder: Path | str) -> None:
@@ -212,6 +217,7 @@ class Solution:
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
+        plain["limits"] = tuple(LimitFound(**each) for each in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 

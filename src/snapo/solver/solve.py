@@ -13,6 +13,7 @@ from jaxtyping import PyTree
 
 from snapo.checker.first import first_mistakes
 from snapo.engine import Choice, Engine, Engines, Xla, choose
+from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective, Totals
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -24,6 +25,7 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
+from .limits.found import limits_found, notes_of
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train, whole
@@ -69,6 +71,7 @@ def solve(
     *,
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
+    limits: Sequence[Limit] = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
     engine: Choice = "auto",
@@ -87,6 +90,9 @@ def solve(
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
+    - `limits`: of means, probabilities or other numbers of all paths, such as
+      `(AtMost("unserved", 0.05),)`: an augmented Lagrangian finds their prices in training, and the
+      derivatives by inputs are those of the best value within the limits.
     - `engine`: "auto", "xla" or "native", or an engine.
     - `callbacks`: told the `Progress` at every validation, the last line of whose history is
       `progress.record`; one that returns True stops the training. `progress`: one to go on from.
@@ -99,9 +105,12 @@ def solve(
         if isinstance(problem, Simulator):
             given = evaluation.sources(training.seed) if scenarios is None else scenarios
             sources = Sources.of(given, training.seed)
-            problem = Problem(problem, inputs, objective or _only_output(problem, inputs), sources)
-        elif any(each is not None for each in (inputs, objective, scenarios)):
-            raise ValueError("solve: a Problem has its own inputs, objective and scenarios.")
+            problem = Problem(
+                problem, inputs, objective or _only_output(problem, inputs), sources, tuple(limits)
+            )
+        elif limits or any(each is not None for each in (inputs, objective, scenarios)):
+            what = "inputs, objective, scenarios and limits"
+            raise ValueError(f"solve: a Problem has its own {what}.")
         policy = _begun(policy).for_problem(problem.interface, jax.random.key(training.seed))
         if check:
             _refuse_mistakes(problem, policy)
@@ -158,9 +167,11 @@ def measure(
     exact = path_totals(problem, policy, evaluation.paths, engine=engine)
     value = estimate(objective, exact, source, controls)
     gap = _smoothing_gap(problem, policy, exact, smooth, engine)
-    table = _sensitivities(problem, progress, evaluation, smooth, engine)
+    limits = limits_found(problem, policy, exact, progress.dual, smooth, engine)
+    within = problem.priced([abs(each.price) for each in limits])
+    table = _sensitivities(within, progress, evaluation, smooth, engine)
     held = min(evaluation.sensitivity_paths, evaluation.paths)
-    ended = ending(problem, untrained, progress, exact, held, engine)
+    ended = ending(within, untrained, progress, exact, held, engine)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
@@ -185,7 +196,11 @@ def measure(
             min(evaluation.sensitivity_paths, evaluation.paths),
         ),
         "dropped": dropped,
-        "notes": _notes(value, dropped, ruined(objective, exact)) + _chosen(progress) + ended.notes,
+        "notes": _notes(value, dropped, ruined(objective, exact))
+        + _chosen(progress)
+        + ended.notes
+        + notes_of(limits),
+        "limits": limits,
         "growth": progress.growth,
         "convergence": ended.word,
         "status": _status(value.value, progress.status),

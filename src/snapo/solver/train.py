@@ -31,6 +31,8 @@ from .learning.progress import Progress, Record
 from .learning.progress import begin as begin
 from .learning.settings import Training
 from .learning.settings import whole as whole
+from .limits.dual import Dual
+from .limits.dual import moved as moved_prices
 from .windows.critic import Learner, has_worth_ahead, learner
 from .windows.window import UPDATES, sweep, window_adjoint
 
@@ -102,6 +104,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     """One step: fresh paths, one adjoint pass, one update."""
     step, training, problem = progress.step, loop.training, loop.problem
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
+    dual = _dual(loop, progress, draws)
+    loop = loop._replace(problem=problem.priced(dual.prices))
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
     progress = _chosen(loop, progress, smooth)
@@ -129,8 +133,19 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         optimiser=moved.optimiser,
         history=(*progress.history, record),
         critic=moved.critic,
+        dual=dual,
         status="training" if np.isfinite(moved.norm) else "diverged",
     )
+
+
+def _dual(loop: Loop, progress: Progress, draws) -> Dual:
+    """The prices of the limits for this step, from its exact paths."""
+    problem, training = loop.problem, loop.training
+    if not problem.limits:
+        return progress.dual
+    totals = float64(loop.bound.values(progress.policy, draws, Exact()).totals)
+    left = min(1.0, 4 * (1 - progress.step / max(1, training.steps)))  # in the last quarter
+    return moved_prices(progress.dual, problem.objective, problem.limits, totals, left)
 
 
 class Moved(NamedTuple):
@@ -196,6 +211,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     exploded = clipping.exploded(norms, progress.since)
     doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms))
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
+    may_window = may_window and not progress.dual.prices
     again = progress.clip is not None and step % clipping.EVERY == 0
     may_clip = training.clip == "auto" and (exploded or again)
     if not may_window and not may_clip:
@@ -246,7 +262,8 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
     totals = loop.bound.values(progress.average, draws, Exact()).totals
     totals = float64(totals)
     value = worth(problem.objective, totals)
-    better = np.isfinite(value) and value > progress.best_value
+    # Within limits the newest is the best: an earlier one may have more, and not meet them.
+    better = np.isfinite(value) and (value > progress.best_value or bool(problem.limits))
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value
     history = progress.history

@@ -16,8 +16,8 @@ from snapo.problem.inputs import Input
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver import statistics
-from snapo.solver.bound import Relaxation
 from snapo.solver.files import write_csv
+from snapo.solver.relaxations.known import Relaxation
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training

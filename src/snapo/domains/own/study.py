@@ -12,7 +12,7 @@ from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at, probe
 from snapo.problem.smooth import Exact
-from snapo.solver.bound import Relaxable
+from snapo.solver.relaxations.known import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
 from snapo.study.domain import Options
@@ -132,11 +132,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
 
 
 def _relaxation(problem: Problem):
-    """What the simulator's `relaxation` gives; or the reason why a run has no bound from above."""
-    simulator = problem.simulator
-    if isinstance(simulator, Relaxable):
-        return lambda: simulator.relaxation(problem)
-    return "its simulator has no method `relaxation`; see docs/bounds.md"
+    """The inner problem of the bound from above; or the reason why a run has none."""
+    return (lambda: relaxation_of(problem)) if bounded(problem) else UNKNOWN
 
 
 def make_setup(case: OwnCase, engine: str) -> Setup:
@@ -144,7 +141,8 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     training = Training(**case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
-    problem = Problem(case.simulator, case.inputs, case.objective, sources)
+    limits = tuple(getattr(case.simulator, "limits", ()))
+    problem = Problem(case.simulator, case.inputs, case.objective, sources, limits)
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")

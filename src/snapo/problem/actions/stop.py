@@ -1,12 +1,11 @@
 """When to stop: a right, or several, to be used once each."""
 
-import math
-
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..smooth import Smooth
 from .base import ROUNDING, Actions
 
 NEAR = 1e-3  # a hazard nearer to 0 or 1 than this moves as if it were this
@@ -24,7 +23,7 @@ class Stop(Actions):
         def initial(…):   state = {…, "right": self.action.initial()}
         def step(…):      right, used = self.action.use(state["right"], action)
                           return {…, "right": right}, {"payoff": used * payoff}
-        def terminal(…):  return {"payoff": self.action.left(state["right"]) * payoff}
+        def terminal(…):  return {"payoff": self.action.alive(state["right"]) * payoff}
 
     Size: one hazard for each number of rights left, since how to decide depends on it.
 
@@ -48,14 +47,30 @@ class Stop(Actions):
         return self.rights
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """1 / (1 + exp(-score / (temperature * scale))), the score being raw plus the logarithm of
-        the untrained odds; exact: 1 where the score is above 0."""
-        return smooth.indicator(raw + math.log(self.hazard / (1 - self.hazard)), self.scale)
+        """(1 + u / (1 + u^2)^.5) / 2 of the score u: raw, so moved that of 0 comes the untrained
+        hazard, by temperature * scale; exact: 1 where it is above 0.
+
+        Not the logistic curve: its slope vanishes like the hazard itself, so that a training whose
+        first steps all say "stop less" never comes back.
+        """
+        return self._hazard(raw + _score(self.hazard), smooth)
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
-        """A hazard whose log odds are those of `base` plus a correction."""
-        inner = jnp.clip(base, NEAR, 1 - NEAR)
-        return smooth.indicator(jnp.log(inner / (1 - inner)) + correction, self.scale)
+        """A hazard whose score is that of `base` plus a correction."""
+        return self._hazard(_score(jnp.clip(base, NEAR, 1 - NEAR)) + correction, smooth)
+
+    def _hazard(self, score: Array, smooth) -> Array:
+        exact = smooth.indicator(score)
+        if not isinstance(smooth, Smooth):
+            return exact
+        width = smooth.temperature * self.scale
+        hot = width > 0
+        u = jnp.where(hot, score, 0.0) / jnp.where(hot, width, 1.0)
+        size = jnp.where(u < 0, -u, u)  # not abs, whose slope at 0 is 0
+        root = jnp.sqrt(1 + u * u)
+        # The smaller one of both probabilities: one less the larger would lose its digits.
+        least = 0.5 / (root * (root + size))
+        return jnp.where(hot, jnp.where(u < 0, least, 1 - least), exact)
 
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         return smooth.round(action)
@@ -78,6 +93,10 @@ class Stop(Actions):
         """The expected number of rights left; for one right, the probability of being alive."""
         return jnp.arange(1, self.rights + 1, dtype=right.dtype) @ right
 
+    def alive(self, right: Float[Array, " rights"]) -> Float[Array, ""]:
+        """The probability that at least one right is left."""
+        return right.sum()
+
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         if np.all(np.minimum(np.abs(action), np.abs(action - 1)) <= ROUNDING):
             return None
@@ -85,3 +104,8 @@ class Stop(Actions):
             f"It is {np.round(action, 4).tolist()}.",
             "An exact Stop is 1 or 0: smooth.indicator(…) or action.squash(…, smooth).",
         )
+
+
+def _score(hazard):
+    """The score of a hazard: the inverse of (1 + u / (1 + u^2)^.5) / 2."""
+    return (hazard - 0.5) / (hazard * (1 - hazard)) ** 0.5

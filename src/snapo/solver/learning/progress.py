@@ -9,6 +9,7 @@ from snapo.problem.memory import remembering
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
+from ..limits.dual import Dual
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
 from .growth import Growth
@@ -44,6 +45,7 @@ class Progress:
     `window`, `critic`: of training on windows, given or chosen.
     `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
     began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
+    `dual`: the prices of the problem's limits.
     """
 
     step: int
@@ -62,6 +64,7 @@ class Progress:
     clip: float | None = None
     since: int = 0
     growth: Growth | None = None
+    dual: Dual = Dual()
 
     @property
     def record(self) -> Record:
@@ -76,6 +79,8 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     if isinstance(training.window, int):
         if problem is None:
             raise ValueError("begin: give the problem too where training has a window.")
+        if problem.limits:
+            raise ValueError("begin: training on windows knows no limits; take window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
     state = optimiser(training, UPDATES if window else 1).init(flat(trainable(policy)[0]))

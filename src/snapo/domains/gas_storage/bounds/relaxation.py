@@ -14,7 +14,7 @@ PARTS = 3  # of the penalty: polynomials, hinges, the constant
 
 
 class StoreRelaxation:
-    """See `snapo.solver.bound.Relaxation`.
+    """See `snapo.Relaxation`.
 
     `fitted` is the value function of the penalty, where the price process has Gaussian factors; it
     is a finer one than that of the policy's guide.

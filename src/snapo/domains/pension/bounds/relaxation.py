@@ -55,7 +55,7 @@ class Deflated(NamedTuple):
 
 
 class FundRelaxation:
-    """See `snapo.solver.bound.Relaxation`; prices of risk and y are fitted on paths of their own.
+    """See `snapo.Relaxation`; prices of risk and y are fitted on paths of their own.
 
     `policy` makes these paths; no decision matters there.
     """

@@ -1,0 +1,161 @@
+"""`python -m benchmarks.stopping [SEEDS [NAME …]]`: stopping problems of known value, by seed.
+
+Each is written the obvious way, with `Stop`; trained, valued on fresh paths, and certified: the
+bound from above needs nothing from the user. Values: American put by finite differences
+(Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1), max-calls by a lattice
+and by an interval (Andersen and Broadie, *Management Science* 50, 2004, table 2), swing puts by
+a fine lattice (tests/solver/test_bound.py).
+"""
+
+import importlib.util
+import sys
+import time
+from pathlib import Path
+from typing import NamedTuple
+
+import jax.numpy as jnp
+
+import snapo
+
+from .machine import machine
+
+SHARES = {"spot": 100.0, "strike": 100.0, "rate": 0.05, "dividend": 0.1, "volatility": 0.2}
+LONGER = {"steps": 600, "paths": 1024}  # than by default: 240 and 512
+SHARE = {"spot": 40.0, "strike": 40.0, "rate": 0.06, "volatility": 0.2}
+
+
+class MaxCall(snapo.Simulator):
+    """The right to buy the best of several shares, on nine dates in three years and at the end."""
+
+    horizon: int = 9
+    noise_size: int = 2
+    action: snapo.Stop = snapo.Stop()
+
+    def prepare(self, inputs):
+        year = jnp.arange(9.0) / 3
+        drift = (inputs["rate"] - inputs["dividend"] - inputs["volatility"] ** 2 / 2) / 3
+        moves = {"drift": drift, "deviation": inputs["volatility"] / 3**0.5}
+        steps = {"left": 1 - year / 3, "discount": jnp.exp(-inputs["rate"] * year)}
+        return snapo.Schedule({**inputs, **moves}, steps)
+
+    def initial(self, terms, noise):
+        spots = jnp.full(self.noise_size, terms["spot"])
+        return {"spots": spots, "right": self.action.initial()}
+
+    def observe(self, terms, now, state):
+        ordered = jnp.sort(2 * jnp.log(state["spots"] / terms["strike"]))
+        return jnp.concatenate([ordered, now["left"][None]])
+
+    def step(self, terms, now, state, action, noise, smooth):
+        right, used = self.action.use(state["right"], action)
+        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
+        spots = state["spots"] * jnp.exp(terms["drift"] + terms["deviation"] * noise)
+        return {"spots": spots, "right": right}, {"cash": used * now["discount"] * payoff}
+
+    def terminal(self, terms, state, smooth):
+        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
+        return {"cash": self.action.left(state["right"]) * jnp.exp(-3 * terms["rate"]) * payoff}
+
+
+class SwingPut(snapo.Simulator):
+    """Rights to sell a share at the strike, at most one on each of fifty dates in a year."""
+
+    horizon: int = 49  # decisions: on the last date there is nothing to wait for
+    noise_size: int = 1
+    initial_noise_size = 1  # the first date is one step from today
+    action: snapo.Stop = snapo.Stop()
+
+    def prepare(self, inputs):
+        year = jnp.arange(1.0, 50.0) / 50
+        drift = (inputs["rate"] - inputs["volatility"] ** 2 / 2) / 50
+        moves = {"drift": drift, "deviation": inputs["volatility"] / 50**0.5}
+        steps = {"left": 1 - year, "discount": jnp.exp(-inputs["rate"] * year)}
+        return snapo.Schedule({**inputs, **moves}, steps)
+
+    def initial(self, terms, noise):
+        spot = terms["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
+        return {"spot": spot, "right": self.action.initial()}
+
+    def observe(self, terms, now, state):
+        return jnp.stack([5 * jnp.log(state["spot"] / terms["strike"]), now["left"]])
+
+    def step(self, terms, now, state, action, noise, smooth):
+        right, used = self.action.use(state["right"], action)
+        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
+        spot = state["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
+        return {"spot": spot, "right": right}, {"cash": used * now["discount"] * payoff}
+
+    def terminal(self, terms, state, smooth):
+        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
+        return {"cash": self.action.alive(state["right"]) * jnp.exp(-terms["rate"]) * payoff}
+
+
+class Case(NamedTuple):
+    """A problem and its known value."""
+
+    simulator: snapo.Simulator
+    inputs: dict
+    value: float
+
+
+def put() -> tuple[snapo.Simulator, dict]:
+    """The American put of `examples/american_put.py`."""
+    file = Path(__file__).parents[1] / "examples" / "american_put.py"
+    spec = importlib.util.spec_from_file_location("american_put", file)
+    assert spec is not None and spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module.Put(), module.inputs
+
+
+def cases() -> dict[str, Case]:
+    """All of them by name."""
+    shares, share = ({n: snapo.Input(x) for n, x in each.items()} for each in (SHARES, SHARE))
+    return {
+        "put": Case(*put(), 4.478),
+        "max-call of 2": Case(MaxCall(noise_size=2), shares, 13.902),
+        "max-call of 5": Case(MaxCall(noise_size=5), shares, 26.14),
+        "swing put, 1": Case(SwingPut(), share, 2.3140),
+        "swing put, 3": Case(SwingPut(action=snapo.Stop(rights=3)), share, 6.8707),
+    }
+
+
+def trained(case: Case, seed: int) -> tuple[snapo.Problem, snapo.Solution]:
+    """The problem, and its solution with little evaluated: the bound has less noise."""
+    problem = snapo.Problem(
+        case.simulator, case.inputs, snapo.Mean("cash"), snapo.Sources.of(None, seed)
+    )
+    few = snapo.Evaluation(paths=4096, sensitivity_paths=0, smooth_paths=0)
+    return problem, snapo.solve(
+        problem, training=snapo.Training(seed=seed, **LONGER), evaluation=few
+    )
+
+
+def measured(case: Case, seed: int, paths: int = 4096) -> snapo.Bound:
+    """The policy's value and the bound from above, on the same paths."""
+    problem, solution = trained(case, seed)
+    assert solution.policy is not None
+    return snapo.bound(problem, solution.policy, paths=paths)
+
+
+def main(seeds: int, names: list[str]) -> None:
+    """Prints a line for each problem and seed."""
+    print(machine())
+    for name, case in cases().items():
+        for seed in range(seeds) if not names or name in names else ():
+            problem, solution = trained(case, seed)
+            started = time.perf_counter()
+            found = snapo.bound(problem, solution.policy, paths=4096)
+            spent = time.perf_counter() - started
+            lower, upper, gap = found.lower, found.upper, found.gap
+            print(
+                f"{name:<14} {case.value:>8.4f} seed {seed}: {lower.value:.4f} ± "
+                f"{lower.standard_error:.4f} ({lower.value / case.value - 1:+.2%}), at most "
+                f"{upper.value:.4f} ± {upper.standard_error:.4f}, gap {gap.value / case.value:.2%};"
+                f" trained in {solution.seconds['train']:.0f} s, bound in {spent:.0f} s",
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main(int(sys.argv[1]) if len(sys.argv) > 1 else 3, sys.argv[2:])

@@ -1,0 +1,132 @@
+"""The bound from above of any stopping problem, with nothing asked of its user.
+
+The inner problem is to stop best in hindsight, with any number of rights (Rogers 2002; Haugh and
+Kogan 2004; for several rights Schoenmakers, *Finance and Stochastics* 16, 2012). Each decision is
+charged the surprise in its earnings and in a fitted value of what is left afterwards. Their
+expectations come from nested draws of one step: points of low discrepancy, shifted at random
+for every path and step, so that they are unbiased and their noise is small (Andersen and Broadie
+2004 draw at random, and many steps).
+"""
+
+from collections.abc import Callable
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.scipy.special import ndtri
+from scipy.stats import qmc
+
+from snapo.engine import Rollout
+from snapo.engine.base import cast
+from snapo.problem.noise import Draws, Stored
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, stream
+from snapo.problem.simulator import at
+
+from .decisions import NotStopping, decisions, whole
+from .value import better, fit, value
+
+FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
+FITTING = 258  # stream of the paths of the regression
+SHIFTS = 259  # seed of the shifts of nested draws
+TOGETHER = 32  # paths whose nested draws are in memory at once
+NOT_DRAWN = "its scenarios are supplied: from a state nothing can be drawn"
+
+
+class StopRelaxation:
+    """See `snapo.Relaxation`. `paths` are those of the regression, `inner` the
+    nested draws of every path and step.
+
+    **Raises:** `NotStopping` where the problem has no such bound; it says why.
+    """
+
+    terms = 1
+    words = "the surprises of a fitted value of the rights"
+
+    def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
+        self.decisions, self.horizon = decisions(problem), problem.simulator.horizon
+        if not isinstance(problem.sources.training, Pseudo):
+            raise NotStopping(NOT_DRAWN)
+        self.size = problem.simulator.noise_size
+        self.points = qmc.Sobol(max(self.size, 1), scramble=False).random(inner)
+        source = Pseudo(problem.sources.training.seed, stream=stream(EVALUATE, FITTING))
+        with jax.enable_x64(True):
+            self.schedule = cast(problem.schedule, np.float64)
+            self.fitted = fit(self.decisions, source, paths, self.schedule)
+            self._surprises, self._end = self._compiled()
+            self._better = jax.jit(jax.vmap(better))
+        self._kept: list[tuple[Rollout, np.ndarray, np.ndarray]] = []
+
+    def best(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        earnings, surprises = self._table(rolled, draws)
+        with jax.enable_x64(True):
+            ahead = self._end(rolled.state)
+            for earned, surprise in zip(earnings[::-1], surprises[::-1]):
+                # `better` adds the worth of what is left to what a decision earns less its penalty.
+                ahead = self._better(earned - scale[0] * surprise, ahead)
+            return np.asarray(ahead)[:, -1]
+
+    def charged(self, rolled: Rollout, draws: Draws, scale: np.ndarray) -> np.ndarray:
+        surprises = self._table(rolled, draws)[1]
+        left = self.decisions.left(whole(rolled))
+        found = np.zeros(left.shape[1])
+        for surprise, before, after in zip(surprises, left, left[1:]):
+            found += surprise[np.arange(left.shape[1]), before, before - after]
+        return scale[0] * found
+
+    def _table(self, rolled: Rollout, draws: Draws) -> tuple[np.ndarray, np.ndarray]:
+        """[T, N, rights + 1, 2] twice: every decision's earnings, and the surprise in them and in
+        the value of what is left."""
+        for known, earnings, surprises in self._kept:
+            if known is rolled:
+                return earnings, surprises
+        states, found = rolled.record["state"], []
+        for t in range(self.horizon):
+            shifts = np.random.default_rng([SHIFTS, t]).random((draws.size, self.points.shape[1]))
+            with jax.enable_x64(True):
+                given = np.int32(t), at(states, t), _noise(draws, t, self.size), shifts
+                found.append([np.asarray(x) for x in self._surprises(*given)])
+        earnings, surprises = map(np.stack, zip(*found))
+        self._kept.append((rolled, earnings, surprises))
+        return earnings, surprises
+
+    def _compiled(self) -> tuple[Callable, Callable]:
+        """What every step computes on all paths, and what the last states earn."""
+        problem, schedule, fitted, last = self.decisions, self.schedule, self.fitted, self.horizon
+
+        def worth(t, state):
+            """The value at step t, or of the last state."""
+            return jax.lax.cond(
+                t == last,
+                lambda: problem.end(schedule, state),
+                lambda: value(problem, schedule, fitted, jnp.minimum(t, last - 1), state),
+            )
+
+        def decided(t, state, noise):
+            """[rights + 1, 2] of every decision: its earnings, and with what is left after it."""
+            after, earnings = problem.step(schedule, t, state, noise)
+            ahead = worth(t + 1, after)
+            left = jnp.stack([ahead, jnp.append(ahead[:1], ahead[:-1])], axis=1)
+            return earnings, earnings + left
+
+        def one(t, state, noise, shift):
+            # Numbers that are never 0 or 1, whose normals are infinite.
+            uniform = jnp.clip((self.points + shift) % 1.0, 1e-12, 1 - 1e-12)
+            nested = ndtri(uniform)[:, : self.size]
+            mean = jax.vmap(lambda z: decided(t, state, z)[1])(nested).mean(0)
+            earnings, found = decided(t, state, noise)
+            return earnings, found - mean
+
+        def all_paths(t, states, noise, shifts):
+            given = states, noise, shifts
+            return jax.lax.map(lambda x: one(t, *x), given, batch_size=TOGETHER)
+
+        return jax.jit(all_paths), jax.jit(jax.vmap(lambda state: problem.end(schedule, state)))
+
+
+def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
+    """[N, size] the noise of step t."""
+    if isinstance(draws, Stored):
+        return np.asarray(draws.step_noise)[t]
+    many = jax.vmap(lambda each: each.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
+    return np.asarray(many(draws))

@@ -1,0 +1,80 @@
+"""An approximate value of a stopping problem, by regression on simulated paths.
+
+Backwards in time, the worth of waiting is fitted to the value a step later (Longstaff and
+Schwartz 2001; Tsitsiklis and Van Roy 2001), and the value is the better one of stopping and
+waiting. It is used for penalties alone: its error widens a bound, and never makes it wrong.
+"""
+
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, PyTree
+
+from snapo.engine import Xla
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
+
+from .basis import Scale, functions
+from .decisions import Decisions, whole
+
+RIDGE = 1e-10  # of the normal equations, against their largest diagonal number
+
+
+class Fitted(NamedTuple):
+    """The value: `scales` of every step, leaves [T, d]; `waiting` [T, rights + 1, functions]."""
+
+    scales: Scale
+    waiting: Float[Array, "steps left functions"]
+
+
+def value(
+    decisions: Decisions, schedule, fitted: Fitted, t: Array, state: PyTree
+) -> Float[Array, " left"]:
+    """One path: the value at step t, by the rights left."""
+    numbers, earnings = known(decisions, schedule, t, state)
+    found = at(fitted.waiting, t) @ functions(numbers, at(fitted.scales, t))
+    return better(earnings, found)
+
+
+def better(earnings: Float[Array, "left 2"], after: Float[Array, " left"]) -> Float[Array, " left"]:
+    """The value of the better decision, from the worth of what is left afterwards."""
+    waiting, using = earnings[:, 0] + after, earnings[1:, 1] + after[:-1]
+    return jnp.concatenate([waiting[:1], jnp.maximum(waiting[1:], using)])
+
+
+def known(decisions: Decisions, schedule, t: Array, state: PyTree) -> tuple[Array, Array]:
+    """One path: the numbers of the basis, and every decision's earnings where no noise comes."""
+    calm = jnp.zeros(decisions.problem.simulator.noise_size)
+    _, earnings = decisions.step(schedule, t, state, calm)
+    gain = earnings[-1, 1] - earnings[-1, 0]
+    return jnp.append(decisions.observe(schedule, t, state), gain), earnings
+
+
+def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted:
+    """The value fitted on paths of a source; call it inside `jax.enable_x64(True)`."""
+    problem = decisions.problem
+    engine, simulator = Xla(precision="float64").bind(problem), problem.simulator
+    draws = source.draws(np.arange(source.available(paths)), simulator)
+    waits = np.zeros((simulator.horizon, draws.size, decisions.rights))
+    states = whole(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
+    numbers_of = jax.jit(jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0)))
+    functions_of = jax.jit(jax.vmap(functions, (0, None)))
+    better_of = jax.jit(jax.vmap(better))
+    ends = jax.jit(jax.vmap(lambda state: decisions.end(schedule, state)))
+    ahead = np.asarray(ends(at(states, simulator.horizon)))
+    scales, waiting = [], []
+    for t in reversed(range(simulator.horizon)):
+        numbers, earnings = numbers_of(jnp.asarray(t), at(states, t))
+        scale = Scale.of(np.asarray(numbers))
+        basis = np.asarray(functions_of(numbers, scale))
+        normal = basis.T @ basis
+        normal[np.diag_indices_from(normal)] += RIDGE * normal.diagonal().max()
+        found = np.linalg.solve(normal, basis.T @ ahead).T
+        ahead = np.asarray(better_of(earnings, basis @ found.T))
+        scales.insert(0, scale)
+        waiting.insert(0, found)
+    centre, per = (jnp.stack(each) for each in zip(*scales))
+    return Fitted(Scale(centre, per), jnp.stack(waiting))
