@@ -40,6 +40,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "since": progress.since,
         "window": progress.window,
         "growth": progress.growth,
+        "raced": progress.raced,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
         "mark": mark,
@@ -60,11 +61,12 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
         growth = Growth.read(state["growth"])
+        raced = tuple(state.get("raced", ()))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    return replace(like, **trees, **plain, history=history, growth=growth)
+    return replace(like, **trees, **plain, history=history, growth=growth, raced=raced)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:

@@ -25,6 +25,7 @@ from .adjoint import float64
 from .evaluate import worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
+from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, updater
 from .learning.progress import Progress, Record
@@ -56,13 +57,18 @@ def train(
     training: Training,
     engine: Engine,
     callbacks: Sequence[Callback] = (),
+    until: int | None = None,
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
+
+    With `until` it stops after that step, validated, and can go on from there.
 
     On Ctrl-C the callbacks are told once more, and the interrupt goes on to the caller. The status
     of the result is "trained", "stopped early" or "diverged".
     """
     problem = remembering(problem, progress.policy)
+    training = fitted(training, problem, progress.policy)
+    last = training.steps if until is None else min(until, training.steps)
     loop = Loop(problem, training, engine.bind(problem), *_updaters(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
@@ -70,10 +76,10 @@ def train(
         if progress.step == 0:
             # What training starts from may be hard to beat: it is the first candidate.
             progress = _validate(loop, progress)
-        while progress.status == "training":
+        while progress.status == "training" and (until is None or progress.step < last):
             # An interrupt must not leave a step whose validation is due and not done.
             moved = _advance(loop, progress) if progress.step < training.steps else progress
-            due = _due(moved, training)
+            due = _due(moved, training) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             progress = moved

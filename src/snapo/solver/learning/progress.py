@@ -11,6 +11,7 @@ from snapo.problem.problem import Problem
 
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
+from .following import fitted
 from .growth import Growth
 from .optimiser import flat, optimiser
 from .settings import Training
@@ -42,6 +43,7 @@ class Progress:
     `window`, `critic`: of training on windows, given or chosen.
     `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
     began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
+    `raced`: the exact values of all starts, where there were several, when each was last compared.
     """
 
     step: int
@@ -60,10 +62,12 @@ class Progress:
     clip: float | None = None
     since: int = 0
     growth: Growth | None = None
+    raced: tuple[float, ...] = ()
 
 
 def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
     """The state before the first step; training on windows needs the problem, for its critic."""
+    training = training if problem is None else fitted(training, problem, policy)
     given = training.clip if isinstance(training.clip, int | float) else None
     window, critic = None, None
     if isinstance(training.window, int):

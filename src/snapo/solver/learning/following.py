@@ -1,0 +1,37 @@
+"""Numbers of steps and paths that follow the problem, where nobody gives them.
+
+A path of many steps holds many decisions, so fewer paths tell as much; and a step of training over
+a short horizon costs little, so there is time for more of them. Work counts the products that a
+network takes over a path: horizon times parameters. It is the same on every machine.
+"""
+
+import math
+from dataclasses import replace
+
+from snapo.problem.policy import Policy, parameters
+from snapo.problem.problem import Problem
+
+from .settings import Training, follows
+
+WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
+PATHS = (16, 512)  # at least, at most
+STEPS = (240, 960)
+LONG = 48_000  # steps of the simulator that all steps of training go through, on one path
+
+
+def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
+    """The training with numbers in place of all that follows the problem."""
+    paths, steps = training.paths, training.steps
+    horizon = problem.simulator.horizon
+    if follows(paths):
+        work = horizon * max(1, parameters(policy).size)
+        paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
+    if follows(steps):
+        # The gradient of fewer paths is noisier, which more steps average out.
+        noisy = (PATHS[1] / paths) ** 0.25 if paths < PATHS[1] else 1.0
+        steps = round(noisy * _within(STEPS, LONG // horizon))
+    return replace(training, paths=paths, steps=steps)
+
+
+def _within(limits: tuple[int, int], number: int) -> int:
+    return min(limits[1], max(limits[0], number))
