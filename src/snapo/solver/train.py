@@ -198,7 +198,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step = loop.training, progress.step
     exploded = clipping.exploded(norms, progress.since)
-    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms))
+    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms, training.paths))
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
     again = progress.clip is not None and step % clipping.EVERY == 0
     may_clip = training.clip == "auto" and (exploded or again)

@@ -109,11 +109,13 @@ class Hydro(snapo.Simulator):
     noise_size: int = 1
 
     def prepare(self, inputs):
-        every = jnp.asarray(inflows())
+        every, year = jnp.asarray(inflows()), jnp.arange(MONTHS) / MONTHS
         steps = {
             "inflow": every[1:],
             "demand": inputs["demand"],
-            "left": 1 - jnp.arange(MONTHS) / MONTHS,
+            "clock": jnp.stack(
+                [1 - year, jnp.cos(2 * jnp.pi * year), jnp.sin(2 * jnp.pi * year)], 1
+            ),
         }
         tables = {"turbines": TURBINES, "stores": STORES, "yield": YIELD}
         constants = {name: jnp.asarray(table) for name, table in tables.items()}
@@ -123,7 +125,7 @@ class Hydro(snapo.Simulator):
         return constants["first"]
 
     def observe(self, constants, now, state):
-        return jnp.append(2 * state / constants["stores"] - 1, now["left"])
+        return jnp.concatenate([2 * state / constants["stores"] - 1, now["clock"]])
 
     def step(self, constants, now, state, action, noise, smooth):
         out = smooth.minimum(constants["turbines"] * action, state, scale=10.0)

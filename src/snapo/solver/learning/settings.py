@@ -12,12 +12,17 @@ class _Follows(int):
         return "FOLLOWS"
 
 
+class _Rate(float):
+    """A rate that is chosen when the problem is known."""
+
+
 FOLLOWS = _Follows(0)  # where a setting is not given (see `following`)
+RATE = _Rate(0.01)  # of Adam, where it is not given; it is this one where the steps are given
 
 
 def follows(value: object) -> bool:
     """Whether a setting is not given, so that it follows the problem."""
-    return isinstance(value, _Follows)
+    return isinstance(value, _Follows | _Rate)
 
 
 @dataclass(frozen=True)
@@ -25,7 +30,8 @@ class Training:
     """How a policy is trained.
 
     - `steps`, `paths`: updates, and antithetic fresh paths for each; where they are not given, they
-      follow the horizon and the size of the policy (`solver.learning.following`).
+      follow the horizon and the size of the policy, and `learning_rate` follows them
+      (`solver.learning.following`).
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
@@ -43,7 +49,7 @@ class Training:
 
     steps: int = FOLLOWS
     paths: int = FOLLOWS
-    learning_rate: float = 0.01
+    learning_rate: float = RATE
     warmup: int = 20
     temperature_start: float = 0.02
     temperature_end: float = 0.005
