@@ -12,6 +12,7 @@ from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
+from snapo.solver.learning.features import spread
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
@@ -23,6 +24,7 @@ from .study import Part, StudyRun
 def train(run: StudyRun) -> dict[str, Any]:
     """Solves the study's problem into the run folder."""
     problem, policy, training, evaluation, engines = run.setup
+    policy = spread(policy, problem, engines.train, training.temperature(0))
     solution = solve(
         problem,
         policy=policy,

@@ -37,7 +37,7 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
         noisy = (PATHS[1] / paths) ** 0.6 if paths < PATHS[1] else 1.0
         steps = round(noisy * _within(STEPS, LONG // horizon))
         if follows(rate):
-            rate *= math.sqrt(steps / STEPS[0]) * min(1.0, WIDTH / _width(policy))
+            rate *= math.sqrt(steps / STEPS[0]) * min(1.0, WIDTH / _width(policy)) ** 0.75
     return replace(training, paths=paths, steps=steps, learning_rate=float(rate))
 
 

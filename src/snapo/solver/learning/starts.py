@@ -23,7 +23,7 @@ ROUND = 0.1  # of the steps of a run, between two halvings: four starts cost .4 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     """`count` untrained policies: the given one, and others with first weights of their own.
 
-    Each weight is drawn anew, as large as those of its layer are.
+    Each weight is drawn anew, as large as those of its layer for the same feature are.
 
     **Raises:** `ValueError` where the policy has no network: its starts would all be one.
     """
@@ -72,14 +72,17 @@ def _redrawn(policy: Policy, rng: np.random.Generator) -> Policy:
         if not _is_network(leaf):
             return leaf
         fresh = [
-            (rng.standard_normal(each.shape) * np.sqrt(np.mean(np.asarray(each) ** 2))).astype(
-                np.float32
-            )
+            (rng.standard_normal(each.shape) * _size(np.asarray(each))).astype(np.float32)
             for each in leaf.weights
         ]
         return eqx.tree_at(lambda tree: tree.weights, leaf, fresh)
 
     return jax.tree.map(draw, policy, is_leaf=_is_network)
+
+
+def _size(weights: np.ndarray) -> np.ndarray:
+    """[features] how large the weights [units, features] of each feature are."""
+    return np.sqrt(np.mean(weights**2, axis=0))
 
 
 def _nodes(policy: PyTree) -> list[Any]:
