@@ -14,7 +14,7 @@ PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
 
 
 class TrainingTable(Table):
-    """`[training]`: how the policy is trained, with the fields and defaults of `snapo.Training`."""
+    """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
     steps: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
         240, description="a whole number, 0 to 1,000,000,000"
@@ -40,6 +40,7 @@ class TrainingTable(Table):
         "auto", description='a number of steps, 1 or more, or "auto"'
     )
     clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
+    starts: Count = Field(1, description="a number of first weights, 1 or more")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
 

@@ -80,12 +80,12 @@ class MLP(Policy):
     """A network whose outputs are squashed into the action set (see `Box`, `Choice`, …).
 
     `MLP(action, features, key=key)` is made at once. `MLP(hidden=(64, 64))` is a recipe: `solve`
-    makes it for the simulator's actions and features.
+    makes it for the simulator's actions and features. `hidden` by default: see `widths`.
     """
 
     network: Network | None
     action: Actions | None
-    hidden: tuple[int, ...] = eqx.field(static=True)
+    hidden: tuple[int, ...] | None = eqx.field(static=True)
     activation: Callable = eqx.field(static=True)
 
     def __init__(
@@ -94,10 +94,13 @@ class MLP(Policy):
         features: int | None = None,
         *,
         key=None,
-        hidden: tuple[int, ...] = (32, 32),
+        hidden: tuple[int, ...] | None = None,
         activation: Callable = jax.nn.silu,
     ):
-        self.hidden, self.activation, self.action = tuple(hidden), activation, action
+        if hidden is None and action is not None:
+            hidden = widths(action)
+        self.hidden = None if hidden is None else tuple(hidden)
+        self.activation, self.action = activation, action
         self.network = _network(self, action, features, key)
 
     def __call__(self, observation, smooth):
@@ -114,6 +117,19 @@ class MLP(Policy):
             hidden=self.hidden,
             activation=self.activation,
         )
+
+
+def widths(action: Actions) -> tuple[int, int]:
+    """Two hidden layers of four units for each number that is decided, a power of two from 32 to
+    128.
+
+    >>> widths(snapo.Box(1)), widths(snapo.Box(24))
+    ((32, 32), (128, 128))
+    """
+    width = 32
+    while width < min(128, 4 * action.size):
+        width *= 2
+    return width, width
 
 
 class Residual(Policy):
@@ -182,8 +198,8 @@ def _network(policy: MLP | Residual, action, features, key) -> Network | None:
             f"{type(policy).__name__}: give the action set, the number of features and a key "
             "together, or none of them: then solve finds them."
         )
-    widths = (features, *policy.hidden, action.size)
-    return Network(widths, key=key, activation=policy.activation)
+    assert policy.hidden is not None
+    return Network((features, *policy.hidden, action.size), key=key, activation=policy.activation)
 
 
 def _made(policy: MLP | Residual) -> tuple[Network, Actions]:

@@ -42,6 +42,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "window": progress.window,
         "growth": progress.growth,
         "dual": progress.dual,
+        "raced": progress.raced,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
         "mark": mark,
@@ -62,11 +63,13 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
+        raced = tuple(state.get("raced", ()))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    return replace(like, **trees, **plain, history=history, growth=growth, dual=dual)
+    told = {"history": history, "growth": growth, "dual": dual, "raced": raced}
+    return replace(like, **trees, **plain, **told)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:

@@ -25,6 +25,9 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
+from .learning.features import spread
+from .learning.following import fitted
+from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
@@ -85,8 +88,9 @@ def solve(
 
     - `problem`: a `Problem`; or a simulator, with `inputs`, `objective` and `scenarios` beside it.
     - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
-      itself; by default an `MLP` with two hidden layers of 32. A policy that is trained already, or
-      an earlier `Solution`, is trained on from where it stands.
+      itself; by default an `MLP` with two hidden layers of 32, and of more where more than eight
+      numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
+      on from where it stands.
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
@@ -111,11 +115,15 @@ def solve(
         elif limits or any(each is not None for each in (inputs, objective, scenarios)):
             what = "inputs, objective, scenarios and limits"
             raise ValueError(f"solve: a Problem has its own {what}.")
-        policy = _begun(policy).for_problem(problem.interface, jax.random.key(training.seed))
+        recipe = _recipe(policy)
+        policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
-        progress = progress or begin(policy, training, problem)
+        training = fitted(training, problem, policy)
+        if progress is None or (progress.step == 0 and training.starts > 1):
+            fresh = progress is None and policy is not recipe
+            progress = _begun(problem, policy, training, engines.train, fresh)
         clock.stage("evaluate")
         progress = train(problem, progress, training, engines.train, callbacks)
         clock.stage("train")
@@ -135,13 +143,32 @@ def solve(
     )
 
 
-def _begun(policy: Policy | Solution | None) -> Policy:
+def _recipe(policy: Policy | Solution | None) -> Policy:
     """The policy to train: the one given, or that of an earlier solution."""
     if isinstance(policy, Solution):
         policy = policy.policy
         if policy is None:
             raise ValueError("solve: this solution was loaded without its policy.")
     return policy or MLP()
+
+
+def _begun(
+    problem: Problem, policy: Policy, training: Training, engine: Engine, fresh: bool
+) -> Progress:
+    """The start, or the best of several after the rounds in which the others fell out.
+
+    Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
+    """
+    starts = others(policy, training.starts, training.seed)
+    if fresh:
+        starts = [spread(each, problem, engine, training.temperature(0)) for each in starts]
+    begun = [begin(each, training, problem) for each in starts]
+
+    def run(progress: Progress, until: int) -> Progress:
+        return train(problem, progress, training, engine, until=until)
+
+    left, values = race(begun, training.steps, run)
+    return replace(left, raced=values if len(begun) > 1 else ())
 
 
 def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
@@ -239,10 +266,12 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
 
 
 def _chosen(progress: Progress) -> tuple[str, ...]:
-    """What training chose since the horizon is chaotic, and why."""
+    """Which start went on, and all that training chose since the horizon is chaotic, and why."""
+    raced = (words(progress.raced, progress.step),) if progress.raced else ()
     if progress.window is None or progress.growth is None:
-        return ()
+        return raced
     return (
+        *raced,
         f"{progress.growth.words()} From step {progress.growth.step} of the training on it went "
         f"back through windows of {progress.window} steps with a critic (Training(window=None) "
         "never does).",

@@ -25,6 +25,7 @@ from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
+from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, updater
 from .learning.progress import Progress, Record
@@ -58,14 +59,19 @@ def train(
     training: Training,
     engine: Engine,
     callbacks: Sequence[Callback] = (),
+    until: int | None = None,
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
+
+    With `until` it stops after that step, validated, and can go on from there.
 
     It stops early where a callback returns True. On Ctrl-C they are told once more, and the
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
     problem = remembering(problem, progress.policy)
+    training = fitted(training, problem, progress.policy)
+    last = training.steps if until is None else min(until, training.steps)
     loop = Loop(problem, training, engine.bind(problem, controls=False), *_updaters(training))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
@@ -73,10 +79,10 @@ def train(
         if progress.step == 0:
             # What training starts from may be hard to beat: it is the first candidate.
             progress = _validate(loop, progress)
-        while progress.status == "training":
+        while progress.status == "training" and (until is None or progress.step < last):
             # An interrupt must not leave a step whose validation is due and not done.
             moved = _advance(loop, progress) if progress.step < training.steps else progress
-            due = _due(moved, training)
+            due = _due(moved, training) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             progress = moved
@@ -209,7 +215,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step = loop.training, progress.step
     exploded = clipping.exploded(norms, progress.since)
-    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms))
+    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms, training.paths))
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
     may_window = may_window and not progress.dual.prices
     again = progress.clip is not None and step % clipping.EVERY == 0

@@ -31,6 +31,8 @@ def test_gradients_are_erratic_where_they_leap_up_and_down():
     assert not horizon.erratic(steady)
     assert not horizon.erratic([*steady, 10.0])  # one fall alone is an explosion that is over
     assert horizon.erratic([2400, 2200, 4700, 970, 1500, 1200, 7100, 560])
+    assert not horizon.erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=16)  # noise of few paths
+    assert horizon.erratic([1.0, 1.5, 0.9, 1.4, 1.0], paths=64)
     assert not horizon.erratic([]) and not horizon.erratic([1.0])
 
 

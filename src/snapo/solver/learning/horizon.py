@@ -18,13 +18,16 @@ GROWTH = 100.0  # times that the adjoint grows from the last step to where it is
 TAILS = 12.0  # largest path to the usual one at a typical step: 6 on regulators, above 20 in chaos
 APART = 10.0  # the same at the first step of a window
 SHORTEST = 5
+MANY = 64  # paths whose gradient has little noise
 
 
-def erratic(norms: Sequence[float]) -> bool:
-    """Whether the norms of successive gradients leap up and down."""
+def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
+    """Whether the norms of successive gradients, of so many paths each, leap up and down."""
     with np.errstate(divide="ignore", invalid="ignore"):
         changes = np.abs(np.diff(np.log(np.asarray(norms, float))))
-    return bool(changes.size and np.median(changes) > ERRATIC)
+    # Few paths leave noise in the gradient of a tame problem too.
+    limit = ERRATIC * max(1.0, MANY / paths) ** 0.5
+    return bool(changes.size and np.median(changes) > limit)
 
 
 def window(norms: np.ndarray) -> int | None:

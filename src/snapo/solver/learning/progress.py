@@ -12,6 +12,7 @@ from snapo.problem.problem import Problem
 from ..limits.dual import Dual
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
+from .following import fitted
 from .growth import Growth
 from .optimiser import flat, optimiser
 from .settings import Training
@@ -46,6 +47,7 @@ class Progress:
     `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
     began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
     `dual`: the prices of the problem's limits.
+    `raced`: the exact values of all starts, where there were several, when each was last compared.
     """
 
     step: int
@@ -65,6 +67,7 @@ class Progress:
     since: int = 0
     growth: Growth | None = None
     dual: Dual = Dual()
+    raced: tuple[float, ...] = ()
 
     @property
     def record(self) -> Record:
@@ -74,6 +77,7 @@ class Progress:
 
 def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
     """The state before the first step; training on windows needs the problem, for its critic."""
+    training = training if problem is None else fitted(training, problem, policy)
     given = training.clip if isinstance(training.clip, int | float) else None
     window, critic = None, None
     if isinstance(training.window, int):

@@ -5,11 +5,33 @@ from dataclasses import dataclass
 import numpy as np
 
 
+class _Follows(int):
+    """A number that is chosen when the problem is known."""
+
+    def __repr__(self) -> str:
+        return "FOLLOWS"
+
+
+class _Rate(float):
+    """A rate that is chosen when the problem is known."""
+
+
+FOLLOWS = _Follows(0)  # where a setting is not given (see `following`)
+RATE = _Rate(0.01)  # of Adam, where it is not given; it is this one where the steps are given
+
+
+def follows(value: object) -> bool:
+    """Whether a setting is not given, so that it follows the problem."""
+    return isinstance(value, _Follows | _Rate)
+
+
 @dataclass(frozen=True)
 class Training:
     """How a policy is trained.
 
-    - `steps`, `paths`: updates, and antithetic fresh paths for each.
+    - `steps`, `paths`: updates, and antithetic fresh paths for each; where they are not given, they
+      follow the horizon and the size of the policy, and `learning_rate` follows them
+      (`solver.learning.following`).
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
@@ -20,12 +42,14 @@ class Training:
       all that comes (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
+    - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
+      steps the better half goes on (`solver.learning.starts`).
     - `seed`: of the network's first weights and of all scenarios.
     """
 
-    steps: int = 240
-    paths: int = 512
-    learning_rate: float = 0.01
+    steps: int = FOLLOWS
+    paths: int = FOLLOWS
+    learning_rate: float = RATE
     warmup: int = 20
     temperature_start: float = 0.02
     temperature_end: float = 0.005
@@ -35,12 +59,14 @@ class Training:
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
+    starts: int = 1
     seed: int = 0
 
     def __post_init__(self):
         for name, least in COUNTS.items():
             value = getattr(self, name)
-            if value is not None and (name, value) != ("window", "auto"):
+            given = value is not None and not follows(value)
+            if given and (name, value) != ("window", "auto"):
                 whole(f"Training: {name}", value, least)
         if isinstance(self.window, str) and self.window != "auto":
             raise ValueError(
@@ -61,7 +87,7 @@ class Training:
 
 COUNTS = {
     "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
-    "patience": 1, "window": 1,
+    "patience": 1, "window": 1, "starts": 1,
 }  # fmt: skip
 
 

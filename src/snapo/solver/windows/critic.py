@@ -106,9 +106,9 @@ def fitted(
     left = (problem.simulator.horizon - ends) / problem.simulator.horizon
     chosen = jax.tree.map(lambda leaf: leaf[ends][:, good], states)
     nows = jax.tree.map(lambda leaf: np.asarray(leaf)[ends], problem.schedule.steps)
-    seen = _seen(problem.simulator, problem.schedule.constants, nows, chosen)
+    shown = observations(problem.simulator, problem.schedule.constants, nows, chosen)
     lefts = np.broadcast_to(left[:, None, None], (*target.shape, 1))
-    x = np.concatenate([seen, lefts], axis=2).reshape(target.size, -1)
+    x = np.concatenate([shown, lefts], axis=2).reshape(target.size, -1)
     y = (target.reshape(-1) - float(critic.shift)) / float(critic.scale)
     rng = np.random.default_rng((step, 1))
     fits = FITS if step else FIRST_FITS
@@ -119,7 +119,7 @@ def fitted(
 
 
 @eqx.filter_jit
-def _seen(simulator: Simulator, constants, nows, states) -> Array:
+def observations(simulator: Simulator, constants, nows, states) -> Array:
     """Observations [ends, paths, features]."""
 
     def one(now, state):

@@ -1,0 +1,52 @@
+"""Numbers of steps and paths, and a rate, that follow the problem, where nobody gives them.
+
+A path of many steps holds many decisions, so fewer paths tell as much; and a step of training over
+a short horizon costs little, so there is time for more of them. Work counts the products that a
+network takes over a path: horizon times parameters. It is the same on every machine.
+
+More steps bear a higher rate, which falls to zero in the end; wider layers a lower one, since all
+their weights move at once.
+"""
+
+import math
+from dataclasses import replace
+
+import jax
+
+from snapo.problem.policy import Network, Policy, parameters
+from snapo.problem.problem import Problem
+
+from .settings import Training, follows
+
+WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
+PATHS = (16, 512)  # at least, at most
+STEPS = (240, 3840)
+WIDTH = 32  # of hidden layers at which `RATE` is right for the fewest steps
+LONG = 48_000  # steps of the simulator that all steps of training go through, on one path
+
+
+def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
+    """The training with numbers in place of all that follows the problem."""
+    paths, steps, rate = training.paths, training.steps, training.learning_rate
+    horizon = problem.simulator.horizon
+    if follows(paths):
+        work = horizon * max(1, parameters(policy).size)
+        paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
+    if follows(steps):
+        # The gradient of fewer paths is noisier, which more steps average out.
+        noisy = (PATHS[1] / paths) ** 0.6 if paths < PATHS[1] else 1.0
+        steps = round(noisy * _within(STEPS, LONG // horizon))
+        if follows(rate):
+            rate *= math.sqrt(steps / STEPS[0]) * min(1.0, WIDTH / _width(policy)) ** 0.75
+    return replace(training, paths=paths, steps=steps, learning_rate=float(rate))
+
+
+def _width(policy: Policy) -> int:
+    """The number of units in the widest layer of all networks; 1 where there is none."""
+    nodes = jax.tree.leaves(policy, is_leaf=lambda node: isinstance(node, Network))
+    networks = [node for node in nodes if isinstance(node, Network)]
+    return max((bias.size for each in networks for bias in each.biases[:-1]), default=1)
+
+
+def _within(limits: tuple[int, int], number: int) -> int:
+    return min(limits[1], max(limits[0], number))

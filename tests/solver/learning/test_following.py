@@ -1,0 +1,69 @@
+"""Steps and paths that nobody gave follow the horizon and the size of the policy."""
+
+from dataclasses import replace
+
+import jax
+import numpy as np
+import pytest
+from tests.solver.twelve import CartPole, Regulator, policy, problem
+
+import snapo
+from snapo.engine import Xla
+from snapo.problem.policy import widths
+from snapo.solver.learning.features import MOST, spread
+from snapo.solver.learning.following import fitted
+from snapo.solver.learning.settings import follows
+from snapo.solver.train import Training
+
+
+def numbers(horizon: int, hidden=(32, 32)) -> tuple[int, int]:
+    of = problem(Regulator)
+    of = replace(of, simulator=Regulator(horizon=horizon))
+    made = snapo.MLP(hidden=hidden).for_problem(of.interface, jax.random.key(0))
+    found = fitted(Training(), of, made)
+    return found.steps, found.paths
+
+
+def test_a_short_horizon_has_more_steps_and_a_long_one_with_a_large_network_fewer_paths():
+    assert numbers(12) == (3840, 512)
+    assert numbers(100) == (480, 512)
+    assert numbers(200) == (240, 512)
+    steps, paths = numbers(365, (128, 128))
+    assert steps > 240 and paths == 16
+
+
+def test_the_rate_follows_the_steps_and_the_width_unless_one_of_them_is_given():
+    of = problem(Regulator)
+    made = snapo.MLP(hidden=(128, 128)).for_problem(of.interface, jax.random.key(0))
+    narrow, wide = (fitted(Training(), of, each) for each in (policy(of), made))
+    assert narrow.learning_rate == pytest.approx(0.01 * (narrow.steps / 240) ** 0.5)
+    assert wide.learning_rate == pytest.approx(0.01 * 0.25**0.75 * (wide.steps / 240) ** 0.5)
+    assert fitted(Training(steps=960), of, made).learning_rate == 0.01
+    assert fitted(Training(learning_rate=0.02), of, made).learning_rate == 0.02
+
+
+def test_numbers_that_are_given_stay_and_the_rest_follows():
+    of = problem(Regulator)
+    assert follows(Training().steps) and follows(Training().paths)
+    found = fitted(Training(steps=7), of, policy(of))
+    assert found.steps == 7 and not follows(found.paths)
+    assert fitted(found, of, policy(of)) == found
+    assert Training(steps=0).steps == 0 and not follows(Training(steps=0).steps)
+
+
+def test_hidden_layers_grow_with_the_numbers_that_are_decided():
+    assert widths(snapo.Box(1)) == widths(snapo.Box(8)) == (32, 32)
+    assert widths(snapo.Box(9)) == (64, 64)
+    assert widths(snapo.Box(1000)) == (128, 128)
+
+
+@pytest.mark.prove
+def test_features_that_hardly_vary_are_spread_and_others_are_left():
+    """The position varies by .01 and the angle runs away under the untrained policy."""
+    of = problem(CartPole)
+    made = policy(of)
+    found = spread(made, of, Xla(), 0.02)
+    factor = np.asarray(found.network.weights[0] / made.network.weights[0])
+    np.testing.assert_allclose(factor, factor[:1].repeat(len(factor), 0), rtol=1e-5)
+    assert np.all(factor >= 1 - 1e-6) and np.all(factor <= MOST * (1 + 1e-6))
+    assert spread(snapo.Linear([[1.0]]), of, Xla(), 0.02).gain is not None
