@@ -21,7 +21,7 @@ from .training import TRAINING
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
 # A report is written again when the work since took so many times its own time, or that of any.
-OFTEN, SHORT = 30.0, 0.3
+OFTEN, SHORT = 30.0, 0.1
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 

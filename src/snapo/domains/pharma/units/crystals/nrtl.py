@@ -16,6 +16,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 from pydantic import Field
 
@@ -40,7 +41,7 @@ def activity(x: Float[Array, " n"], tau: Float[Array, "n n"], alpha) -> Float[Ar
     return first + (g / below * (tau - first)) @ x
 
 
-def ideal(temperature, melting, fusion, capacity=0.0) -> Array:
+def ideal(temperature, melting, fusion, capacity: ArrayLike = 0.0) -> Array:
     """ln of the activity of the pure crystal: `melting` K, `fusion` J/mol, `capacity` J/mol/K."""
     ratio = melting / temperature
     heat = fusion / GAS_CONSTANT * (1 / temperature - 1 / melting)
@@ -183,7 +184,8 @@ def constant(read: Reader, key: str, name: str, which: str) -> float:
 
 def _apart(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Rows and columns off the diagonal, row by row."""
-    return np.nonzero(~np.eye(count, dtype=bool))
+    rows, columns = np.nonzero(~np.eye(count, dtype=bool))
+    return rows, columns
 
 
 def dissolved(record: Mixture, inputs: dict[str, Any], temperature) -> Array:
