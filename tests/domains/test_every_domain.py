@@ -91,7 +91,7 @@ def copied(solved, kind: str, tmp_path: Path) -> Path:
 
 @pytest.mark.parametrize(
     "every",
-    [pytest.param(4, marks=pytest.mark.prove), pytest.param(1, marks=pytest.mark.study)],
+    [pytest.param(9, marks=pytest.mark.prove), pytest.param(1, marks=pytest.mark.study)],
 )
 def test_a_report_does_without_any_part(kind, every, solved, tmp_path):
     """Files of parts removed in turn: the page says so, and has every section still."""

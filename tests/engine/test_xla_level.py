@@ -66,7 +66,7 @@ def numbers(name: str) -> dict[str, list[float]]:
     "name",
     [
         "own_simulator",
-        pytest.param("battery", marks=pytest.mark.prove),
+        pytest.param("battery", marks=pytest.mark.study),
         pytest.param("portfolio", marks=pytest.mark.study),
     ],
 )

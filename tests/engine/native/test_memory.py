@@ -77,7 +77,7 @@ class Scaled(Store):
 @linux
 @pytest.mark.parametrize(
     "kernels",
-    [pytest.param(24, marks=pytest.mark.prove), pytest.param(200, marks=pytest.mark.study)],
+    [pytest.param(12, marks=pytest.mark.prove), pytest.param(200, marks=pytest.mark.study)],
 )
 def test_kernels_that_are_dropped_leave_nothing(kernels, tmp_path, monkeypatch):
     """No maps, no objects and no memory: LLVM's passes keep some, and go with their process.

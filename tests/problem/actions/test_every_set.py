@@ -157,7 +157,8 @@ def test_both_engines_take_every_set(residual):
     ]
     np.testing.assert_allclose(hard[0].totals["cash"], hard[1].totals["cash"], rtol=1e-12)
     taken = [np.asarray(each.record["action"]) for each in hard]
-    np.testing.assert_allclose(taken[0], taken[1], rtol=1e-12)
+    # A small one is the difference of numbers of order one: their round-off remains.
+    np.testing.assert_allclose(taken[0], taken[1], rtol=1e-12, atol=1e-15)
     np.testing.assert_array_equal(taken[0][..., :6], taken[1][..., :6])  # whole numbers
     for action in taken[0].reshape(-1, 9):
         assert EVERY.fault(action) is None

@@ -112,7 +112,7 @@ def test_another_bound_is_another_gradient_from_the_same_kernel(engine):
     assert np.all(np.abs(low) < np.abs(whole))
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_a_regulator_by_default_settings_reaches_its_closed_form():
     """Within .5 % of the Riccati equation, on the same paths as its optimal gain (whose value is
     that of the closed form): the untrained policy's gradient is 1e6 times that of a good one, and

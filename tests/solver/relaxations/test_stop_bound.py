@@ -74,7 +74,7 @@ def problem(simulator=None, objective=None) -> snapo.Problem:
     return snapo.Problem(simulator or Rights(), inputs, objective or snapo.Mean("cash"))
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_two_rights_lie_between_the_bounds_of_a_simple_rule():
     """The upper bound is near the exact value although the rule is not; without the penalty the
     bound is that of perfect foresight."""

@@ -186,7 +186,7 @@ def test_reconciliation_says_what_is_met_and_what_is_missed():
 def test_an_empty_fund_has_no_value_and_finite_weights():
     case = people_case(members=replace(people_case().members, number=given("members", np.zeros(5))))
     found = made(replace(case, lee_carter=lee_carter()))[0]
-    assert all(np.all(np.isfinite(each)) for each in found)
+    assert all(np.all(np.isfinite(each)) for each in jax.tree.leaves(found))
     assert found.accrued.sum() == 0
     with jax.enable_x64(True):
         discount = forward_discount(case, jnp.zeros(horizon(case) + 1))

@@ -56,7 +56,7 @@ def fund():
     )
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_points_are_in_order_within_their_errors():
     setup = make_setup(fund(), "native")
     totals = path_totals(

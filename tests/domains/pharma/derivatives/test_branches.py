@@ -63,7 +63,7 @@ def test_second_derivatives():
     assert found[:, 0] == pytest.approx([K**2 * a, (K * T - 1) * a, T**2 * a], rel=1e-8)
 
 
-@pytest.mark.prove
+@pytest.mark.study
 def test_convergence():
     """Halving the mesh and an adaptive solution agree, in values and derivatives."""
     fine = convergence(Process(tank()))

@@ -64,8 +64,10 @@ def draws(one, paths):
     return np.random.default_rng(3).standard_normal((paths, simulator.noise_size))
 
 
-@pytest.mark.prove
-@pytest.mark.parametrize("measure", ["P", "Q"])
+@pytest.mark.parametrize(
+    "measure",
+    [pytest.param("P", marks=pytest.mark.study), pytest.param("Q", marks=pytest.mark.prove)],
+)
 def test_it_earns_what_its_price_does(measure):
     """In money a bond is I(t) P_real(t, T), on every path and under both measures."""
     one = with_linked(measure)
