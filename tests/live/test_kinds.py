@@ -170,11 +170,7 @@ def test_a_choice_is_valued_as_solve_does(solved, tmp_path):
     loaded = commands.load(commands.Asked(tmp_path / "moved"))
     setup = loaded.domain.study(loaded.case, Options()).setup
     assert setup is not None
-    assert (
-        found["value"]
-        == valuation._totals_worth(setup())[1].value
-        != base["value"]
-    )
+    assert found["value"] == valuation._totals_worth(setup())[1].value != base["value"]
     with pytest.raises(CaseError, match="there is no such choice"):
         next(valuation.stages({}, {"contract.nothing": "x"}))
     with pytest.raises(CaseError, match="allowed is"):
