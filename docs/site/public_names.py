@@ -47,7 +47,9 @@ class PublicNames(SphinxDirective):
         for name, module in list(things.items()):
             if isinstance(module, ModuleType):
                 del things[name]
-                things |= {f"{name}.{each}": getattr(module, each) for each in module.__all__}
+                inside = {each: getattr(module, each) for each in module.__all__}
+                # A name that stands at the top too, as `Noise` does, is described there.
+                things |= {f"{name}.{n}": x for n, x in inside.items() if n not in things}
         for name, thing in things.items():
             kind = "class" if isinstance(thing, type) else "function"
             lines += [f".. auto{kind}:: snapo.{name}"]
