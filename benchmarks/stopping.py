@@ -7,13 +7,12 @@ and by an interval (Andersen and Broadie, *Management Science* 50, 2004, table 2
 a fine lattice (tests/solver/test_bound.py).
 """
 
-import importlib.util
 import sys
 import time
-from pathlib import Path
 from typing import NamedTuple
 
 import jax.numpy as jnp
+from examples import american_put
 
 import snapo
 
@@ -57,11 +56,10 @@ class MaxCall(snapo.Simulator):
         return {"cash": self.action.left(state["right"]) * jnp.exp(-3 * terms["rate"]) * payoff}
 
 
-class SwingPut(snapo.Simulator):
+class SwingPut(american_put.Put):
     """Rights to sell a share at the strike, at most one on each of fifty dates in a year."""
 
-    horizon: int = 49  # decisions: on the last date there is nothing to wait for
-    noise_size: int = 1
+    horizon = 49  # decisions: on the last date there is nothing to wait for
     initial_noise_size = 1  # the first date is one step from today
     action: snapo.Stop = snapo.Stop()
 
@@ -76,15 +74,6 @@ class SwingPut(snapo.Simulator):
         spot = terms["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
         return {"spot": spot, "right": self.action.initial()}
 
-    def observe(self, terms, now, state):
-        return jnp.stack([5 * jnp.log(state["spot"] / terms["strike"]), now["left"]])
-
-    def step(self, terms, now, state, action, noise, smooth):
-        right, used = self.action.use(state["right"], action)
-        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
-        spot = state["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
-        return {"spot": spot, "right": right}, {"cash": used * now["discount"] * payoff}
-
     def terminal(self, terms, state, smooth):
         payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
         return {"cash": self.action.alive(state["right"]) * jnp.exp(-terms["rate"]) * payoff}
@@ -98,21 +87,11 @@ class Case(NamedTuple):
     value: float
 
 
-def put() -> tuple[snapo.Simulator, dict]:
-    """The American put of `examples/american_put.py`."""
-    file = Path(__file__).parents[1] / "examples" / "american_put.py"
-    spec = importlib.util.spec_from_file_location("american_put", file)
-    assert spec is not None and spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module.Put(), module.inputs
-
-
 def cases() -> dict[str, Case]:
     """All of them by name."""
     shares, share = ({n: snapo.Input(x) for n, x in each.items()} for each in (SHARES, SHARE))
     return {
-        "put": Case(*put(), 4.478),
+        "put": Case(american_put.Put(), american_put.inputs, 4.478),
         "max-call of 2": Case(MaxCall(noise_size=2), shares, 13.902),
         "max-call of 5": Case(MaxCall(noise_size=5), shares, 26.14),
         "swing put, 1": Case(SwingPut(), share, 2.3140),

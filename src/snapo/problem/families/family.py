@@ -18,8 +18,7 @@ from scipy.stats import qmc
 
 from .. import inputs as inputs_
 from ..problem import Problem
-from ..simulator import Schedule, Simulator
-from .around import Around
+from ..simulator import Around, Schedule, Simulator
 
 
 @dataclass(frozen=True, eq=False)

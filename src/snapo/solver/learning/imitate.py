@@ -10,12 +10,11 @@ import numpy as np
 
 from snapo.engine import Choice, choose
 from snapo.problem.actions import Box
-from snapo.problem.families.around import Around
 from snapo.problem.inputs import Frozen
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP, Policy, without_memory
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Simulator
+from snapo.problem.simulator import Around, Simulator
 
 from ..train import Training, begin, train
 

@@ -91,28 +91,7 @@ class Filter(Instant):
 
     @classmethod
     def read(cls, read, species):
-        table = read.table
-        for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
-            given = getattr(table, key)
-            if table.wash == wash and given is None:
-                raise read.section.error(key, None, f'wash "{wash}" needs this key')
-            if table.wash != wash and given is not None:
-                what = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
-                raise read.section.error(key, given, what)
-        return cls(
-            name=read.name,
-            area=read.number("area", "m2", POSITIVE),
-            pressure=read.number("pressure", "Pa", POSITIVE),
-            viscosity=read.number("viscosity", "Pa*s", POSITIVE),
-            medium_resistance=read.number("medium_resistance", "1/m", NOT_NEGATIVE),
-            porosity=read.number("porosity", "1", POROSITY),
-            saturation=read.number("saturation", "1", SHARE),
-            resistance=read.perhaps("resistance", "m/kg", POSITIVE),
-            wash=table.wash,
-            wash_ratio=read.number("wash_ratio", "1", NOT_NEGATIVE),
-            efficiency=read.perhaps("efficiency", "1", NOT_NEGATIVE),
-            peclet=read.perhaps("peclet", "1", POSITIVE),
-        )
+        return cls(name=read.name, wash=read.table.wash, **filtration(read, "pressure"))
 
     @property
     def inlets(self):
@@ -219,3 +198,30 @@ def scaled_erfc(x) -> Array:
     for k in range(30, 0, -1):
         fraction = far + k / 2 / fraction
     return jnp.where(x < 4, jnp.exp(near * near) * erfc(near), 1 / (fraction * jnp.sqrt(jnp.pi)))
+
+
+def filtration(read, pressure: str) -> dict[str, Any]:
+    """The numbers of a `Filter` from its table, the pressure difference under this key.
+
+    **Raises:** `CaseError` where the kind of wash lacks its key, or another one's is given.
+    """
+    table = read.table
+    for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
+        given = getattr(table, key)
+        if table.wash == wash and given is None:
+            raise read.section.error(key, None, f'wash "{wash}" needs this key')
+        if table.wash != wash and given is not None:
+            what = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
+            raise read.section.error(key, given, what)
+    return {
+        "area": read.number("area", "m2", POSITIVE),
+        "pressure": read.number(pressure, "Pa", POSITIVE),
+        "viscosity": read.number("viscosity", "Pa*s", POSITIVE),
+        "medium_resistance": read.number("medium_resistance", "1/m", NOT_NEGATIVE),
+        "porosity": read.number("porosity", "1", POROSITY),
+        "saturation": read.number("saturation", "1", SHARE),
+        "resistance": read.perhaps("resistance", "m/kg", POSITIVE),
+        "wash_ratio": read.number("wash_ratio", "1", NOT_NEGATIVE),
+        "efficiency": read.perhaps("efficiency", "1", NOT_NEGATIVE),
+        "peclet": read.perhaps("peclet", "1", POSITIVE),
+    }

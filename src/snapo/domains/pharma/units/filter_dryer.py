@@ -18,10 +18,10 @@ from ..flowsheet.grid import NO_CRYSTALS
 from ..flowsheet.ledger import Finish
 from ..given import use
 from ..read.fields import number, profile, quantity, word
-from ..read.numbers import NOT_NEGATIVE, POROSITY, POSITIVE, SHARE, Bounds
-from .filter import Filter
+from ..read.numbers import Bounds
+from .filter import Filter, filtration
 from .operation import Inlet
-from .tray_dryer import LiquidTable, TrayDryer, read_liquid
+from .tray_dryer import TrayDryer, drying
 
 WASHES = Bounds(1.0, 20.0, False, "from 1 to 20")
 
@@ -104,44 +104,17 @@ class FilterDryer(TrayDryer):
     @classmethod
     def read(cls, read, species):
         table = read.table
-        for wash, key in (("exponential", "efficiency"), ("dispersion", "peclet")):
-            given = getattr(table, key)
-            if table.wash == wash and given is None:
-                raise read.section.error(key, None, f'wash "{wash}" needs this key')
-            if table.wash != wash and given is not None:
-                what = f'wash "{table.wash}" has no such key; it belongs to "{wash}"'
-                raise read.section.error(key, given, what)
+        cake = filtration(read, "filter_pressure")
         if table.wash != "reslurry" and "washes" in table.model_fields_set:
             what = f'wash "{table.wash}" has no such key; it belongs to "reslurry"'
             raise read.section.error("washes", table.washes, what)
         nutsche = Nutsche(
             name=read.name,
-            area=read.number("area", "m2", POSITIVE),
-            pressure=read.number("filter_pressure", "Pa", POSITIVE),
-            viscosity=read.number("viscosity", "Pa*s", POSITIVE),
-            medium_resistance=read.number("medium_resistance", "1/m", NOT_NEGATIVE),
-            porosity=read.number("porosity", "1", POROSITY),
-            saturation=read.number("saturation", "1", SHARE),
-            resistance=read.perhaps("resistance", "m/kg", POSITIVE),
             wash="dispersion" if table.wash == "dispersion" else "exponential",
-            wash_ratio=read.number("wash_ratio", "1", NOT_NEGATIVE),
-            efficiency=read.perhaps("efficiency", "1", NOT_NEGATIVE),
-            peclet=read.perhaps("peclet", "1", POSITIVE),
             washes=read.number("washes", "1", WASHES) if table.wash == "reslurry" else None,
+            **cake,
         )
-        return cls(
-            name=read.name,
-            nutsche=nutsche,
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
-            area=read.number("heating_area", "m2", POSITIVE),
-            heat_transfer=read.number("heat_transfer", "W/m2/K", POSITIVE),
-            mass_transfer=read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
-            critical=read.number("critical", "1", POSITIVE),
-            heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
-            liquid=read_liquid(read.inner("liquid", LiquidTable)),
-        )
+        return cls(name=read.name, nutsche=nutsche, **drying(read, "heating_area"))
 
     @property
     def inlets(self):

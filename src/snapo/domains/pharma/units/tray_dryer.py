@@ -139,18 +139,7 @@ class TrayDryer(Timed):
 
     @classmethod
     def read(cls, read, species):
-        return cls(
-            name=read.name,
-            duration=read.number("duration", "s", POSITIVE),
-            temperature=read.profile("temperature", "K"),
-            pressure=read.profile("pressure", "Pa", NOT_NEGATIVE),
-            area=read.number("area", "m2", POSITIVE),
-            heat_transfer=read.number("heat_transfer", "W/m2/K", POSITIVE),
-            mass_transfer=read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
-            critical=read.number("critical", "1", POSITIVE),
-            heat_capacity=read.number("heat_capacity", "J/kg/K", POSITIVE),
-            liquid=read_liquid(read.inner("liquid", LiquidTable)),
-        )
+        return cls(name=read.name, **drying(read, "area"))
 
     @property
     def inlets(self):
@@ -257,3 +246,18 @@ def evaporating(excess, pressure) -> Array:
     """The positive part of f p_v - p, rounded over a small share of p; exact in vacuum."""
     # The constant keeps the square root's derivative finite where both are zero.
     return (excess + jnp.sqrt(excess**2 + (2 * ROUNDING * pressure) ** 2 + 1e-30)) / 2
+
+
+def drying(read, area: str) -> dict[str, Any]:
+    """The numbers of a `TrayDryer` from its table, the heated area under this key."""
+    return {
+        "duration": read.number("duration", "s", POSITIVE),
+        "temperature": read.profile("temperature", "K"),
+        "pressure": read.profile("pressure", "Pa", NOT_NEGATIVE),
+        "area": read.number(area, "m2", POSITIVE),
+        "heat_transfer": read.number("heat_transfer", "W/m2/K", POSITIVE),
+        "mass_transfer": read.number("mass_transfer", "kg/m2/s/Pa", POSITIVE),
+        "critical": read.number("critical", "1", POSITIVE),
+        "heat_capacity": read.number("heat_capacity", "J/kg/K", POSITIVE),
+        "liquid": read_liquid(read.inner("liquid", LiquidTable)),
+    }
