@@ -10,6 +10,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes.machine.threads import cores
 from snapo.problem import inputs as inputs_
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Simulator
 
 MOST_THREADS = 8  # each needs the memory of one transpose
@@ -39,7 +40,7 @@ def pull_back(
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
 
 
-@eqx.filter_jit
+@compiled_sooner
 def _pull_back(simulator: Simulator, inputs: PyTree, values: list, cotangent: PyTree):
     def schedule(values):
         # Plain numbers beside the inputs are arrays in a prepared schedule, and so here.

@@ -20,6 +20,7 @@ from jaxtyping import Array, Float
 
 from .actions import Actions
 from .inputs import Frozen
+from .quickly import compiled_at_once
 from .simulator import Interface
 from .smooth import Smooth
 
@@ -60,13 +61,7 @@ class Network(eqx.Module):
     activation: Callable = eqx.field(static=True)
 
     def __init__(self, widths, *, key, activation: Callable = jax.nn.silu):
-        keys = jax.random.split(key, len(widths) - 1)
-        shapes = list(zip(widths[1:], widths[:-1]))
-        self.weights = [
-            jax.random.normal(k, shape, jnp.float32) / jnp.sqrt(jnp.float32(shape[1]))
-            for k, shape in zip(keys, shapes)
-        ]
-        self.weights[-1] = self.weights[-1] / 100
+        self.weights = _weights(key, list(zip(widths[1:], widths[:-1])))
         self.biases = [jnp.zeros(out, jnp.float32) for out in widths[1:]]
         self.activation = activation
 
@@ -74,6 +69,16 @@ class Network(eqx.Module):
         for weight, bias in zip(self.weights[:-1], self.biases[:-1]):
             x = self.activation(weight @ x + bias)
         return self.weights[-1] @ x + self.biases[-1]
+
+
+@compiled_at_once
+def _weights(key, shapes) -> list[Array]:
+    keys = jax.random.split(key, len(shapes))
+    drawn = [
+        jax.random.normal(k, shape, jnp.float32) / jnp.sqrt(jnp.float32(shape[1]))
+        for k, shape in zip(keys, shapes)
+    ]
+    return [*drawn[:-1], drawn[-1] / 100]
 
 
 class MLP(Policy):

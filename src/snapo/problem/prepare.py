@@ -1,11 +1,11 @@
 """From inputs to the schedule, in float64: done once per problem, before anything per path."""
 
-import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
+from .quickly import compiled_sooner
 from .simulator import Schedule, Simulator
 
 
@@ -16,6 +16,6 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
         return jax.tree.map(np.asarray, schedule)
 
 
-@eqx.filter_jit
+@compiled_sooner
 def _prepare(simulator: Simulator, inputs: PyTree, values: list):
     return simulator.prepare(inputs_.replace(inputs, values))

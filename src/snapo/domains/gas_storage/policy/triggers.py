@@ -6,13 +6,13 @@ Prices are undiscounted spot prices in currency per unit.
 
 from typing import NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.problem import Problem
+from snapo.problem.quickly import compiled_at_once
 from snapo.problem.smooth import Exact
 
 from ..contract.schedule import State
@@ -75,7 +75,7 @@ def decide(
         return Decision(*(np.asarray(x)[:count] for x in _decided(*given)))
 
 
-@eqx.filter_jit
+@compiled_at_once
 def _decided(
     simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots
 ):
@@ -90,7 +90,7 @@ def _decided(
     return jax.vmap(one)(inventories, spots)
 
 
-@eqx.filter_jit
+@compiled_at_once
 def _gains(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots):
     """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
 
