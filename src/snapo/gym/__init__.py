@@ -11,9 +11,9 @@ from typing import Any
 HOMES = {
     "Agent": "agent",
     "Environment": "environment",
-    "Played": "play",
+    "Played": "played",
     "VectorEnvironment": "vector",
-    "play": "play",
+    "play": "played",
 }
 
 
