@@ -5,23 +5,15 @@ it by adjoint, and play it in the real environment. Where the model is wrong it 
 and the next fit knows better.
 """
 
-import time
 from collections.abc import Callable
 from typing import Any
-
-import numpy as np
 
 from snapo.engine import Choice
 from snapo.problem.policy import MLP
 from snapo.solver.train import Training
 
-from .ensemble import first_layers
-from .explore import random_actions
-from .known import Known
 from .learned import Learned, Round
 from .model import Over, Reward
-from .real import Real
-from .rounds import EXPLORE, Plan, begun, compared, fitted, improved, until
 
 LONGEST = 125  # decisions of a path in training, where nobody gives them
 FEWEST = 8  # episodes that the steps must suffice for
@@ -68,7 +60,11 @@ def learn(
     **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
     limits an episode, or where the steps do not suffice for eight episodes.
     """
-    clock = time.process_time()
+    # Late: the public names are there without Gymnasium.
+    from .loop import run
+    from .real import Real
+    from .rounds import Plan
+
     real = Real(environment, hold, limit)
     if rounds < 1 or steps < FEWEST * real.limit:
         raise ValueError(
@@ -80,35 +76,7 @@ def learn(
         steps, rounds, horizon, members, tuple(hidden), training or _training(seed), reward, over,
         seed, engine,
     )  # fmt: skip
-    known = Known.of(real, seed)
-    while not known.episodes or known.room(EXPLORE * steps):
-        known.play(random_actions(real, known.rng))
-    known = known.settled()
-    common = known.rng.integers(2**31, size=steps)  # seeds of starts that all rounds share
-    size, inside = len(known.units.shift), None
-    raw = first_layers(size + real.size, size + 3, plan.hidden, members, seed)
-    history: list[Round] = []
-    policies: list[MLP] = []
-    for number in range(rounds):
-        since = time.process_time()
-        inside = fitted(plan, known, raw, number)
-        raw = inside.fit.raw
-        before = policies[-1] if policies else begun(inside, policy, known.units, seed)
-        policies.append(improved(plan, inside, before, number))
-        found = compared(plan, known, inside, policies[-1], until(plan, number), common)
-        spent = time.process_time() - since
-        history.append(Round(real.steps, inside.rows, inside.fit.error, found, spent))
-        if progress is not None:
-            progress(history[-1])
-    assert inside is not None
-    chosen = _best(history)
-    final = compared(plan, known, inside, policies[chosen], steps)
-    return Learned(
-        policy=known.units.undone(policies[chosen]), found=final, steps=real.steps,
-        hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=chosen + 1,
-        seconds=time.process_time() - clock, seed=seed, model=inside.model, inputs=inside.inputs,
-        environment=environment,
-    )  # fmt: skip
+    return run(environment, real, plan, policy, progress)
 
 
 def _training(seed: int) -> Training:
@@ -116,9 +84,3 @@ def _training(seed: int) -> Training:
         steps=150, paths=128, learning_rate=0.02, window=25, seed=seed, validation_paths=256,
         validation_every=25,
     )  # fmt: skip
-
-
-def _best(history: list[Round]) -> int:
-    """The round whose policy earned most on those starts that all rounds have played."""
-    shared = min(each.found.episodes for each in history)
-    return int(np.argmax([np.mean(each.found.rewards[:shared]) for each in history]))

@@ -2,16 +2,15 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from snapo.problem.policy import MLP
 from snapo.solver import statistics
 
-from ..installed import gymnasium
-from ..played import Played, play
-from .real import Held, opened
+if TYPE_CHECKING:
+    from ..played import Played
 
 
 class Compared(NamedTuple):
@@ -106,11 +105,16 @@ class Learned:
         """The value in the real environment less that in the model."""
         return self.found.gap
 
-    def play(self, starts: int | Sequence[int] = 100) -> Played:
+    def play(self, starts: int | Sequence[int] = 100) -> "Played":
         """More episodes of the policy in the real environment, which `steps` does not count.
 
         **Raises:** `ValueError` where the environment came as an object: give a name or a function.
         """
+        # Late: the public names are there without Gymnasium.
+        from ..installed import gymnasium
+        from ..played import play
+        from .real import Held, opened
+
         if isinstance(self.environment, gymnasium.Env):
             raise ValueError(
                 "play: episodes run side by side, and only one environment came; give learn its "
