@@ -22,6 +22,7 @@ HEADS = {
     "checker": "The check of a simulator",
     "solver": "Solving, and how far to trust the answer",
     "case": "Tables of cases",
+    "gym": "Environments that cannot be differentiated",
 }
 PLAIN = re.compile(r"(``[^`]*``|`[^`]*`|\*\*[^*\n]+\*\*)")
 

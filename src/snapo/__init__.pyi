@@ -6,6 +6,8 @@ from snapo.engine import Clip as Clip
 from snapo.engine import Native as Native
 from snapo.engine import Window as Window
 from snapo.engine import Xla as Xla
+from snapo.gym.black_box.learn import learn as learn
+from snapo.gym.black_box.learned import Learned as Learned
 from snapo.problem import noise as noise
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice

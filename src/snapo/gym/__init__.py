@@ -3,6 +3,8 @@
     environment = snapo.gym.Environment(problem)          # or VectorEnvironment(problem, 1024)
     played = snapo.gym.play(snapo.gym.Agent(policy), "Pendulum-v1", starts=2000)
 
+`snapo.learn` finds a policy for an environment that cannot be differentiated (`black_box`).
+
 Gymnasium comes with `pip install snapo[gym]`.
 """
 
@@ -11,9 +13,9 @@ from typing import Any
 HOMES = {
     "Agent": "agent",
     "Environment": "environment",
-    "Played": "play",
+    "Played": "played",
     "VectorEnvironment": "vector",
-    "play": "play",
+    "play": "played",
 }
 
 

@@ -20,7 +20,7 @@ def gymnasium_part(plant: Plant) -> Part:
     are those of `reset(seed=0)`, `reset(seed=1)` …"""
 
     def work(run: StudyRun) -> dict[str, Any]:
-        from snapo.gym.play import play
+        from snapo.gym.played import play
 
         problem = run.setup.problem
         _check_same(plant, plain(problem.inputs))

@@ -42,28 +42,29 @@ def play(
     if not len(seeds):
         raise ValueError("play: give at least one start.")
     act = Agent(agent) if isinstance(agent, Policy) else agent
-    made = [_made(environment) for _ in seeds]
-    firsts = [each.reset(seed=int(seed))[0] for each, seed in zip(made, seeds)]
+    worlds = [made(environment) for _ in seeds]
+    firsts = [each.reset(seed=int(seed))[0] for each, seed in zip(worlds, seeds)]
     seen = np.stack([np.asarray(each, np.float32) for each in firsts])
-    rewards, steps = np.zeros(len(made)), np.zeros(len(made), int)
-    going = list(range(len(made)))
+    rewards, steps = np.zeros(len(worlds)), np.zeros(len(worlds), int)
+    going = list(range(len(worlds)))
     while going:
         actions = act(seen)  # of all: one compiled shape
         left = []
         for i in going:
-            seen[i], reward, ended, late, _ = made[i].step(actions[i])
+            seen[i], reward, ended, late, _ = worlds[i].step(actions[i])
             rewards[i] += reward
             steps[i] += 1
             if not (ended or late):
                 left.append(i)
         going = left
-    for each in made:
+    for each in worlds:
         each.close()
     found = statistics.mean(rewards, np.arange(rewards.size))
     return Played(float(np.mean(rewards)), found.standard_error, rewards, steps)
 
 
-def _made(environment: "str | Callable[[], Any]"):
+def made(environment: "str | Callable[[], Any]"):
+    """The environment of this name, or the one that the function makes."""
     if isinstance(environment, str):
         return gymnasium.make(environment, disable_env_checker=True)
     return environment()

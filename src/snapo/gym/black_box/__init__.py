@@ -1,0 +1,1 @@
+"""Environments that are not differentiable: a model is learnt of them, and the policy inside it."""

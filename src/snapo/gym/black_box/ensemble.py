@@ -1,0 +1,227 @@
+"""A small ensemble of smooth networks, fitted to transitions: a policy is trained in it.
+
+Members differ by their first weights and by the batches that they see, so that they agree where
+there are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a
+handful of trials"; there too a network predicts differences of observations).
+"""
+
+from itertools import pairwise
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import optax
+from jaxtyping import Array, Float, PyTree
+
+from .transitions import Transitions, scale_of
+
+BATCH, ROUND = 256, 250  # rows of a step; steps between two looks at the rows held out
+HELD_OUT = 0.1
+RATES = (3e-3, 3e-5)  # at the first and last step
+
+
+class Fit(NamedTuple):
+    """A fitted ensemble.
+
+    - `layers`: [(weights [E, out, in], biases [E, out])] in the environment's own units, from
+      observation and action to the difference of the observation, the reward of a step after which
+      the episode goes on, that of one that ends it, and the log odds of the end.
+    - `raw`: the same between numbers of order one, to go on from.
+    - `error`: [k + 2] root mean squares on the rows held out, over the spread of each number, of
+      the members' mean: differences, then the reward; last the share of ends that it misjudges.
+    - `spread`: [k] the standard deviation of what the environment adds by chance.
+    """
+
+    layers: PyTree
+    raw: PyTree
+    error: Float[np.ndarray, " k_2"]
+    spread: Float[np.ndarray, " k"]
+    steps: int
+
+
+class _Scales(NamedTuple):
+    """Shift and scale of the networks' inputs and outputs."""
+
+    x: tuple[np.ndarray, np.ndarray]
+    y: tuple[np.ndarray, np.ndarray]
+
+
+def first_layers(size: int, outputs: int, hidden: tuple[int, ...], members: int, seed: int):
+    """Weights of all members before any fit."""
+    rng = np.random.default_rng((seed, 77))
+    widths = (size, *hidden, outputs)
+    return [
+        (
+            (rng.standard_normal((members, out, into)) / np.sqrt(into)).astype(np.float32),
+            np.zeros((members, out), np.float32),
+        )
+        for into, out in pairwise(widths)
+    ]
+
+
+def fit(
+    seen: Transitions, raw: PyTree, capacity: int, most: int, seed: int, patience: int = 4
+) -> Fit:
+    """The ensemble fitted on from the weights `raw`, and how far it is off on rows held out.
+
+    A tenth of the rows is held out. Every member keeps the weights that were best on it; the fit
+    stops after `most` steps, or after `patience` looks without a better one. `capacity` is the
+    most rows there will ever be: arrays have that length, so that all fits are compiled once.
+    """
+    rng = np.random.default_rng((seed, seen.count))
+    order = rng.permutation(seen.count)
+    cut = max(1, int(HELD_OUT * seen.count))
+    held, taught = order[:cut], order[cut:]
+    scales, x, y = _numbers(seen, taught)
+    room = max(1, int(HELD_OUT * capacity))
+    data, test = (_rows(x, y, seen, *each) for each in ((taught, capacity), (held, room)))
+    state = _ADAM.init(raw)
+    best, lowest = raw, np.full(raw[0][0].shape[0], np.inf)
+    stale = steps = 0
+    while steps < most and stale < patience:
+        rates = _rates(steps, most)
+        raw, state = _taught(raw, state, data, rates, jax.random.key(int(rng.integers(2**31))))
+        steps += ROUND
+        loss = np.asarray(_losses(raw, test))
+        better = loss < lowest
+        best = _either(better, raw, best)
+        stale = 0 if np.any(loss < 0.99 * lowest) else stale + 1
+        lowest = np.minimum(loss, lowest)
+    error, spread = _misses(best, test, scales, seen.before.shape[1])
+    return Fit(_in_units(best, scales), best, error, spread, steps)
+
+
+class _Data(NamedTuple):
+    x: Any
+    y: Any
+    ended: Any
+    count: int
+
+
+def _numbers(seen: Transitions, taught: np.ndarray) -> tuple[_Scales, np.ndarray, np.ndarray]:
+    """Scales from the rows taught; inputs and outputs of all rows between numbers of order one."""
+    x = np.concatenate([seen.before, seen.action], 1).astype(np.float64)
+    change = (seen.after - seen.before).astype(np.float64)
+    y = np.concatenate([change, seen.reward[:, None], seen.reward[:, None]], 1)
+    rows = np.zeros(seen.count, bool)
+    rows[taught] = True
+    going, ended = rows & ~seen.ended, rows & seen.ended
+    moves, on, last = y[rows, :-2], y[going, -2:-1], y[ended, -1:]
+    parts = [scale_of(each) for each in (moves, on, last)]
+    shift, scale = (np.concatenate([each[i] for each in parts]) for i in (0, 1))
+    scales = _Scales(scale_of(x[rows]), (shift, scale))
+    x, y = ((each - s[0]) / s[1] for each, s in zip((x, y), scales))
+    return scales, x.astype(np.float32), y.astype(np.float32)
+
+
+def _rows(x: np.ndarray, y: np.ndarray, seen: Transitions, rows: np.ndarray, length: int) -> _Data:
+    """Some rows, in arrays of a length."""
+    x, y, ended = (_padded(each, rows, length) for each in (x, y, seen.ended))
+    return _Data(x, y, ended, rows.size)
+
+
+def _padded(values: np.ndarray, rows: np.ndarray, length: int) -> np.ndarray:
+    found = np.zeros((length, *values.shape[1:]), np.float32)
+    found[: rows.size] = values[rows][:length]
+    return found
+
+
+def _rates(done: int, most: int) -> np.ndarray:
+    """Cosine decay, step by step."""
+    share = np.minimum(1.0, (done + np.arange(ROUND)) / most)
+    high, low = RATES
+    return (low + (high - low) * (1 + np.cos(np.pi * share)) / 2).astype(np.float32)
+
+
+def _forward(layers, x: Float[Array, "n i"]) -> Float[Array, "n o"]:
+    """One member's outputs."""
+    *hidden, (weight, bias) = layers
+    for w, b in hidden:
+        x = jnp.tanh(x @ w.T + b)
+    return x @ weight.T + bias
+
+
+def _parts(layers, x, y, ended) -> Array:
+    """[n, k + 3] squares of the misses that count, and the cross entropy of the end."""
+    told = _forward(layers, x)
+    moves = (told[:, :-3] - y[:, :-2]) ** 2
+    on = (1 - ended)[:, None] * (told[:, -3:-2] - y[:, -2:-1]) ** 2
+    last = ended[:, None] * (told[:, -2:-1] - y[:, -1:]) ** 2
+    odds = optax.sigmoid_binary_cross_entropy(told[:, -1:], ended[:, None])
+    return jnp.concatenate([moves, on, last, odds], 1)
+
+
+_ADAM = optax.adam(1.0)
+
+
+@jax.jit
+def _taught(raw, state, data: _Data, rates, key):
+    """`ROUND` steps of Adam for all members at once."""
+    members = raw[0][0].shape[0]
+
+    def loss(raw, rows):
+        def one(layers, rows):
+            return _parts(layers, data.x[rows], data.y[rows], data.ended[rows]).mean(0).sum()
+
+        return jax.vmap(one)(raw, rows).sum()
+
+    def step(carry, given):
+        raw, state = carry
+        rate, key = given
+        rows = jax.random.randint(key, (members, BATCH), 0, data.count)
+        change, state = _ADAM.update(jax.grad(loss)(raw, rows), state)
+        return (jax.tree.map(lambda w, d: w + rate * d, raw, change), state), None
+
+    keys = jax.random.split(key, ROUND)
+    return jax.lax.scan(step, (raw, state), (rates, keys))[0]
+
+
+@jax.jit
+def _losses(raw, test: _Data) -> Float[Array, " E"]:
+    """The loss of every member on the rows held out."""
+    count = jnp.arange(test.x.shape[0]) < test.count
+
+    def one(layers):
+        each = _parts(layers, test.x, test.y, test.ended).sum(1)
+        return jnp.sum(jnp.where(count, each, 0.0)) / test.count
+
+    return jax.vmap(one)(raw)
+
+
+_all_told = jax.jit(jax.vmap(_forward, (0, None)))
+
+
+def _misses(raw, test: _Data, scales: _Scales, size: int) -> tuple[np.ndarray, np.ndarray]:
+    """How far the members' mean is off, and what of it is chance."""
+    told = np.asarray(_all_told(raw, test.x))[:, : test.count]
+    y, ended = np.asarray(test.y)[: test.count], np.asarray(test.ended)[: test.count]
+    middle = told.mean(0)
+    moves = ((middle[:, :size] - y[:, :size]) ** 2).mean(0)
+    on = (1 - ended) @ (middle[:, size] - y[:, size]) ** 2 / max(1.0, np.sum(1 - ended))
+    wrong = np.mean((middle[:, -1] > 0) != (ended > 0.5))
+    error = np.concatenate([np.sqrt(moves), [np.sqrt(on), wrong]])
+    # The mean is off by chance and by its members' own errors, of which their spread tells.
+    own = told[:, :, :size].var(0, ddof=1).mean(0) if len(told) > 1 else np.zeros(size)
+    chance = np.sqrt(np.maximum(0.0, moves - own / len(told)))
+    return error, chance * scales.y[1][:size]
+
+
+def _in_units(raw, scales: _Scales):
+    """The same networks between numbers in the environment's units."""
+    (first, bias), *rest = [tuple(np.asarray(a, np.float64) for a in each) for each in raw]
+    shift, scale = scales.x
+    layers = [(first / scale, bias - (first / scale) @ shift), *rest]
+    weight, bias = layers[-1]
+    shift, scale = (np.append(each, end) for each, end in zip(scales.y, (0.0, 1.0)))
+    layers[-1] = (weight * scale[:, None], bias * scale + shift)
+    return layers
+
+
+def _either(better: np.ndarray, raw, best):
+    """The new weights of the members that are better, and the old ones of the others."""
+
+    def one(new, old):
+        return np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)
+
+    return jax.tree.map(one, raw, best)

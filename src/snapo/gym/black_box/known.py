@@ -1,0 +1,94 @@
+"""All that is known of a real environment so far, and the units in which a policy sees it."""
+
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Float
+
+from snapo.problem.policy import MLP
+
+from .real import Act, Episode, Real
+from .transitions import Transitions, circles, joined, scale_of
+
+
+class Units(NamedTuple):
+    """Shift and scale [k] of what a policy sees in training: fixed, or weights lost their sense."""
+
+    shift: np.ndarray
+    scale: np.ndarray
+
+    def undone(self, policy: MLP) -> MLP:
+        """The policy that takes observations as the environment gives them: no network of a kind
+        of its own, so that it is saved and exported as every policy is."""
+        weight, bias = _first(policy)
+        weight = weight / self.scale
+        return _with_first(policy, weight, bias - weight @ self.shift)
+
+    def done(self, policy: MLP) -> MLP:
+        """The way back."""
+        weight, bias = _first(policy)
+        return _with_first(policy, weight * self.scale, bias + weight @ self.shift)
+
+
+@dataclass
+class Known:
+    """The real environment and all episodes so far.
+
+    `units` and `circles` (see `transitions.circles`) are those of the random episodes.
+    """
+
+    real: Real
+    rng: np.random.Generator
+    units: Units
+    circles: tuple[tuple[int, int], ...] = ()
+    episodes: list[Episode] = field(default_factory=list)
+
+    @staticmethod
+    def of(real: Real, seed: int) -> "Known":
+        """Nothing yet."""
+        nothing = Units(np.zeros(0), np.ones(0))
+        return Known(real, np.random.default_rng((seed, 1)), nothing)
+
+    def settled(self) -> "Known":
+        """With the units of all that was seen so far."""
+        seen = self.seen
+        every = np.concatenate([seen.before, seen.after]).astype(np.float64)
+        return replace(self, units=Units(*scale_of(every)), circles=circles(every))
+
+    @property
+    def seen(self) -> Transitions:
+        """All transitions."""
+        return joined([each.rows for each in self.episodes])
+
+    @property
+    def firsts(self) -> Float[np.ndarray, "n k"]:
+        """The first observations of all episodes."""
+        return np.stack([each.start for each in self.episodes])
+
+    def play(self, act: Act, seed: int | None = None) -> Episode:
+        """One more episode."""
+        seed = int(self.rng.integers(2**31)) if seed is None else seed
+        self.episodes.append(self.real.episode(act, seed))
+        return self.episodes[-1]
+
+    def room(self, steps: float) -> bool:
+        """Whether one more episode ends within so many steps, however long it takes."""
+        return self.real.steps + self.real.limit <= steps
+
+
+def _first(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
+    assert policy.network is not None
+    weight, bias = policy.network.weights[0], policy.network.biases[0]
+    return np.asarray(weight, np.float64), np.asarray(bias, np.float64)
+
+
+def _with_first(policy: MLP, weight: np.ndarray, bias: np.ndarray) -> MLP:
+    """The policy with another first layer."""
+
+    def places(policy):
+        return [policy.network.weights[0], policy.network.biases[0]]
+
+    return eqx.tree_at(places, policy, [jnp.asarray(each, jnp.float32) for each in (weight, bias)])

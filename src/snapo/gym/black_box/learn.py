@@ -1,0 +1,86 @@
+"""The verb `snapo.learn`: a policy for an environment that cannot be differentiated.
+
+Explore; then, round by round: fit a smooth ensemble to all transitions, train the policy through
+it by adjoint, and play it in the real environment. Where the model is wrong it is found out there,
+and the next fit knows better.
+"""
+
+from collections.abc import Callable
+from typing import Any
+
+from snapo.engine import Choice
+from snapo.problem.policy import MLP
+from snapo.solver.train import Training
+
+from .learned import Learned, Round
+from .model import Over, Reward
+
+LONGEST = 125  # decisions of a path in training, where nobody gives them
+FEWEST = 8  # episodes that the steps must suffice for
+
+
+def learn(
+    environment: Any,
+    steps: int = 20_000,
+    *,
+    policy: MLP | None = None,
+    rounds: int = 6,
+    hold: int | None = None,
+    limit: int | None = None,
+    horizon: int | None = None,
+    members: int = 3,
+    hidden: tuple[int, ...] = (64, 64),
+    training: Training | None = None,
+    reward: Reward | None = None,
+    over: Over | None = None,
+    seed: int = 0,
+    engine: Choice = "auto",
+    progress: Callable[[Round], object] | None = None,
+) -> Learned:
+    """Learns a policy for a black box: a Gymnasium environment with boxes of numbers.
+
+    **Arguments:**
+
+    - `environment`: a name such as "Pendulum-v1", a function that makes the environment, or one.
+    - `steps`: the most that the real environment makes, for all purposes together.
+    - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or one to train on, such as
+      that of an earlier result.
+    - `rounds`: of fit, training and real episodes.
+    - `hold`: steps of the environment that a decision is held for; by default so many that an
+      episode has at most 250 decisions. `limit`: the longest episode, in steps; by default the
+      environment's own.
+    - `horizon`: decisions of a path in training; by default half an episode, at most 125.
+    - `members`, `hidden`: networks of the ensemble, and their layers.
+    - `training`: of the policy in the first and the last round; others take half its steps.
+    - `reward`: `reward(observation, action, after)` in `jax.numpy`, where it is known; else it is
+      learnt. `over`: `over(after)`, a number of order one that is above 0 where the episode ends;
+      else the end is learnt.
+    - `progress`: told every `Round`.
+
+    **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
+    limits an episode, or where the steps do not suffice for eight episodes.
+    """
+    # Late: the public names are there without Gymnasium.
+    from .loop import run
+    from .real import Real
+    from .rounds import Plan
+
+    real = Real(environment, hold, limit)
+    if rounds < 1 or steps < FEWEST * real.limit:
+        raise ValueError(
+            f"learn: an episode takes up to {real.limit} steps; got steps={steps} and "
+            f"rounds={rounds}, allowed are at least {FEWEST * real.limit} steps and one round."
+        )
+    horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
+    plan = Plan(
+        steps, rounds, horizon, members, tuple(hidden), training or _training(seed), reward, over,
+        seed, engine,
+    )  # fmt: skip
+    return run(environment, real, plan, policy, progress)
+
+
+def _training(seed: int) -> Training:
+    return Training(
+        steps=150, paths=128, learning_rate=0.02, window=25, seed=seed, validation_paths=256,
+        validation_every=25,
+    )  # fmt: skip

@@ -1,0 +1,150 @@
+"""The result of `snapo.learn`: the policy, its value in the model and in the real environment."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+
+from snapo.problem.policy import MLP
+from snapo.solver import statistics
+
+if TYPE_CHECKING:
+    from ..played import Played
+
+
+class Compared(NamedTuple):
+    """Episodes of one policy from the same first observations, in both.
+
+    - `real`, `model`: mean sum of rewards of an episode, with standard errors.
+    - `gap`: real less model, start by start: its error is that of the difference.
+    """
+
+    real: float
+    real_error: float
+    model: float
+    model_error: float
+    gap: float
+    gap_error: float
+    rewards: np.ndarray
+
+    @property
+    def episodes(self) -> int:
+        """How many there are; `rewards` [episodes] are the sums of each in the real one."""
+        return len(self.rewards)
+
+    @staticmethod
+    def of(real: Sequence[float] | np.ndarray, model: np.ndarray) -> "Compared":
+        """From the sums of rewards of every episode."""
+        both = np.asarray(real, np.float64), np.asarray(model, np.float64)
+        found = [statistics.mean(each) for each in (*both, both[0] - both[1])]
+        (a, da, _), (b, db, _), (c, dc, _) = found
+        return Compared(a, da, b, db, c, dc, both[0])
+
+
+class Round(NamedTuple):
+    """One round: a fit, a training, and episodes of the new policy in the real environment.
+
+    - `steps`: real steps by its end, `rows`: transitions that the model was fitted to.
+    - `error`: of the model on rows held out, over the spread of each number (see `Fit.error`).
+    - `found`: the new policy without noise, from first observations that all rounds share.
+    - `seconds`: of processor time.
+    """
+
+    steps: int
+    rows: int
+    error: np.ndarray
+    found: Compared
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class Learned:
+    """A policy that was learnt in a model, and all that the real environment said of it.
+
+    - `policy`: from the environment's observation to its action, both in its own units: plays by
+      `snapo.gym.Agent(policy)`, is saved and exported as every policy is.
+    - `found`: its value in both, and their gap, on fresh starts that no round used.
+    - `steps`: of the real environment, all of them; `hold`: how many each decision is held for.
+    - `rounds`: the history; `chosen` the round, from 1, whose policy this is: that which earned
+      most in the real environment from the starts that all rounds share.
+    - `model`, `inputs`: the simulator and its numbers, as of the last fit: `snapo.Problem(model,
+      inputs, snapo.Mean("reward"))`.
+    """
+
+    policy: MLP
+    found: Compared
+    steps: int
+    hold: int
+    limit: int
+    rounds: tuple[Round, ...]
+    chosen: int
+    seconds: float
+    seed: int
+    model: Any
+    inputs: Any
+    environment: Any
+
+    @property
+    def value(self) -> float:
+        """The mean sum of rewards of an episode in the real environment."""
+        return self.found.real
+
+    @property
+    def standard_error(self) -> float:
+        """Of `value`."""
+        return self.found.real_error
+
+    @property
+    def model_value(self) -> float:
+        """The same in the model, from the same starts."""
+        return self.found.model
+
+    @property
+    def gap(self) -> float:
+        """The value in the real environment less that in the model."""
+        return self.found.gap
+
+    def play(self, starts: int | Sequence[int] = 100) -> "Played":
+        """More episodes of the policy in the real environment, which `steps` does not count.
+
+        **Raises:** `ValueError` where the environment came as an object: give a name or a function.
+        """
+        # Late: the public names are there without Gymnasium.
+        from ..installed import gymnasium
+        from ..played import play
+        from .real import Held, opened
+
+        if isinstance(self.environment, gymnasium.Env):
+            raise ValueError(
+                "play: episodes run side by side, and only one environment came; give learn its "
+                "name, or a function that makes it."
+            )
+
+        def held():
+            return Held(opened(self.environment), self.hold, self.limit)
+
+        return play(self.policy, held, starts)
+
+    def __str__(self) -> str:
+        found = self.found
+        titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
+        lines = [
+            f"real environment {_pair(found.real, found.real_error)}, "
+            f"model {_pair(found.model, found.model_error)}, "
+            f"gap {_pair(found.gap, found.gap_error)} over {found.episodes} episodes",
+            f"{self.steps:,} real steps, {self.seconds:.0f} s of processor time, "
+            f"policy of round {self.chosen} of {len(self.rounds)}",
+            "{:>5} {:>7} {:>9} {:>11} {:>18} {:>18}".format(*titles),
+        ]
+        for number, each in enumerate(self.rounds, 1):
+            real, gap = each.found.real, each.found.gap
+            lines.append(
+                f"{number:>5} {each.steps:>7,} {each.rows:>9,} {np.max(each.error[:-1]):>11.2%} "
+                f"{_pair(real, each.found.real_error):>18} {_pair(gap, each.found.gap_error):>18}"
+            )
+        return "\n".join(lines)
+
+
+def _pair(value: float, error: float) -> str:
+    return f"{value:.4g} ± {error:.2g}"

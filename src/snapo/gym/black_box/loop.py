@@ -1,0 +1,73 @@
+"""The loop of `snapo.learn`: explore, then rounds, then the last policy alone."""
+
+import time
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.policy import MLP
+
+from .ensemble import first_layers
+from .explore import random_actions
+from .known import Known
+from .learned import Learned, Round
+from .real import Real
+from .rounds import EXPLORE, Inside, Plan, begun, compared, fitted, improved, until
+
+
+def run(
+    environment: Any,
+    real: Real,
+    plan: Plan,
+    policy: MLP | None,
+    progress: Callable[[Round], object] | None,
+) -> Learned:
+    """All of it; the arguments are those of `learn`."""
+    clock = time.process_time()
+    known = _explored(real, plan)
+    history, policies, inside = _rounds(known, plan, policy, progress)
+    chosen = _best(history)
+    found = compared(plan, known, inside, policies[chosen], plan.steps)
+    return Learned(
+        policy=known.units.undone(policies[chosen]), found=found, steps=real.steps,
+        hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=chosen + 1,
+        seconds=time.process_time() - clock, seed=plan.seed, model=inside.model,
+        inputs=inside.inputs, environment=environment,
+    )  # fmt: skip
+
+
+def _explored(real: Real, plan: Plan) -> Known:
+    """Episodes of random actions, and the units that they give."""
+    known = Known.of(real, plan.seed)
+    while not known.episodes or known.room(EXPLORE * plan.steps):
+        known.play(random_actions(real, known.rng))
+    return known.settled()
+
+
+def _rounds(
+    known: Known, plan: Plan, policy: MLP | None, progress: Callable[[Round], object] | None
+) -> tuple[list[Round], list[MLP], Inside]:
+    """The history, the policy of every round, and the last model."""
+    common = known.rng.integers(2**31, size=plan.steps)  # seeds of starts that all rounds share
+    size, history, policies, inside = len(known.units.shift), [], [], None
+    raw = first_layers(size + known.real.size, size + 3, plan.hidden, plan.members, plan.seed)
+    for number in range(plan.rounds):
+        since = time.process_time()
+        inside = fitted(plan, known, raw, number)
+        raw = inside.fit.raw
+        before = policies[-1] if policies else begun(inside, policy, known.units, plan.seed)
+        policies.append(improved(plan, inside, before, number))
+        found = compared(plan, known, inside, policies[-1], until(plan, number), common)
+        spent = time.process_time() - since
+        history.append(Round(known.real.steps, inside.rows, inside.fit.error, found, spent))
+        if progress is not None:
+            progress(history[-1])
+    assert inside is not None
+    return history, policies, inside
+
+
+def _best(history: list[Round]) -> int:
+    """The round whose policy earned most on those starts that all rounds have played."""
+    shared = min(each.found.episodes for each in history)
+    return int(np.argmax([np.mean(each.found.rewards[:shared]) for each in history]))

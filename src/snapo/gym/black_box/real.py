@@ -1,0 +1,129 @@
+"""The real environment: every step is counted, and every transition kept."""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from ..installed import gymnasium
+from ..played import made
+from .transitions import Transitions
+
+Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's number to action
+
+
+class Episode(NamedTuple):
+    """One episode: its transitions, the sum of its rewards, and the steps that it took."""
+
+    rows: Transitions
+    total: float
+    steps: int
+    start: np.ndarray
+
+
+class Real:
+    """A Gymnasium environment whose decisions are held for `hold` steps each.
+
+    **Raises:** `ValueError` where observations or actions are no numbers in a box, or where nothing
+    limits the length of an episode.
+    """
+
+    def __init__(self, environment: Any, hold: int | None, limit: int | None):
+        inner = opened(environment)
+        seen, self.actions = _box(inner, "observation"), _box(inner, "action")
+        if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
+            raise ValueError("learn: the actions need a finite low and high, to be explored.")
+        self.low, self.high = (np.ravel(each).astype(np.float64) for each in (seen.low, seen.high))
+        self.limit = _limit(inner, limit)
+        self.hold = hold if hold is not None else max(1, -(-self.limit // MOST_DECISIONS))
+        self.decisions = -(-self.limit // self.hold)
+        self.environment = Held(inner, self.hold, self.limit)
+        self.steps = 0
+
+    @property
+    def size(self) -> int:
+        """Numbers in an action."""
+        return int(np.prod(self.actions.shape))
+
+    def episode(self, act: Act, seed: int) -> Episode:
+        """Plays one episode to its end."""
+        seen, _ = self.environment.reset(seed=int(seed))
+        start = seen = _flat(seen)
+        rows, done = [], False
+        while not done:
+            action = np.asarray(act(seen, len(rows)), np.float32).reshape(-1)
+            shaped = action.reshape(self.actions.shape)
+            found, reward, ended, late, _ = self.environment.step(shaped)
+            before, seen, done = seen, _flat(found), ended or late
+            rows.append((before, action, reward, seen, ended))
+        self.steps += self.environment.taken
+        kinds = (np.float32, np.float32, np.float64, np.float32, bool)
+        columns = [np.asarray(each, kind) for each, kind in zip(zip(*rows), kinds)]
+        total = float(columns[2].sum())
+        return Episode(Transitions(*columns), total, self.environment.taken, start)
+
+
+class Held(gymnasium.Wrapper):
+    """An environment of which every action is held for `hold` steps, their rewards added up.
+
+    An episode is over after `limit` steps of the environment inside; `taken` are those so far.
+    """
+
+    def __init__(self, environment: Any, hold: int, limit: int):
+        super().__init__(environment)
+        self.hold, self.limit, self.taken = hold, limit, 0
+
+    def reset(self, **options):
+        self.taken = 0
+        return super().reset(**options)
+
+    def step(self, action):
+        total, ended, late = 0.0, False, False
+        seen, info = None, {}
+        for _ in range(self.hold):
+            seen, reward, ended, late, info = super().step(action)
+            self.taken += 1
+            total, late = total + float(reward), bool(late) or self.taken >= self.limit
+            if ended or late:
+                break
+        return seen, total, bool(ended), late, info
+
+
+MOST_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
+
+
+def opened(environment: Any):
+    """The environment of a name, of a function that makes it, or itself."""
+    return environment if isinstance(environment, gymnasium.Env) else made(environment)
+
+
+FLATTEN = "gymnasium.wrappers.FlattenObservation makes a box of it"
+SCORES = (
+    "the adjoint needs numbers that can move a little. A gymnasium.ActionWrapper can take a Box of "
+    "scores, one for each choice, and choose the largest"
+)
+REMEDIES = {"observation": FLATTEN, "action": SCORES}
+
+
+def _box(environment: Any, name: str):
+    """A space of the environment, which must be a box."""
+    space = getattr(environment, f"{name}_space", None)
+    if not isinstance(space, gymnasium.spaces.Box):
+        raise ValueError(
+            f"learn: the {name} space is {space}, and a Box of numbers is needed: {REMEDIES[name]}."
+        )
+    return space
+
+
+def _limit(environment: Any, given: int | None) -> int:
+    spec = getattr(environment, "spec", None)
+    limit = given or getattr(spec, "max_episode_steps", None)
+    if not limit:
+        raise ValueError(
+            "learn: nothing limits the length of an episode; give limit=200, say, in steps."
+        )
+    return int(limit)
+
+
+def _flat(seen: Any) -> np.ndarray:
+    return np.asarray(seen, np.float32).reshape(-1)

@@ -1,0 +1,117 @@
+"""One round: fit the model, improve the policy inside it, and play it in the real environment."""
+
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from snapo.engine import Choice
+from snapo.problem.actions import Box
+from snapo.problem.objective import Mean
+from snapo.problem.policy import MLP
+from snapo.problem.problem import Problem
+from snapo.solver.train import Training
+
+from ..agent import Agent
+from .ensemble import Fit, fit
+from .explore import noisy
+from .inside import inputs_of, trained, value
+from .known import Known, Units
+from .learned import Compared
+from .model import Model, Over, Reward
+from .real import Episode
+
+EXPLORE, CONFIRM = 0.15, 0.1  # shares of the steps: random ones at first; the last policy alone
+FIRST, LATER = 4000, 2000  # steps of a fit, at most
+
+
+@dataclass(frozen=True)
+class Plan:
+    """The settings of `learn`."""
+
+    steps: int
+    rounds: int
+    horizon: int
+    members: int
+    hidden: tuple[int, ...]
+    training: Training
+    reward: Reward | None
+    over: Over | None
+    seed: int
+    engine: Choice
+
+
+class Inside(NamedTuple):
+    """The model of a round: the simulator, its numbers, their fit, and the rows that it saw."""
+
+    model: Model
+    inputs: Any
+    fit: Fit
+    rows: int
+
+
+def until(plan: Plan, number: int) -> float:
+    """The real steps made when a round is over: the share of random ones, then equal parts."""
+    share = EXPLORE + (1 - CONFIRM - EXPLORE) * (number + 1) / plan.rounds
+    return share * plan.steps
+
+
+def fitted(plan: Plan, known: Known, raw: Any, number: int) -> Inside:
+    """The model of all that was seen; `raw` are the weights that the fit goes on from."""
+    seen, real = known.seen, known.real
+    capacity = -(-plan.steps // real.hold) + real.limit
+    found = fit(seen, raw, capacity, LATER if number else FIRST, plan.seed)
+    box = Box(real.size, np.ravel(real.actions.low), np.ravel(real.actions.high))
+    size, ends = seen.before.shape[1], bool(seen.ended.any())
+    model = Model(
+        horizon=plan.horizon,
+        action=box,
+        noise_size=size,
+        members=plan.members,
+        ends=ends,
+        circles=known.circles,
+        reward=plan.reward,
+        over=plan.over,
+    )
+    return Inside(model, inputs_of(found, known), found, seen.count)
+
+
+def begun(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
+    """The policy before any training; one that has weights takes the environment's units."""
+    interface = Problem(inside.model, inside.inputs, Mean("reward")).interface
+    made = (policy or MLP(hidden=(32, 32))).for_problem(interface, jax.random.key(seed))
+    return made if policy is None or policy.network is None else units.done(made)
+
+
+def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
+    """The policy trained on, on paths that no round had before."""
+    settings, middle = plan.training, 0 < number < plan.rounds - 1
+    settings = replace(settings, seed=settings.seed + 1000 * number)
+    if middle:
+        settings = replace(settings, steps=max(1, settings.steps // 2))
+    if inside.model.may_end:
+        # The critic of a window sees no difference between a path that has ended and another.
+        settings = replace(settings, window=None)
+    return trained(inside.model, inside.inputs, policy, settings, plan.engine)
+
+
+def compared(
+    plan: Plan, known: Known, inside: Inside, policy: MLP, most: float, common: Any = None
+) -> Compared:
+    """Episodes in the real environment up to `most` steps in all, one at least, and the same in
+    the model.
+
+    With the seeds `common` every second episode is another, with noise, for the next fit alone.
+    """
+    agent = Agent(known.units.undone(policy))
+    played: list[Episode] = []
+    while not played or known.room(most):
+        seed = None if common is None else int(common[len(played)])
+        played.append(known.play(lambda seen, number: agent(seen), seed))
+        if common is not None and known.room(most):
+            known.play(noisy(agent, known.real, known.rng))
+    firsts = np.stack([each.start for each in played])
+    whole = replace(inside.model, horizon=known.real.decisions)
+    model = value(whole, inside.inputs, policy, firsts, plan.engine, plan.seed)
+    return Compared.of([each.total for each in played], model)

@@ -1,0 +1,166 @@
+"""Black boxes: counting, exploring, units, and the figures of a result. No training runs."""
+
+import equinox as eqx
+import numpy as np
+import pytest
+
+import snapo
+
+gymnasium = pytest.importorskip("gymnasium")
+from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
+from snapo.gym.black_box.known import Known, Units  # noqa: E402
+from snapo.gym.black_box.learned import Compared  # noqa: E402
+from snapo.gym.black_box.real import Held, Real  # noqa: E402
+from snapo.gym.black_box.transitions import circles, scale_of  # noqa: E402
+
+
+class Counter(gymnasium.Env):
+    """Counts its steps; it ends by itself at `last`. Every step is paid its number."""
+
+    observation_space = gymnasium.spaces.Box(-np.inf, np.inf, (1,), np.float32)
+    action_space = gymnasium.spaces.Box(-1.0, 3.0, (2,), np.float32)
+
+    def __init__(self, last: int = 1000):
+        self.last, self.t, self.taken = last, 0, []
+
+    def reset(self, *, seed=None, options=None):
+        self.t = 0
+        return np.zeros(1, np.float32), {}
+
+    def step(self, action):
+        self.t += 1
+        self.taken.append(np.array(action))
+        return np.full(1, self.t, np.float32), float(self.t), self.t == self.last, False, {}
+
+
+def nothing(seen, number):
+    return np.zeros(2)
+
+
+def test_decisions_are_held_and_every_step_is_counted():
+    real = Real(Counter(), hold=3, limit=8)
+    assert real.decisions == 3
+    played = real.episode(nothing, 0)
+    assert played.steps == real.steps == 8
+    assert played.rows.before[:, 0].tolist() == [0, 3, 6]
+    assert played.rows.after[:, 0].tolist() == [3, 6, 8]
+    assert played.rows.reward.tolist() == [1 + 2 + 3, 4 + 5 + 6, 7 + 8]
+    assert played.total == 36 and played.rows.action.shape == (3, 2)
+    real.episode(nothing, 0)
+    assert real.steps == 16
+
+
+def test_the_limit_of_time_is_no_end():
+    """The state after the last step in time says nothing of an end; that of an end does."""
+    late, ended = (Real(Counter(last), 1, 5).episode(nothing, 0).rows for last in (1000, 4))
+    assert not late.ended.any() and late.ended.size == 5
+    assert ended.ended.tolist() == [False, False, False, True]
+    at_once = Real(Counter(5), 1, 5).episode(nothing, 0).rows
+    assert at_once.ended.tolist() == [False] * 4 + [True]  # both: the end is one
+
+
+def test_decisions_are_held_by_default_where_episodes_are_long():
+    assert [Real(Counter(), None, limit).hold for limit in (200, 250, 251, 999)] == [1, 1, 2, 4]
+
+
+def test_what_cannot_be_learnt_is_refused_with_a_remedy():
+    discrete, unbounded = gymnasium.spaces.Discrete(2), gymnasium.spaces.Box(-np.inf, 1.0, (2,))
+    for name, space, told in (
+        ("action_space", discrete, r"action space is Discrete\(2\).*ActionWrapper"),
+        ("observation_space", discrete, r"observation space is Discrete.*FlattenObservation"),
+        ("action_space", unbounded, "finite low and high"),
+    ):
+        environment = Counter()
+        setattr(environment, name, space)
+        with pytest.raises(ValueError, match=told):
+            snapo.learn(environment, limit=10)
+    with pytest.raises(ValueError, match="give limit=200"):
+        snapo.learn(Counter)
+    with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 1600 steps"):
+        snapo.learn(Counter, steps=100, limit=200)
+
+
+def test_random_actions_are_held_and_keep_within_bounds():
+    real, rng = Real(Counter(), 1, 200), np.random.default_rng(0)
+    lengths = []
+    for _ in range(50):
+        act = random_actions(real, rng)
+        actions = np.stack([act(None, t) for t in range(200)])
+        assert actions.min() >= -1 and actions.max() <= 3
+        changes = np.flatnonzero(np.any(np.diff(actions, axis=0), axis=1)) + 1
+        lengths.append(changes[0])
+        ends = actions[np.unique(np.append(0, changes))]
+        assert len(ends) >= 10
+    # From a hundredth to a tenth of the episode. An end drawn twice hides a change.
+    assert min(lengths) == 2 and 12 <= max(lengths) <= 60
+    centre = noisy(lambda seen: np.full(2, 2.9), real, rng)
+    actions = np.stack([centre(None, t) for t in range(200)])
+    assert actions.max() == 3 and actions.min() >= 2.9 - 2 * 0.3 * 2
+    assert np.ptp(actions) > 0.3
+
+
+def test_a_cosine_and_its_sine_are_found():
+    angle, other = np.random.default_rng(0).uniform(-np.pi, np.pi, (2, 100))
+    speed = np.linspace(-1, 1, 100)
+    seen = np.stack([speed, np.cos(angle), np.sin(other), np.sin(angle), np.cos(other)], 1)
+    assert circles(seen) == ((1, 3), (2, 4))
+    assert circles(np.stack([np.ones(100), np.zeros(100)], 1)) == ()  # nothing turns
+    seen[7] *= 1.01
+    assert circles(seen) == ()
+
+
+def test_scales_of_what_never_moves_are_one():
+    rows = np.stack([np.full(50, 1e6), np.linspace(0, 1e-3, 50)], 1)
+    mean, scale = scale_of(rows)
+    assert mean[0] == 1e6 and scale[0] == 1 and scale[1] == pytest.approx(rows[:, 1].std())
+    assert scale_of(np.zeros((0, 2)))[1].tolist() == [1, 1]
+
+
+def test_a_policy_keeps_its_decisions_in_other_units():
+    """The first layer takes the scales in, and gives them back."""
+    rng = np.random.default_rng(0)
+    network = eqx.tree_at(
+        lambda made: made.network,
+        snapo.MLP(hidden=(4,)),
+        _Bare([rng.normal(size=(4, 2)), rng.normal(size=(1, 4))], [np.ones(4), np.zeros(1)]),
+        is_leaf=lambda leaf: leaf is None,
+    )
+    units = Units(np.array([5.0, -100.0]), np.array([0.01, 40.0]))
+    seen = units.shift + units.scale * rng.normal(size=(6, 2))
+    before = ((seen - units.shift) / units.scale) @ network.network.weights[0].T + 1
+    undone = units.undone(network)
+    after = seen @ np.asarray(undone.network.weights[0]).T + undone.network.biases[0]
+    assert np.allclose(before, after, rtol=1e-4, atol=1e-3)  # 5 / 0.01 in single precision
+    assert np.allclose(units.done(undone).network.weights[0], network.network.weights[0])
+
+
+class _Bare(eqx.Module):
+    """A network's numbers alone: nothing is drawn by JAX."""
+
+    weights: list
+    biases: list
+
+
+def test_the_gap_has_the_error_of_the_difference():
+    starts = np.array([-100.0, -300.0, -10.0, -150.0])
+    found = Compared.of(starts + np.array([1.0, 0.9, 1.1, 1.0]), starts)
+    assert found.gap == pytest.approx(1.0) and found.gap_error < 0.05 < found.real_error
+    assert found.episodes == 4 and found.model == pytest.approx(-140)
+
+
+def test_an_episode_begins_only_where_all_of_it_has_room():
+    known = Known.of(Real(Counter(), 1, 10), 0)
+    known.play(nothing)
+    assert known.real.steps == 10 and known.room(20) and not known.room(19)
+    known.play(nothing)
+    assert known.seen.count == 20 and known.settled().units.scale[0] == pytest.approx(
+        np.append(np.arange(10), np.arange(1, 11)).std()
+    )
+
+
+def test_a_held_environment_is_one_of_gymnasium():
+    held = Held(Counter(last=5), 2, 100)
+    held.reset(seed=0)
+    steps = [held.step(np.zeros(2))[1:4] for _ in range(3)]
+    assert steps == [(3.0, False, False), (7.0, False, False), (5.0, True, False)]
+    assert held.taken == 5
