@@ -25,11 +25,13 @@ from .results.headline import result
 from .results.moved import Recipe
 from .results.statement import statement
 
-PROFILE, SPACE, FITTED = "profile.csv", "design_space.csv", "fitted.csv"
+PROFILE, FITTED = "profile.csv", "fitted.csv"
+SPACE, BOUNDARY = "design_space.csv", "design_space_boundary.csv"
 SETPOINTS, BEST = "setpoints.csv", "setpoints_best.csv"
 SLOPES = "attribute_sensitivities.csv"  # of the attributes; a policy has a table of its own
 
 BATCH, SOUND, MATRIX, MESH = "one batch", "integration", "sensitivity matrix", "mesh of statistics"
+RANGES = "proven ranges"
 
 
 def study(case: PharmaCase, options: Options) -> Study:
@@ -199,7 +201,8 @@ class OpenLoop:
             found.append(Part("best recipe", self.best_recipe, (MESH,)))
         if case.design_space is not None:
             found.append(Part("design space", self.design_space, (MESH,)))
-            found.append(of("proven ranges", "ranges", lambda p: quality.range_rows(p, seed)))
+            found.append(of(RANGES, "ranges", lambda p: quality.range_rows(p, seed)))
+            found.append(Part("pairs of ranges", self.pairs, (RANGES,)))
         if case.estimation is not None:
             found.append(Part("estimation", self.fit, (SOUND,)))
         return found
@@ -230,4 +233,8 @@ class OpenLoop:
         found = quality.map_tables(self.sampled(run), self.seed)
         names = [each.name for each in self.case.attributes]
         run.write_csv(SPACE, *quality.space_rows(found, names))
+        run.write_csv(BOUNDARY, *quality.boundary_rows(found, names))
         return {"design_space": found}
+
+    def pairs(self, run: StudyRun) -> dict[str, Any]:
+        return {"pairs": quality.pair_rows(self.sampled(run), run.get("ranges"), self.seed)}

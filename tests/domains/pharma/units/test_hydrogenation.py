@@ -4,6 +4,7 @@ import tomllib
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 from tests.domains.pharma.pharma_cases import TEMPLATE, attribute, connections, feed, parameter
 
 from snapo.case.error import CaseError
@@ -12,9 +13,9 @@ from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import resolve
 
-# Hydrogen in water at 298.15 K: 7.8e-4 mol/L/atm (Sander, Atmos. Chem. Phys. 15, 4399, 2015), so
-# that He is 101325 / 7.8e-4 Pa L/mol and c* at 5 bar 3.849 mmol/L.
-HENRY, TRANSFER, PRESSURE = 101325 / 7.8e-4, 0.02, 5e5
+# Hydrogen in water at 298.15 K: 7.8e-6 mol/m3/Pa (Sander, Atmos. Chem. Phys. 23, 10901, 2023; on
+# henrys-law.org), so that He is 1000 / 7.8e-6 Pa L/mol and c* at 5 bar 3.9 mmol/L.
+HENRY, TRANSFER, PRESSURE = 1000 / 7.8e-6, 0.02, 5e5
 SATURATED = PRESSURE / HENRY  # mol/L
 CASE = (
     """kind = "pharma"
@@ -34,7 +35,7 @@ temperature = "298.15 K"
 gas = "H"
 pressure = "5 bar"
 transfer = "0.02 1/s"
-henry = "129903846.15384616 Pa*L/mol"
+henry = "128205128.2051282 Pa*L/mol"
 enthalpy = "-4 kJ/mol"
 """
     + feed("charge", "100 L", 'N = "0.4 mol/L"')
@@ -60,9 +61,8 @@ def process(prefactor="0.5 L/mol/s", order=None, **vessel) -> Process:
 def test_resistances_in_series():
     """Zero order in the substrate, first in the gas: the rate is c* / (1 / kLa + 1 / k).
 
-    The overall resistance of the film theory (Levenspiel, Chemical Reaction Engineering, 3rd ed.,
-    equation 23.13 without a gas film). After 1800 s of it, from no gas dissolved at first where
-    that is followed.
+    The film's resistance and that of the reaction add up, kLa (c* - c) = k c. After 1800 s of it,
+    from no gas dissolved at first where that is followed.
     """
     k = 0.01
     speed = SATURATED / (1 / TRANSFER + 1 / k)
@@ -108,6 +108,26 @@ def test_balances_derivatives_and_both_engines():
     slopes = (plain.values[:4] - plain.values[4:]).T / (2e-4 * here)
     size = np.abs(slopes * here).max(1, keepdims=True)
     np.testing.assert_allclose(found * here / size, slopes * here / size, atol=1e-6)
+
+
+@pytest.mark.prove
+def test_held_steps_are_those_of_error_control():
+    """By default steps are chosen once, and held: at the nominal batch and away from it the result
+    is that of error control in every batch (SciPy's LSODA), within 1e-7 at 1e-8 a step."""
+    held = Process(resolve(TEMPLATE, tomllib.loads(CASE)))
+    assert held.case.numerics.method == "mesh" and len(held.case.numerics.held["vessel"]) < 200
+    entries = (("vessel.pressure", 0), ("vessel.transfer", 0))
+    rows = held.at(entries) * np.array([[1.0, 1.0], [1.1, 0.8], [0.9, 1.2]])
+    found = held.batch(entries, rows, chunk=3, engine="native")
+    assert found.ok.all()
+    for (pressure, transfer), values in zip(rows, found.values):
+
+        def slope(_, y, most=pressure / HENRY, transfer=transfer):
+            gas = y[1] - y[0]
+            return [0.5 * (0.4 - y[0]) * gas, transfer * (most - gas)]
+
+        known = solve_ivp(slope, (0, 1800), [0, 0], "LSODA", rtol=1e-12, atol=1e-15).y[:, -1]
+        np.testing.assert_allclose(values[[0, 2]], known, rtol=1e-7)
 
 
 def test_the_gas_is_a_species():

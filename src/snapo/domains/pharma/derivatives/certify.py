@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from ..flowsheet.process import Process
 
 POINTS, STEP = 3, 0.01  # random points; steps as shares of half the normal range
-TOLERANCE = 1e-5  # of the largest entry in the row
+TOLERANCE = 1e-5  # of the largest entry in the row, or of a margin in half a range
 KINK, NOTABLE = 0.75, 1e-3
 
 
@@ -20,8 +20,9 @@ class Checked(NamedTuple):
     """One point: [Q, P] each, per domain unit of the parameter.
 
     - `adjoint`, `difference`: fourth-order central differences. `error`: their gap over the
-      largest entry of the row; `kink`: whether forward and backward differences stay apart as the
-      step halves, so that the derivative there is one-sided.
+      largest entry of the row, or over a margin in half the normal range if that is more.
+    - `kink`: whether forward and backward differences stay apart as the step halves, so that the
+      derivative there is one-sided.
     """
 
     point: np.ndarray
@@ -72,7 +73,10 @@ def _check(process: "Process", point: np.ndarray, values: np.ndarray, step: np.n
     far_low, low, high, far_high = (values[k * size : (k + 1) * size].T for k in range(4))
     difference = (8 * (high - low) - (far_high - far_low)) / (12 * step)
     row = np.abs(adjoint).max(1, keepdims=True)
-    row = np.where(row > 0, row, 1.0)
+    # An attribute that is next to nothing has no slope worth comparing: a margin in half a range.
+    margins = np.array([each.margin for each in process.case.attributes])[:, None]
+    half = np.array([(p.normal_high - p.normal_low) / 2 for p in process.case.parameters])
+    row = np.maximum(row, margins / half)
     here = values[-1][:, None]
     bend = np.abs(high + low - 2 * here) / step
     far_bend = np.abs(far_high + far_low - 2 * here) / (2 * step)

@@ -7,6 +7,7 @@ import numpy as np
 
 from ..flowsheet.process import Process
 from ..quality import batches
+from .certify import STEP
 from .jacobian import Matrix, matrix
 
 VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
@@ -16,7 +17,8 @@ class Row(NamedTuple):
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
     `mesh`, `finer`, `adaptive`: by the case's steps, by twice as many, error-controlled; gaps
-    are relative to the value, for a derivative to the largest in its attribute's row.
+    are relative to the value, for a derivative to the largest in its attribute's row, or where
+    these are smaller to the attribute's margin and a margin in half the normal range.
     """
 
     attribute: str
@@ -43,10 +45,29 @@ def _own(process: Process, inputs) -> Matrix:
     return found._replace(jacobian=found.jacobian[:, columns])
 
 
+def _differences(process: Process, inputs) -> Matrix:
+    """By the parameters, as central differences of fourth order of single runs."""
+    parameters = process.case.parameters
+    here, given = process.at(process.entries, inputs), process.given(inputs)
+    columns = []
+    for i, each in enumerate(parameters):
+        step = STEP * (each.normal_high - each.normal_low) / 2
+        far_low, low, high, far_high = (
+            process.values(batches.moved(process, {process.entries[i]: here[i] + k * step}, given))
+            for k in (-2, -1, 1, 2)
+        )
+        columns.append((8 * (high - low) - (far_high - far_low)) / (12 * step))
+    reason = "differences of the error-controlled solution"
+    runs = 4 * len(parameters)
+    return Matrix(process.values(inputs), np.stack(columns, 1), "forward", reason, runs)
+
+
 def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Convergence:
     """Every attribute and its derivative by every parameter, three ways.
 
-    `tolerance` is that of the adaptive solution, or the case's if that is tighter.
+    `tolerance` is that of the adaptive solution, or the case's if that is tighter. Where units hold
+    steps its derivatives are differences of its values: through an implicit solver with error
+    control the adjoint takes minutes to compile.
     """
     numerics = process.case.numerics
     tight = min(tolerance, numerics.tolerance)
@@ -57,18 +78,25 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
     )
     tables = []
     for way in ways:
+        other = Process(replace(process.case, numerics=way))
         if way == numerics:
             found = _own(process, inputs)
+        elif way.method == "adaptive" and numerics.held:
+            found = _differences(other, inputs)
         else:
-            found = matrix(Process(replace(process.case, numerics=way)), inputs)
+            found = matrix(other, inputs)
         tables.append(np.concatenate([found.values[:, None], found.jacobian], 1))
     rows, passed = [], True
-    for q, name in enumerate(process.names):
+    case = process.case
+    half = np.array([(each.normal_high - each.normal_low) / 2 for each in case.parameters])
+    for q, attribute in enumerate(case.attributes):
         largest = np.max(np.abs(tables[0][q, 1:]), initial=0.0)
+        # What is next to nothing is compared with a margin, and its slope with one in half a range.
+        floors = attribute.margin / np.append(1.0, half)
         for p, parameter in enumerate(("value", *process.parameters)):
             mesh, finer, adaptive = (float(table[q, p]) for table in tables)
-            scale = abs(mesh) if p == 0 else largest
-            gaps = [abs(other - mesh) / scale if scale else 0.0 for other in (finer, adaptive)]
-            rows.append(Row(name, parameter, mesh, finer, adaptive, *gaps))
+            scale = max(abs(mesh) if p == 0 else largest, float(floors[p]))
+            gaps = [abs(other - mesh) / scale for other in (finer, adaptive)]
+            rows.append(Row(attribute.name, parameter, mesh, finer, adaptive, *gaps))
             passed &= max(gaps) <= (DERIVATIVES if p else VALUES)
     return Convergence(tuple(rows), bool(passed))

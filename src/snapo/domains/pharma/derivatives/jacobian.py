@@ -41,14 +41,16 @@ def matrix(
     mode, reason = choose(process, len(rows), len(entries), mode)
     derivative = DERIVATIVES[mode]
 
-    def of_entries(numbers, inputs):
-        found = process.attributes(process.shifted(numbers, entries, inputs))[rows]
-        return found, found
+    def make(own: bool):
+        def of_entries(numbers, inputs):
+            found = process.attributes(process.shifted(numbers, entries, inputs), own=own)[rows]
+            return found, found
 
-    call = process.compiled(
-        ("matrix", entries, names, mode), lambda: derivative(of_entries, has_aux=True)
+        return derivative(of_entries, has_aux=True)
+
+    jacobian, values = process.either(
+        ("matrix", entries, names, mode), make, process.at(entries, inputs), process.given(inputs)
     )
-    jacobian, values = call(process.at(entries, inputs), process.given(inputs))
     passes = len(rows) if mode == "adjoint" else len(entries)
     return Matrix(values, jacobian, mode, reason, passes)
 
@@ -72,11 +74,11 @@ def choose(
 def gradient(process: Process, attribute: str, inputs=None) -> dict[str, np.ndarray]:
     """One attribute by every entry of every input, from ONE adjoint pass; per domain unit."""
     row = process.names.index(attribute)
-    call = process.compiled(
-        ("gradient", row),
-        lambda: DERIVATIVES["adjoint"](lambda given: process.attributes(given)[row]),
-    )
-    return call(process.given(inputs))
+
+    def make(own: bool):
+        return DERIVATIVES["adjoint"](lambda given: process.attributes(given, own=own)[row])
+
+    return process.either(("gradient", row), make, process.given(inputs))
 
 
 def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None) -> np.ndarray:
@@ -85,12 +87,13 @@ def second(process: Process, pairs: tuple[tuple[Entry, Entry], ...], inputs=None
         raise ValueError("Second derivatives are those of the mesh; use method 'mesh'.")
     entries = tuple(dict.fromkeys(each for pair in pairs for each in pair))
 
-    def of_entries(numbers, inputs):
-        return process.attributes(process.shifted(numbers, entries, inputs))
+    def make(own: bool):
+        def of_entries(numbers, inputs):
+            return process.attributes(process.shifted(numbers, entries, inputs), own=own)
 
-    def twice(function):
-        return DERIVATIVES["forward"](DERIVATIVES["adjoint"](function))
+        return DERIVATIVES["forward"](DERIVATIVES["adjoint"](of_entries))
 
-    call = process.compiled(("second", entries), lambda: twice(of_entries))
-    hessian = call(process.at(entries, inputs), process.given(inputs))
+    hessian = process.either(
+        ("second", entries), make, process.at(entries, inputs), process.given(inputs)
+    )
     return np.stack([hessian[:, entries.index(a), entries.index(b)] for a, b in pairs])

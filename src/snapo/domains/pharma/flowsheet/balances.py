@@ -33,11 +33,17 @@ def balances(process: Process, inputs=None) -> list[Balance]:
     """The balances of every unit but tests of the product, and of the whole as unit "process"."""
     case = process.case
 
-    def everything(given):
-        found = process.flow(given)
-        return found.streams, {name: each.finish.ledger for name, each in found.outcomes.items()}
+    def make(own: bool):
+        def everything(given):
+            found = process.flow(given, own=own)
+            ledgers = {name: each.finish.ledger for name, each in found.outcomes.items()}
+            return found.streams, ledgers, found.measures
 
-    streams, ledgers = process.compiled("balances", lambda: everything)(process.given(inputs))
+        return everything
+
+    streams, ledgers, _ = process.either(
+        "balances", make, process.given(inputs), of=lambda found: found[2]
+    )
     fed, found = sources(case), []
     for unit in case.units:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]

@@ -4,6 +4,7 @@ import os
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from functools import partial
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -75,24 +76,33 @@ class Process:
         self._compiled: dict[Any, Callable] = {}
         self._natives: dict[_Key, Callable] = {}
 
-    def attributes(self, inputs: dict[str, Array], along: bool = False) -> Float[Array, " Q"]:
-        """The quality attributes in their owner's units; plain JAX, to be traced. `along` as in
-        `Numerics`."""
-        return self.of_measures(self.flow(inputs, along=along).measures)
+    def attributes(
+        self, inputs: dict[str, Array], along: bool = False, own: bool = True
+    ) -> Float[Array, " Q"]:
+        """The quality attributes in their owner's units; plain JAX, to be traced. `along` and `own`
+        as in `Numerics`."""
+        return self.of_measures(self.flow(inputs, along=along, own=own).measures)
 
     def of_measures(self, measures: dict[str, Array]) -> Float[Array, " Q"]:
         """The attributes from the measures of all units."""
         return jnp.stack([each.scale * measures[each.measure] for each in self.case.attributes])
 
-    def flow(self, inputs: dict[str, Array], record: bool = False, along: bool = False) -> Flow:
+    def flow(
+        self,
+        inputs: dict[str, Array],
+        record: bool = False,
+        along: bool = False,
+        own: bool = True,
+    ) -> Flow:
         """All streams and measures; plain JAX, to be traced."""
         self.traces += 1
-        numerics = replace(self.case.numerics, along=along)
+        numerics = replace(self.case.numerics, along=along, own=own)
         return flow(replace(self.case, numerics=numerics), inputs, record)
 
     def values(self, inputs=None) -> np.ndarray:
         """[Q] attributes at `inputs`, by default the nominal ones."""
-        return self.compiled("values", lambda: self.attributes)(self.given(inputs))
+        make = lambda own: partial(self.attributes, own=own)  # noqa: E731
+        return self.either("values", make, self.given(inputs))
 
     def given(self, inputs=None) -> dict[str, np.ndarray]:
         """The nominal inputs with those of `inputs` in their place, float64."""
@@ -111,9 +121,21 @@ class Process:
 
         return call
 
+    def either(
+        self, key: Any, make: Callable[[bool], Callable], *arguments, of=lambda found: found
+    ):
+        """The function `make(own)` at `arguments`: on held steps first, and where those are refused
+        on steps of the run's own, compiled for the first run that needs it. Refused is a result of
+        which some number in `of(result)` is not finite."""
+        found = self.compiled(key, lambda: make(False))(*arguments)
+        if self.case.numerics.held and not all(map(_finite, jax.tree.leaves(of(found)))):
+            found = self.compiled(("own", key), lambda: make(True))(*arguments)
+        return found
+
     def run(self, inputs=None) -> Run:
         """One batch with all streams, measures and trajectories."""
-        found = self.compiled("run", lambda: self._everything)(self.given(inputs))
+        make = lambda own: partial(self._everything, own=own)  # noqa: E731
+        found = self.either("run", make, self.given(inputs), of=lambda found: found[2])
         streams, measures, attributes, trajectories, times, loops = found
         measured = {name: float(each) for name, each in measures.items()}
         held = {name: each[3] for name, each in times.items() if each[3] is not None}
@@ -143,8 +165,8 @@ class Process:
                 )
         return ""
 
-    def _everything(self, inputs):
-        found = self.flow(inputs, record=True)
+    def _everything(self, inputs, own: bool):
+        found = self.flow(inputs, record=True, own=own)
         trajectories, times = {}, {}
         for name, outcome in found.outcomes.items():
             rough = outcome.duration if outcome.rough is None else outcome.rough
@@ -214,7 +236,7 @@ class Process:
 
     def _on_own_steps(self, key: _Key, draws, nominal, values, jacobian) -> None:
         """Does batches again, one by one, for which the steps of stiff units were refused."""
-        one = self.compiled(("alone", *key), lambda: self._one(*key, along=False))
+        one = self.compiled(("alone", *key), lambda: self._one(*key, alone=True))
         for i in np.flatnonzero(~np.isfinite(values).all(1)):
             values[i], jacobian[i] = one(draws[i], nominal)
 
@@ -230,17 +252,18 @@ class Process:
         return self.compiled(("batch", *key), lambda: jax.vmap(self._one(*key), in_axes=(0, None)))
 
     def _one(
-        self, entries: tuple[Entry, ...], by: tuple[Entry, ...], along: bool = True
+        self, entries: tuple[Entry, ...], by: tuple[Entry, ...], alone: bool = False
     ) -> Callable:
-        """One batch's attributes and their derivatives; plain JAX."""
+        """One batch's attributes and their derivatives; plain JAX. One `alone` has steps of its
+        own where held ones are refused."""
 
         def one(draw, inputs):
             drawn = self.shifted(draw, entries, inputs)
             if not by:
-                return self.attributes(drawn, along=along), jnp.zeros((len(self.names), 0))
+                return self.attributes(drawn, not alone, alone), jnp.zeros((len(self.names), 0))
 
             def moved(numbers):
-                found = self.attributes(self.shifted(numbers, by, drawn), along=along)
+                found = self.attributes(self.shifted(numbers, by, drawn), not alone, alone)
                 return found, found
 
             numbers = jnp.stack([drawn[name][position] for name, position in by])
@@ -269,6 +292,10 @@ class Process:
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
         return jnp.stack([rows[name][i] for i, name in enumerate(states)])
+
+
+def _finite(found: np.ndarray) -> bool:
+    return bool(np.isfinite(found).all())
 
 
 def _status(times: dict[str, Any]) -> str:

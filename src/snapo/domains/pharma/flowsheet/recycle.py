@@ -25,7 +25,7 @@ GUESSED = (
     "numbers",
 )  # fmt: skip
 TOGETHER = ("species", "solid", "seed")  # scaled by the largest amount among them
-CARRIED = ("duration", "density", "shape")
+CARRIED = ("duration", "density", "shape", "inner_size", "inner_density")
 SHARES = np.array([1.0, 0.5, 0.25, 0.1, 0.02])  # of a Newton step that are tried
 BELOW = -1e-9  # what round-off may take from an amount that is zero
 ROUND_OFF = 1e3  # times the precision: what a change cannot be told from

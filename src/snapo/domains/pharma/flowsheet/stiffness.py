@@ -1,9 +1,10 @@
-"""Which units of a case are stiff, and the steps that they take.
+"""Which units of a case are stiff or need error control, and the steps that they take.
 
 Explicit steps of h seconds are stable while h times the fastest rate at which a state answers stays
 below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution
 of the nominal batch, which Rosenbrock steps with error control find; where it is above the limit,
-those steps are held, and every batch takes them.
+those steps are held, and every batch takes them. Units that need error control (a jacket, a dryer's
+tray, a gas that dissolves) hold them in any case.
 """
 
 from dataclasses import replace
@@ -30,13 +31,18 @@ def with_stiff_steps(case: PharmaCase) -> PharmaCase:
     if numerics.method != "mesh" or numerics.stiff == "none" or numerics.held:
         return case
     for unit in timed(case.units):
-        if numerics.stiff == "measured" and not _may_be_stiff(case, unit):
+        if numerics.stiff == "measured" and not (_controlled(unit) or _may_be_stiff(case, unit)):
             continue
         times = _measured(case, unit)
         if times is not None:
             held = {**case.numerics.held, unit.name: times}
             case = replace(case, numerics=replace(case.numerics, held=held))
     return case
+
+
+def _controlled(unit: Timed) -> bool:
+    """Whether steps by error control are held, stiff or not."""
+    return unit.error_controlled and unit.holds
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
@@ -71,7 +77,7 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
     if found is None:
         return None
     chosen, stiffness = found
-    if case.numerics.stiff == "measured" and stiffness <= STABLE:
+    if case.numerics.stiff == "measured" and stiffness <= STABLE and not _controlled(unit):
         return None
     return times_of(chosen)
 

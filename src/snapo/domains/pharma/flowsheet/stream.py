@@ -23,6 +23,8 @@ class Stream(eqx.Module):
     - `temperature`: K. `duration`: s, 0 for a batch.
     - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
+    - `inner_size`, `inner_density`: d32 in m and density in kg/m3 of the crystals inside granules,
+      which are then what moments, density and shape speak of; 0 where crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
     - `grid`: `NO_CRYSTALS` of a clear liquid; None where the moments alone are known.
     """
@@ -38,6 +40,8 @@ class Stream(eqx.Module):
     moments: Float[Array, " 6"]
     density: Float[Array, ""]
     shape: Float[Array, ""]
+    inner_size: Float[Array, ""]
+    inner_density: Float[Array, ""]
     numbers: Float[Array, " N"]
     grid: Sizes = eqx.field(static=True)
 
@@ -46,7 +50,7 @@ class Stream(eqx.Module):
         return self.species / self.volume
 
     def crystals(self) -> Float[Array, ""]:
-        """kg of crystals."""
+        """kg of crystals, or of granules without what wets them."""
         return self.density * self.shape * self.moments[3]
 
     def replace(self, **fields: Any) -> "Stream":
@@ -69,6 +73,8 @@ def clear(species, solvent, volume, temperature, duration: Any = 0.0) -> Stream:
         moments=jnp.zeros(MOMENTS),
         density=number,
         shape=number,
+        inner_size=number,
+        inner_density=number,
         numbers=jnp.zeros(0),
         grid=NO_CRYSTALS,
     )

@@ -22,9 +22,14 @@ def varied(case: PharmaCase) -> tuple[Entry, ...]:
     return known + tuple(entry for entry in every if entry not in known)
 
 
-def moved(process: "Process", changes: Mapping[Entry, float]) -> dict[str, np.ndarray]:
-    """The process's inputs with some entries replaced."""
-    inputs = {name: np.array(values, np.float64) for name, values in process.inputs.items()}
+def moved(
+    process: "Process",
+    changes: Mapping[Entry, float],
+    about: Mapping[str, np.ndarray] | None = None,
+) -> dict[str, np.ndarray]:
+    """The process's inputs, or those `about`, with some entries replaced."""
+    known = process.inputs if about is None else about
+    inputs = {name: np.array(values, np.float64) for name, values in known.items()}
     for (name, entry), value in changes.items():
         inputs[name][entry] = value
     return inputs

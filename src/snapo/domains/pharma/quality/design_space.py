@@ -10,6 +10,7 @@ from snapo.solver.statistics import proportion
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
 from . import batches
+from .boundary import Boundary, boundaries, distances
 from .interval import interval
 from .limits import Limits
 from .records import Parameter
@@ -39,12 +40,14 @@ class Point(NamedTuple):
 
 
 class Map(NamedTuple):
-    """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array."""
+    """`axes`: names; `grid`: per axis its points in the owner's unit; `at`: one `Point` array;
+    `ends`: where the space ends along the lines of the map."""
 
     axes: tuple[str, ...]
     grid: tuple[np.ndarray, ...]
     at: Point
     samples: int
+    ends: tuple[Boundary, ...] = ()
 
 
 def probability_map(process: "Process", seed: int) -> Map:
@@ -58,20 +61,28 @@ def probability_map(process: "Process", seed: int) -> Map:
     points = np.stack([x.ravel() for x in np.meshgrid(*grid, indexing="ij")], -1)
     entries = [(each.input, each.entry) for each in chosen]
     changes = [dict(zip(entries, point)) for point in points]
-    found = at_points(process, changes, space.samples, seed)
+    values = drawn_values(process, changes, space.samples, seed)
     shape = tuple(space.points)
-    found = Point(*(x.reshape(shape + x.shape[1:]) for x in found))
+    found = Point(*(x.reshape(shape + x.shape[1:]) for x in judge(case, values)))
     own = tuple(owners(each, x) for each, x in zip(chosen, grid))
-    return Map(space.axes, own, found, space.samples)
+    rooms = distances(case, values).reshape(shape + values.shape[1:])
+    ends = boundaries(rooms, own, space.required)
+    return Map(space.axes, own, found, space.samples, tuple(ends))
 
 
 def at_points(
     process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
 ) -> Point:
     """[n] probabilities at set points, each moved by its `changes` in the domain's unit."""
+    return judge(process.case, drawn_values(process, changes, samples, seed))
+
+
+def drawn_values(
+    process: "Process", changes: Sequence[Mapping[Entry, float]], samples: int, seed: int
+) -> np.ndarray:
+    """[n, samples, Q] attributes of the same batches at every set point."""
     rows = np.concatenate([batches.drawn(process, each, samples, seed) for each in changes])
-    values = batches.attributes(process, rows)
-    return judge(process.case, values.reshape(len(changes), samples, -1))
+    return batches.attributes(process, rows).reshape(len(changes), samples, -1)
 
 
 def judge(case: PharmaCase, values: np.ndarray) -> Point:

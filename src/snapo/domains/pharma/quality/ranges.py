@@ -3,15 +3,13 @@
 All edges of all parameters are searched side by side, so that batches run together.
 """
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from ..flowsheet.case import PharmaCase
-from . import batches
-from .design_space import at_points, owners
-from .limits import Limits
+from .design_space import owners
+from .grades import Changes, Found, Good, goods
 from .records import Parameter
 
 if TYPE_CHECKING:
@@ -50,18 +48,7 @@ class Proven(NamedTuple):
     probable: Range
 
 
-class Found(NamedTuple):
-    """[n] whether points do; the number of the attribute that fails; whether they do even at the
-    lower, and even at the upper end of their interval."""
-
-    fine: np.ndarray
-    fails: np.ndarray
-    sure: np.ndarray
-    possible: np.ndarray
-
-
 Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
-Good = Callable[[Points], Found]
 
 
 def proven_ranges(process: "Process", required: float, samples: int, seed: int) -> list[Proven]:
@@ -70,28 +57,17 @@ def proven_ranges(process: "Process", required: float, samples: int, seed: int) 
     A parameter with a distribution varies about each point of its probable range.
     """
     case: PharmaCase = process.case
-    limits = Limits.of(case)
-    margins = np.array([each.margin for each in case.attributes])
-
-    def nominally(points: Points):
-        rows = [batches.nominally(process, {(p.input, p.entry): x}) for p, x in points]
-        values = batches.attributes(process, np.concatenate(rows))
-        room = np.where(limits.any(), limits.distance(values), np.inf) / margins
-        worst = np.argmin(np.nan_to_num(room, nan=-np.inf, posinf=np.inf), -1)
-        fine = np.asarray(limits.hold(values).all(-1))
-        return Found(fine, worst, fine, fine)
-
-    def probably(points: Points):
-        found = at_points(process, [{(p.input, p.entry): x} for p, x in points], samples, seed)
-        grades = (each >= required for each in (found.probability, found.low, found.high))
-        fine, sure, possible = grades
-        return Found(fine, found.binding, sure, possible)
-
+    nominally, probably = goods(process, required, samples, seed)
     found = [
         _ranges(process, good, search)
         for good, search in ((nominally, NOMINAL), (probably, PROBABLE))
     ]
     return [Proven(p.name, p.unit, *each) for p, *each in zip(case.parameters, *found)]
+
+
+def changes(points: Points) -> list[Changes]:
+    """Every point as the change of one number."""
+    return [{(p.input, p.entry): x} for p, x in points]
 
 
 def set_point(process: "Process", chosen: Parameter) -> float:
@@ -115,7 +91,7 @@ def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> lis
         grid = np.linspace(chosen.low, chosen.high, search[0])
         scans.append(np.unique(np.append(grid, set_point(process, chosen))))
     first = [(p, x) for p, scan in zip(case.parameters, scans) for x in scan]
-    found = good(first)
+    found = good(changes(first))
     fine, fails, seen = found.fine, found.fails, _Seen()
     seen.add(first, found)
     edges: list[_Edge] = []
@@ -191,7 +167,7 @@ def _zoom(edges: list[_Edge], good: Good, count: int, seen: _Seen) -> list[_Edge
         return edges
     inside = [np.linspace(edges[i].inner, edges[i].outer, count + 2)[1:-1] for i in open_ones]
     wanted = [(edges[i].chosen, x) for i, xs in zip(open_ones, inside) for x in xs]
-    looked = good(wanted)
+    looked = good(changes(wanted))
     fine, fails = looked.fine, looked.fails
     seen.add(wanted, looked)
     found = list(edges)

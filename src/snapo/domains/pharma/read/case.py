@@ -32,7 +32,8 @@ PARTS = (
     "one batch", "integration", "balances", "convergence", "certificate", "sensitivity matrix",
     "all sensitivities", "attribution", "profile sensitivities", "second derivatives",
     "mesh of statistics", "capability", "criticality", "spread", "best recipe", "design space",
-    "proven ranges", "estimation", "best fixed recipe", "training", "closed loop",
+    "proven ranges", "pairs of ranges", "estimation", "best fixed recipe", "training",
+    "closed loop",
 )  # fmt: skip
 TRAINING = {
     "steps": 150, "paths": 256, "learning_rate": 0.02, "warmup": 10, "temperature_start": 1.0,
@@ -140,10 +141,10 @@ def _read_parts(file, raw: dict) -> tuple[str, ...]:
 
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
-    """ "auto" is a mesh where it may hold the event, and else error control; on it, units that
-    are measured to be stiff take steps of their own."""
+    """ "auto" is a mesh where it may hold the event or steps that are chosen once, and else error
+    control of every batch; on it, units that are measured to be stiff take steps of their own."""
     table = parse(NumericsTable, raw, str(file), "numerics")
-    controlled = any(unit.error_controlled for unit in timed(units))
+    controlled = any(unit.error_controlled and not unit.holds for unit in timed(units))
     adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)
     found = Numerics(
         "adaptive" if adaptive else "mesh",

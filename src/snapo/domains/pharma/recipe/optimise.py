@@ -105,7 +105,7 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
 
     def function(x):
         inputs = process.shifted(x, entries, nominal)
-        measures = process.flow(inputs, along=True).measures
+        measures = process.flow(inputs, along=True, own=False).measures
         inputs = held | inputs
         attributes = process.of_measures(measures)
         goal = _sum(ask.terms, measures, inputs)

@@ -10,9 +10,10 @@ from ..derivatives import sensitivities
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
 from ..given import every_given
-from ..quality import design_space, estimation, ranges, validation
+from ..quality import design_space, estimation, pairs, ranges, validation
 from ..quality.capability import capability
 from ..quality.criticality import DRAWS, criticality
+from ..quality.records import Parameter
 from ..read.entries import Numbers
 from ..recipe import optimise
 
@@ -63,6 +64,7 @@ def map_tables(process: Process, seed: int) -> dict[str, Any]:
             for p in chosen
         ],
         "box": None if box is None else box._asdict(),
+        "ends": [each._asdict() for each in found.ends],
     }
 
 
@@ -79,6 +81,35 @@ def range_rows(process: Process, seed: int) -> list[dict[str, Any]]:
         }
         for each in found
     ]  # fmt: skip
+
+
+def pair_rows(process: Process, found: Sequence[dict[str, Any]], seed: int) -> list[dict[str, Any]]:
+    """The proven ranges of every two parameters at once; `found`: the rows of `range_rows`."""
+    space = process.case.design_space
+    assert space is not None
+    own = {each.name: each for each in process.case.parameters}
+
+    def ends(which: str) -> dict[str, tuple[float, float] | None]:
+        return {each["parameter"]: _domain(own[each["parameter"]], each[which]) for each in found}
+
+    rows = pairs.pairs(
+        process, ends("nominal"), ends("probable"), space.required, RANGE_SAMPLES, seed
+    )
+    return [
+        each._asdict() | {
+            "nominal": None if each.nominal is None else each.nominal._asdict(),
+            "probable": None if each.probable is None else each.probable._asdict(),
+        }
+        for each in rows
+    ]  # fmt: skip
+
+
+def _domain(parameter: Parameter, found: dict[str, Any]) -> tuple[float, float] | None:
+    """The ends of a range in the domain's unit; None where the set point itself fails."""
+    if found["low"] is None:
+        return None
+    low, high = (parameter.scale * found[end] + parameter.offset for end in ("low", "high"))
+    return low, high
 
 
 def estimation_rows(process: Process) -> dict[str, Any]:
@@ -137,3 +168,17 @@ def space_rows(
     which = [attributes[i] if i >= 0 else "" for i in np.ravel(found["binding"]).tolist()]
     header = (*names, "probability", "standard_error", "low", "high", "binding")
     return header, zip(*columns, which)
+
+
+def boundary_rows(
+    found: dict[str, Any], attributes: Sequence[str]
+) -> tuple[tuple[str, ...], Iterable[tuple]]:
+    """Header and rows of `design_space_boundary.csv`: one row for every end of the space."""
+    names = [f"{name} [{unit}]" for name, unit in zip(found["axes"], found["units"])]
+    rows = []
+    for end in found["ends"]:
+        at = [grid[i] if i >= 0 else end["place"] for grid, i in zip(found["grid"], end["at"])]
+        side = "above" if end["side"] > 0 else "below"
+        number = (end["place"], end["inner"], end["outer"])
+        rows.append((*at, names[end["axis"]], side, *number, attributes[end["binding"]]))
+    return (*names, "along", "ends", "boundary", "inner", "outer", "binding"), rows

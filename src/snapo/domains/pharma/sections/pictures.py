@@ -101,10 +101,14 @@ def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.nd
 
 
 def space(
-    axes: Axes, found: dict[str, Any], probability: np.ndarray, names, low: np.ndarray
+    axes: Axes,
+    found: dict[str, Any],
+    probability: np.ndarray,
+    names,
+    band: tuple[np.ndarray, np.ndarray],
 ) -> None:
     """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
-    lower ends `low` of its interval reach what is required."""
+    lower and the upper ends `band` of its interval reach what is required."""
     x, y = (np.asarray(grid) for grid in found["grid"][:2])
     levels = sorted({*found["levels"], found["required"]})
     shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]
@@ -117,9 +121,10 @@ def space(
             drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
                                  linewidths=0.9)  # fmt: skip
             axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8)
-    if low.min() < found["required"] < low.max():
-        axes.contour(x, y, low.T, levels=[found["required"]], colors=LIGHT["good"],
-                     linestyles="dotted", linewidths=1.6)  # fmt: skip
+    for end in band:
+        if end.min() < found["required"] < end.max():
+            axes.contour(x, y, end.T, levels=[found["required"]], colors=LIGHT["good"],
+                         linestyles="dotted", linewidths=1.6)  # fmt: skip
     _boxes(axes, found)
     axes.set_xlabel(f"{names[0]}, {found['units'][0]}")
     number_axis(axes.xaxis, 8)

@@ -12,6 +12,7 @@ from snapo.report.quantity import finite, number, percent, quantity
 from ..quality.interval import draws_for
 from . import pictures
 from .run import Run
+from .together import boundary
 
 
 def design_space(run: Run) -> Section:
@@ -26,7 +27,9 @@ def design_space(run: Run) -> Section:
     blocks: list[Block] = [_words(found, probability, error)]
     for place, words in _slices(found, probability):
         low = np.asarray(found["low"], float)[place]
-        blocks.append(_map(run, found, probability[place], binding[place], words, low))
+        high = np.asarray(found["high"], float)[place]
+        blocks.append(_map(run, found, probability[place], binding[place], words, (low, high)))
+    blocks += boundary(run, found)
     return Section("space", title, short, blocks, break_before=True)
 
 
@@ -70,13 +73,18 @@ def _surely(found: dict[str, Any]) -> float:
 
 
 def _map(
-    run: Run, found, probability: np.ndarray, binding: np.ndarray, words: str, low: np.ndarray
+    run: Run,
+    found,
+    probability: np.ndarray,
+    binding: np.ndarray,
+    words: str,
+    band: tuple[np.ndarray, np.ndarray],
 ) -> Chart:
     names, _ = run.names
     axes_names = found["axes"][:2]
 
     def paint(upper, lower):
-        pictures.space(upper, found, probability, axes_names, low)
+        pictures.space(upper, found, probability, axes_names, band)
         pictures.binding(lower, found, binding, axes_names, names)
 
     key = words.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
@@ -85,7 +93,8 @@ def _map(
     at = f" at {words}" if words else ""
     caption = (
         f"Above: probability that a batch keeps all limits{at}, deeper is better, with its "
-        "contours; dotted, within which the required probability is sure at 95 %. Below: the "
+        "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
+        "it is sure within the inner one, and possible up to the outer one. Below: the "
         "attribute that most often breaks its limits."
     )
     return Chart(svg, caption)

@@ -60,11 +60,11 @@ def integrate(
 
 
 def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool) -> Solved:
-    """On the held steps of a stiff unit. Where they are refused, on steps of the run's own, which
-    many batches side by side do not have."""
+    """On the held steps of a stiff unit; where they are refused, on steps of the run's own if
+    `numerics.own`."""
     nominal, limit = steps_of(problem, held), limit_of(numerics.stiff_tolerance)
     ends = [value[-1] for _, value in problem.controls]
-    most = len(nominal.end) if numerics.along else OWN * len(nominal.end) + MORE
+    most = OWN * len(nominal.end) + MORE if numerics.own else len(nominal.end)
 
     def on(steps: Steps) -> tuple[Stepped, Track | None]:
         found = stepped(problem, steps, limit, record)
@@ -79,7 +79,7 @@ def _held(problem: Dynamics, numerics: Numerics, held: np.ndarray, record: bool)
         )
 
     found, track = on(nominal)
-    if not numerics.along:
+    if numerics.own:
         found, track = jax.lax.cond(
             found.share < 1.0,
             lambda: on(own_steps(problem, numerics.stiff_tolerance, most)),

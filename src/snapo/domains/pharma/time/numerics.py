@@ -18,9 +18,11 @@ class Numerics:
     - `max_steps`: of the adaptive solver, after which the unit's status says where it stopped.
     - `along`: whether derivatives on the mesh are taken along with every step, as suits many
       batches side by side, and not of all steps at once, as is fast for one.
+    - `own`: whether a run whose held steps are refused gets steps of its own in the same trace,
+      which takes twice as long to compile.
     - `stiff`: on a mesh, which units without an event take Rosenbrock steps: "none", those for
-      which explicit steps are "measured" to be too long, or "all". `stiff_tolerance`: of the choice
-      of their steps at the nominal inputs.
+      which explicit steps are "measured" to be too long or that need error control, or "all".
+      `stiff_tolerance`: of the choice of their steps at the nominal inputs.
     - `loop_tolerance`: most relative change of a torn stream in one more turn around its loop;
       `loop_rounds`: of Newton's method, after which the run's status names the loop.
     - `held`: {unit: shares of its duration at which those steps begin and end}.
@@ -32,6 +34,7 @@ class Numerics:
     max_steps: int
     refine: bool
     along: bool = False
+    own: bool = False
     stiff: Literal["none", "measured", "all"] = "none"
     stiff_tolerance: float = 1e-8
     loop_tolerance: float = 1e-10

@@ -299,6 +299,8 @@ class Crystalliser(Timed):
                 moments=moments * volume,
                 density=density,
                 shape=shape,
+                inner_size=jnp.zeros(()),
+                inner_density=jnp.zeros(()),
                 numbers=crystals.numbers(y[:count]) * NUMBER * volume,
                 grid=self.sizes(tuple(each.grid for each in inlets))[0],
             )

@@ -3,7 +3,6 @@
 from dataclasses import dataclass
 from typing import Any, Literal
 
-import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.case.given import Given
@@ -14,8 +13,8 @@ from ..flowsheet.stream import Stream
 from ..given import use
 from ..read.fields import quantity
 from ..read.numbers import POSITIVE
-from .crystals.population import mean_sizes
 from .operation import Inlet, Instant
+from .solids.release import gone, inside
 
 
 class DissolutionTable(Table):
@@ -88,12 +87,9 @@ class Dissolution(Instant):
         return Finish((), measures, ledger(len(network.species)))
 
     def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
-        """1 - (1 - D Cs t / (rho h r))^3 with r = d32 / 2; 1 once the sphere is gone.
-
-        The cube makes it twice differentiable at full dissolution.
-        """
-        radius = mean_sizes(product.moments)["d32"] / 2
+        """1 - (1 - D Cs t / (rho h r))^3 with r = d32 / 2 of the crystals, 1 once they are gone;
+        they fall out of granules at once."""
+        size, density = inside(product)
         reach = use(inputs, self.diffusivity) * use(inputs, self.solubility)
-        reach = reach * use(inputs, self.test_time)
-        left = 1 - reach / (product.density * use(inputs, self.film) * radius)
-        return 1 - jnp.where(left > 0, left, 0.0) ** 3
+        whole = density * use(inputs, self.film) * size / 2 / reach
+        return gone(use(inputs, self.test_time), whole)

@@ -112,6 +112,10 @@ class Hydrogenation(Timed):
     def error_controlled(self):
         return True
 
+    @property
+    def holds(self):
+        return True
+
     def sizes(self, inlets):
         return (NO_CRYSTALS,)
 

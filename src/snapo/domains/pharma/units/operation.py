@@ -155,6 +155,12 @@ class Timed(Unit):
     def error_controlled(self) -> bool:
         """Whether a mesh of its own choice may be too coarse: stiff, or limited by its cells."""
 
+    @property
+    def holds(self) -> bool:
+        """Whether the steps that error control chooses for the nominal batch do for others too: few
+        states, no event. Else, where it is due, every batch has its own."""
+        return False
+
     def fastest(self, network: Network, feeds: tuple[Feed, ...]) -> float:
         """1/s: a bound on the rates at which its states answer, from the numbers of the case alone,
         where `feeds` are all that enters; infinite where there is none."""

@@ -149,6 +149,10 @@ class Reactor(Timed):
     def error_controlled(self):
         return self.jacket is not None
 
+    @property
+    def holds(self):
+        return True
+
     def sizes(self, inlets):
         return (NO_CRYSTALS,)
 

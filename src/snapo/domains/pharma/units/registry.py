@@ -18,6 +18,8 @@ from .hydrogenation import Hydrogenation
 from .msmpr import Msmpr
 from .operation import Unit
 from .reactor import Reactor
+from .solids.granulation import Granulation
+from .solids.tablet_press import TabletPress
 from .splitter import Splitter
 from .tank import Tank
 from .thickener import Thickener
@@ -34,6 +36,8 @@ OPERATIONS = (
     FilterDryer,
     Dryer,
     TrayDryer,
+    Granulation,
+    TabletPress,
     Dissolution,
     Tank,
     Splitter,

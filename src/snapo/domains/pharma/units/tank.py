@@ -100,6 +100,8 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
         duration=duration,
         density=of_crystals("density"),
         shape=of_crystals("shape"),
+        inner_size=of_crystals("inner_size"),
+        inner_density=of_crystals("inner_density"),
         numbers=numbers,
         grid=grid,
     )

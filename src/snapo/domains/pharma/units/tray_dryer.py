@@ -153,6 +153,10 @@ class TrayDryer(Timed):
     def error_controlled(self):
         return True
 
+    @property
+    def holds(self):
+        return True
+
     def sizes(self, inlets):
         return (inlets[0], NO_CRYSTALS)
 

@@ -1,0 +1,113 @@
+"""Where the design space ends, with an interval, along the lines of its map.
+
+Every point of the map has the same draws. Between two points the distance of each draw from each
+limit is taken to be straight, so that the share of the draws that keep all limits is known at any
+place on a line, to second order in the map's spacing. The boundary is where that share falls
+below what is required. A place belongs to its 95 % interval where the interval of the share there
+(Wilson's) holds what is required: the test of a share, inverted (Casella and Berger, Statistical
+Inference, section 9.2).
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+
+from ..flowsheet.case import PharmaCase
+from .interval import LEVEL, interval
+from .limits import Limits
+
+PARTS = 16  # of a cell of the map, between which the share is straight
+FAR = 1e6  # margins: of a draw without a finite result, and of an attribute without limits
+
+
+class Boundary(NamedTuple):
+    """One place at which the design space ends.
+
+    - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
+      axis, -1 on that one; `side`: -1 where the space ends towards low values, +1 towards high.
+    - `place`: of the boundary; `inner`, `outer`: its 95 % interval, `inner` inside the space; in
+      the unit of the grid. NaN where the end lies beyond the line.
+    - `binding`: number of the attribute that most often breaks its limits just beyond it.
+    """
+
+    axis: int
+    at: tuple[int, ...]
+    side: int
+    place: float
+    inner: float
+    outer: float
+    binding: int
+
+
+def distances(case: PharmaCase, values: Float[np.ndarray, "*n Q"]) -> Float[np.ndarray, "*n Q"]:
+    """Of every value to the nearest of its limits, in margins; below 0 beyond it."""
+    limits, margins = Limits.of(case), np.array([each.margin for each in case.attributes])
+    room = np.minimum(limits.distance(values), values - limits.least) / margins
+    return np.clip(np.nan_to_num(room, nan=-FAR), -FAR, FAR)
+
+
+def boundaries(
+    rooms: Float[np.ndarray, "*n draws Q"], grid: Sequence[np.ndarray], required: float
+) -> list[Boundary]:
+    """All ends of the space along all lines of the map; `rooms`: `distances` at its points."""
+    found = []
+    for axis, places in enumerate(grid):
+        lines = np.moveaxis(rooms, axis, 0)
+        others = lines.shape[1:-2]
+        for where in np.ndindex(*others):
+            at = (*where[:axis], -1, *where[axis:])
+            line = lines[(slice(None), *where)]
+            found += [Boundary(axis, at, *each) for each in _of_line(line, places, required)]
+    return found
+
+
+def _of_line(rooms: np.ndarray, places: np.ndarray, required: float) -> list[tuple]:
+    """(side, place, inner, outer, binding) of every end along one line; `rooms` [n, draws, Q]."""
+    fine, share, worst = _shares(rooms, places)
+    low, high = interval(share, rooms.shape[1], LEVEL)
+    good, found = share >= required, []
+    for k in np.flatnonzero(good[:-1] != good[1:]).tolist():
+        side = 1 if good[k] else -1
+        inside, outside = (k, k + 1) if good[k] else (k + 1, k)
+        place = _between(fine, share - required, inside, outside)
+        inner = _end(fine, low - required, inside, -side, False, good)
+        outer = _end(fine, high - required, outside, side, True, ~good)
+        found.append((side, place, inner, outer, int(worst[outside])))
+    return found
+
+
+def _shares(rooms: np.ndarray, places: np.ndarray):
+    """Places [m] along the line, the share of draws that keep all limits there, and the attribute
+    that most often breaks them."""
+    part = np.arange(PARTS) / PARTS
+    fine, kept, worst = [], [], []
+    for k in range(len(places) - 1):
+        inside = rooms[k] + part[:, None, None] * (rooms[k + 1] - rooms[k])
+        fine.append(places[k] + part * (places[k + 1] - places[k]))
+        kept.append((inside >= 0).all(-1).mean(-1))
+        worst.append((inside < 0).sum(1).argmax(-1))
+    fine.append(places[-1:])
+    kept.append([(rooms[-1] >= 0).all(-1).mean()])
+    worst.append([(rooms[-1] < 0).sum(0).argmax()])
+    return np.concatenate(fine), np.concatenate(kept), np.concatenate(worst)
+
+
+def _between(fine: np.ndarray, excess: np.ndarray, one: int, other: int) -> float:
+    """Where `excess` is zero between two neighbours on both sides of it."""
+    share = excess[one] / (excess[one] - excess[other])
+    return float(fine[one] + share * (fine[other] - fine[one]))
+
+
+def _end(
+    fine: np.ndarray, excess: np.ndarray, start: int, step: int, above: bool, stays: np.ndarray
+) -> float:
+    """From `start` in steps of `step`, where `excess` stops being `above` zero or not above it; NaN
+    where it does not while `stays` holds."""
+    k = start
+    while 0 <= k < len(fine) and stays[k]:
+        if (excess[k] >= 0) != above:
+            return _between(fine, excess, k - step, k)
+        k += step
+    return float("nan")

@@ -1,0 +1,53 @@
+"""Whether set points do: by the nominal model, and with a probability that is required."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from ..given import Entry
+from . import batches
+from .design_space import at_points
+from .limits import Limits
+
+if TYPE_CHECKING:
+    from ..flowsheet.process import Process
+
+Changes = Mapping[Entry, float]  # of a set point, in the domain's unit
+
+
+class Found(NamedTuple):
+    """[n] whether points do; the number of the attribute that fails; whether they do even at the
+    lower, and even at the upper end of their interval."""
+
+    fine: np.ndarray
+    fails: np.ndarray
+    sure: np.ndarray
+    possible: np.ndarray
+
+
+Good = Callable[[Sequence[Changes]], Found]
+
+
+def goods(process: "Process", required: float, samples: int, seed: int) -> tuple[Good, Good]:
+    """By the model at its nominal numbers; and with the `required` probability of `samples` draws,
+    a parameter with a distribution varying about its point."""
+    case = process.case
+    limits = Limits.of(case)
+    margins = np.array([each.margin for each in case.attributes])
+
+    def nominally(changes: Sequence[Changes]) -> Found:
+        rows = [batches.nominally(process, each) for each in changes]
+        values = batches.attributes(process, np.concatenate(rows))
+        room = np.where(limits.any(), limits.distance(values), np.inf) / margins
+        worst = np.argmin(np.nan_to_num(room, nan=-np.inf, posinf=np.inf), -1)
+        fine = np.asarray(limits.hold(values).all(-1))
+        return Found(fine, worst, fine, fine)
+
+    def probably(changes: Sequence[Changes]) -> Found:
+        found = at_points(process, changes, samples, seed)
+        grades = (each >= required for each in (found.probability, found.low, found.high))
+        fine, sure, possible = grades
+        return Found(fine, found.binding, sure, possible)
+
+    return nominally, probably

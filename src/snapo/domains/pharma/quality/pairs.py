@@ -1,0 +1,205 @@
+"""Proven ranges of two parameters at once, and how much one changes the effect of the other.
+
+A proven range holds with all others at their set point; at a corner of two ranges limits may fail.
+From the set point to each of the four corners the way is searched for the first failure, the same
+share of both ranges at a time: the smallest of the four is the share of both ranges that may be
+used together.
+
+The interaction of x and y in an attribute f is (f(+, +) - f(+, -) - f(-, +) + f(-, -)) / 4 at the
+corners of the normal operating ranges: half of the difference that one makes to the effect of the
+other, as in a factorial design at two levels. Of f = c x y it is c times half of either range, of a
+sum of functions of x and of y it is zero.
+"""
+
+from collections.abc import Mapping, Sequence
+from itertools import combinations, pairwise
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+
+from . import batches
+from .grades import Changes, Good, goods
+from .limits import Limits
+from .records import Parameter
+
+if TYPE_CHECKING:
+    from ..flowsheet.process import Process
+
+CORNERS = ((-1, -1), (-1, 1), (1, -1), (1, 1))
+NOMINAL = (16, 7, 2)  # shares looked at, then within the bracket of an end, so many times
+PROBABLE = (8, 3, 1)  # every point of these is many batches
+MOST = 10  # pairs of which the probable ranges are searched, those with the least room at a corner
+
+Ends = tuple[float, float]  # of a range, in the domain's unit
+
+
+class Together(NamedTuple):
+    """Two ranges together. `share`: of both, up to which no corner fails (1 where none does);
+    `corner`: (-1 or 1, -1 or 1) the one that fails first, and `fails` the attribute's number there,
+    -1 where none fails; `sure`: the share up to which this holds even at the lower end of the
+    95 % interval of the probability, `possible` up to which it may at the upper one."""
+
+    share: float
+    corner: tuple[int, int]
+    fails: int
+    sure: float
+    possible: float
+
+
+class Pair(NamedTuple):
+    """Two parameters.
+
+    - `nominal`, `probable`: their proven ranges together, None where one of them has none or where
+      it was not searched.
+    - `interaction`: [Q] in the attributes' units; `used`: its largest share of the distance to a
+      limit, and `most` the attribute's number, -1 where none has a limit.
+    - `holds_normal`: whether the nominal model keeps all limits at the corners of normal operation.
+    """
+
+    names: tuple[str, str]
+    nominal: Together | None
+    probable: Together | None
+    interaction: np.ndarray
+    used: float
+    most: int
+    holds_normal: bool
+
+
+Ranges = Mapping[str, Ends | None]  # of each parameter
+
+
+def pairs(
+    process: "Process",
+    nominal: Ranges,
+    probable: Ranges,
+    required: float,
+    samples: int,
+    seed: int,
+) -> list[Pair]:
+    """Every pair of the parameters, with both kinds of proven ranges as they were found alone."""
+    both = list(combinations(process.case.parameters, 2))
+    fixed, drawn = goods(process, required, samples, seed)
+    plain = _together(process, both, nominal, fixed, NOMINAL)
+    order = sorted(range(len(both)), key=lambda i: _room(plain[i]))[:MOST]
+    chosen = _together(process, [both[i] for i in order], probable, drawn, PROBABLE)
+    drawn_of = dict(zip(order, chosen))
+    effects = _interactions(process, both)
+    return [
+        Pair((x.name, y.name), plain[i], drawn_of.get(i), *effects[i])
+        for i, (x, y) in enumerate(both)
+    ]
+
+
+def _room(found: Together | None) -> float:
+    return 1.0 if found is None else found.share
+
+
+class _Way(NamedTuple):
+    """From the set point to one corner of a pair's ranges."""
+
+    pair: int
+    corner: tuple[int, int]
+    start: Ends
+    end: Ends
+    parameters: tuple[Parameter, Parameter]
+
+    def at(self, share: float) -> Changes:
+        return {
+            (p.input, p.entry): a + share * (b - a)
+            for p, a, b in zip(self.parameters, self.start, self.end)
+        }
+
+
+def _ways(process: "Process", both, ranges: Ranges) -> list[_Way]:
+    found = []
+    for i, (x, y) in enumerate(both):
+        sides = [ends for ends in (ranges.get(x.name), ranges.get(y.name)) if ends is not None]
+        if len(sides) < 2:
+            continue
+        here = [float(process.inputs[p.input][p.entry]) for p in (x, y)]
+        for corner in CORNERS:
+            ends = [side[sign > 0] for side, sign in zip(sides, corner)]
+            found.append(_Way(i, corner, (here[0], here[1]), (ends[0], ends[1]), (x, y)))
+    return found
+
+
+def _together(
+    process: "Process", both: Sequence, ranges: Ranges, good: Good, search: tuple[int, int, int]
+) -> list[Together | None]:
+    ways = _ways(process, both, ranges)
+    if not ways:
+        return [None] * len(both)
+    ends = _search(ways, good, search)
+    found: list[Together | None] = []
+    for i in range(len(both)):
+        own = [(end, way) for end, way in zip(ends, ways) if way.pair == i]
+        if not own:
+            found.append(None)
+            continue
+        (share, fails, *_), way = min(own, key=lambda each: each[0][0])
+        sure, possible = (min(end[k] for end, _ in own) for k in (2, 3))
+        found.append(Together(share, way.corner, fails, sure, possible))
+    return found
+
+
+def _search(ways: list[_Way], good: Good, search: tuple[int, int, int]) -> list[tuple]:
+    """(share, attribute that fails, sure, possible) of every way; all are looked at together."""
+    count, within, times = search
+    seen = [{0.0: (True, -1, True, True)} for _ in ways]
+
+    def look(shares: list[np.ndarray]) -> None:
+        wanted = [(i, float(s)) for i, each in enumerate(shares) for s in each]
+        if wanted:
+            found = good([ways[i].at(s) for i, s in wanted])
+            rows = zip(*(each.tolist() for each in found))
+            for (i, s), row in zip(wanted, rows):
+                seen[i][s] = row
+
+    look([np.arange(1, count + 1) / count] * len(ways))
+    for _ in range(times):
+        brackets = [_bracket(each) for each in seen]
+        look([np.linspace(a, b, within + 2)[1:-1] if b > a else np.array([]) for a, b in brackets])
+    return [_ends(each) for each in seen]
+
+
+def _bracket(seen: dict[float, tuple]) -> Ends:
+    """The last share before the first failure, and that of the failure; equal where none fails."""
+    last = 0.0
+    for share in sorted(seen):
+        if not seen[share][0]:
+            return last, share
+        last = share
+    return last, last
+
+
+def _ends(seen: dict[float, tuple]) -> tuple[float, int, float, float]:
+    last, failed = _bracket(seen)
+    fails = -1 if failed == last else int(seen[failed][1])
+    shares = sorted(seen)
+    sure = next((a for a, b in pairwise(shares) if not seen[b][2]), shares[-1])
+    possible = next((share for share in shares if not seen[share][3]), shares[-1])
+    return last, fails, sure, possible
+
+
+def _interactions(process: "Process", both: Sequence) -> list[tuple]:
+    """(interaction [Q], its largest share of a room, the attribute, whether all corners do)."""
+    if not both:
+        return []
+    rows = [batches.nominally(process, {})]
+    for pair in both:
+        for corner in CORNERS:
+            ends = [(p.normal_low, p.normal_high)[sign > 0] for p, sign in zip(pair, corner)]
+            changes = {(p.input, p.entry): end for p, end in zip(pair, ends)}
+            rows.append(batches.nominally(process, changes))
+    values = batches.attributes(process, np.concatenate(rows))
+    limits = Limits.of(process.case)
+    room = np.where(limits.any(), limits.distance(values[0]), np.nan)
+    found = []
+    for corners in values[1:].reshape(len(both), 4, -1):
+        effect = np.array([a * b for a, b in CORNERS]) @ corners / 4
+        with np.errstate(divide="ignore", invalid="ignore"):
+            used = np.where(room > 0, np.abs(effect) / room, np.nan)
+        most = int(np.nanargmax(used)) if np.isfinite(used).any() else -1
+        largest = float(used[most]) if most >= 0 else float("nan")
+        found.append((effect, largest, most, bool(limits.hold(corners).all())))
+    return found

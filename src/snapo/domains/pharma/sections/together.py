@@ -1,0 +1,127 @@
+"""Parameters that move together: where the design space ends, and pairs of proven ranges."""
+
+from typing import Any
+
+import numpy as np
+
+from snapo.report.page import Block, Mark, Missing, Section, Table
+from snapo.report.quantity import finite, number, percent, quantity
+
+from .run import Run
+
+SHOWN = 15  # pairs in the report, those with the least room first
+
+
+def boundary(run: Run, found: dict[str, Any]) -> list[Block]:
+    """The ends of the space along the lines of the map that are nearest to the set point."""
+    ends = found.get("ends")
+    if not ends:
+        return []
+    names, _ = run.names
+    near = [
+        int(np.abs(np.asarray(grid) - here).argmin())
+        for grid, here in zip(found["grid"], found["nominal"])
+    ]
+    rows = []
+    for end in ends:
+        if any(i >= 0 and i != k for i, k in zip(end["at"], near)):
+            continue
+        axis = end["axis"]
+        fixed = [
+            f"{name} {quantity(grid[k], unit)}"
+            for j, (name, unit, grid, k) in enumerate(
+                zip(found["axes"], found["units"], found["grid"], near)
+            )
+            if j != axis
+        ]
+        span = sorted((finite(end["inner"]), finite(end["outer"])), key=lambda x: (x is None, x))
+        rows.append(
+            (
+                f"{found['axes'][axis]}, {found['units'][axis]}",
+                ", ".join(fixed),
+                "above" if end["side"] > 0 else "below",
+                number(end["place"]),
+                " – ".join("beyond" if each is None else number(each) for each in span),
+                names[end["binding"]],
+            )
+        )
+    head = [("Along", ""), ("At", ""), ("Ends", ""), ("Boundary", ""), ("95 % interval", ""),
+            ("Limit beyond it", "")]  # fmt: skip
+    caption = (
+        f"Where the probability falls below {number(found['required'])} along the lines of the map "
+        "next to the set point, with the interval in which that place lies at 95 % for the "
+        f"{number(found['samples'], 0)} batches per point (Wilson's interval of the share, "
+        "inverted); “beyond” where so many batches do not tell, or the line ends. "
+        "design_space_boundary.csv has all lines."
+    )
+    return [Table(head, rows, caption)] if rows else []
+
+
+def together(run: Run) -> Section:
+    """Proven ranges of two parameters at once."""
+    title, short = "Proven ranges of two parameters at once", "Pairs"
+    rows = run.get("pairs")
+    if not rows:
+        text = f"Pairs of proven ranges: none, since {run.why_not('pairs of ranges', 'ranges')}."
+        return Section("pairs", title, short, [Missing(text)])
+    names, _ = run.names
+    units = {each["name"]: each["unit"] for each in run.attributes}
+    order = sorted(rows, key=lambda each: (_least(each), -(finite(each["used"]) or 0.0)))
+    body = []
+    for each in order[:SHOWN]:
+        most = each["most"]
+        effect = "–"
+        if most >= 0:
+            size = quantity(each["interaction"][most], units[names[most]])
+            effect = f"{names[most]} {size}, {percent(each['used'])} of its room"
+        body.append(
+            (
+                " and ".join(each["names"]),
+                _share(each["nominal"]),
+                _where(each, "nominal", names),
+                _share(each["probable"]),
+                _sure(each["probable"]),
+                Mark(each["holds_normal"], "keep" if each["holds_normal"] else "break"),
+                effect,
+            )
+        )
+    head = [("Parameters", ""), ("Share of both, nominal model", ""), ("First corner", ""),
+            ("With the required probability", ""), ("sure – possible at 95 %", ""),
+            ("Corners of normal ranges", ""), ("Interaction", "")]  # fmt: skip
+    caption = (
+        "A proven range holds with all other parameters at their set point. Here both move, "
+        "from the set point to each of the four corners of their proven ranges: up to this share "
+        "of both ranges no corner breaks a limit (100 %: the ranges may be used together). "
+        "Interaction: half of the difference that one parameter makes to the effect of the other, "
+        "between the ends of the normal ranges, of the attribute whose room it uses most."
+    )
+    if len(rows) > SHOWN:
+        caption += f" The {SHOWN} pairs with the least room of {len(rows)}."
+    return Section("pairs", title, short, [Table(head, body, caption)])
+
+
+def _least(each: dict[str, Any]) -> float:
+    return min(
+        found["share"] for found in (each["nominal"], each["probable"], {"share": 2.0}) if found
+    )
+
+
+def _share(found: dict[str, Any] | None) -> str:
+    return "–" if found is None else percent(found["share"], 0)
+
+
+def _sure(found: dict[str, Any] | None) -> str:
+    if found is None:
+        return "–"
+    return f"{percent(found['sure'], 0)} – {percent(found['possible'], 0)}"
+
+
+def _where(each: dict[str, Any], which: str, names: list[str]) -> str:
+    found = each[which]
+    if found is None or found["fails"] < 0:
+        return "–"
+    sides = [
+        f"{name} {'high' if side > 0 else 'low'}"
+        for name, side in zip(each["names"], found["corner"])
+    ]
+    return f"{', '.join(sides)}: {names[found['fails']]}"

@@ -1,0 +1,1 @@
+"""From crystals to tablets: granulation, compaction, release of the drug."""
