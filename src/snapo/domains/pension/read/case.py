@@ -217,7 +217,11 @@ def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
     """Names of inputs without a gradient: asked for, left at a default, or without effect."""
     asked = reader.table(tables.SensitivityTable, "sensitivity").held
     every = list(every_given(case))
-    known_words(str(reader.file), "sensitivity.held", asked, [each.name for each in every])
+    names, missing = (
+        [each.name for each in every],
+        "the rules and models of this case have no such number",
+    )
+    known_words(str(reader.file), "sensitivity.held", asked, names, missing)
     idle = reader.silent | {each.name for each in _replaced(case)}
     if case.risk_neutral or case.scenarios is not None:
         idle |= {each.name for each in every if each.group == "premium"}
