@@ -1,7 +1,7 @@
 """The page of a report: sections of blocks, rendered into one file that needs nothing else."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
@@ -139,7 +139,11 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """The page as HTML: styles, charts and scripts inside, nothing fetched, text escaped."""
+    """The page as HTML: styles, charts and scripts inside, nothing fetched, text escaped.
+
+    A section without blocks is left out.
+    """
+    page = replace(page, sections=[each for each in page.sections if each.blocks])
     environment = Environment(
         loader=PackageLoader("snapo.report"),
         autoescape=select_autoescape(default=True),

@@ -60,6 +60,7 @@ FILES = {
     "loadings.csv": "sex,age,loading\nmale,0,0.02\nfemale,0,0.015\n",
     "recovery.csv": "date,amount\n2025-12-31,5\n2026-12-31,6\n",
     "agreed.csv": "year,amount\n0.5,5\n",
+    "allocation.csv": "age,protection,exposure\n20,0.2,1.5\n60,0.8,0.7\n70,1,0.3\n",
     "stress.csv": "scenario,input,label,kind,size\n"
     "Down,curve,1,multiply,-0.5\nDown,curve,20,multiply,-0.2\nDown,break_even,,add,0.001\n"
     "Down,price,equity,multiply,-0.3\nDown,credit_spread,,multiply,1\n",
@@ -207,6 +208,17 @@ CASES: dict[str, dict[str, Any]] = {
             "indexation": {"kind": "none"},
             "contribution": {"kind": "fixed", "rate": 0.1},
         },
+    },
+    "personal pots": MARKET
+    | {
+        "plan": {"indexation": {"kind": "none"}, "expenses": 1.0}
+        | {"contribution": {"kind": "fixed", "rate": 0.2}},
+        "pots": {"rules": "dutch-wtp", "allocation": "allocation.csv", "reserve": 0.05}
+        | {"fill_contribution": 0.1, "fill_return": 0.1, "release": 0.2, "largest": 0.15},
+        "objective": [
+            {"kind": "crra", "risk_aversion": 5.0, "output": "pension"},
+            {"kind": "mean", "output": "pension Pensioner", "weight": 0.1},
+        ],
     },
     "ready-made scenarios": MARKET
     | {

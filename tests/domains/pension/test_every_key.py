@@ -44,6 +44,7 @@ TABLES = {
     "sensitivity": tables.SensitivityTable,
     "regulation": tables.RegulationTable,
     "funding": tables.FundingTable,
+    "pots": tables.PotsTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
     "training": TrainingTable,

@@ -126,3 +126,23 @@ def test_the_present_mix_rebalanced_yearly_drifts_in_between_on_both_engines():
         for engine in (Xla(precision="float64"), Native(precision="float64"))
     ]
     assert np.asarray(totals[0]) == pytest.approx(np.asarray(totals[1]), rel=1e-11)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("wide", [False, True])
+def test_within_the_bands_derivatives_are_finite_while_training(wide):
+    """Trades then fade like exp(-band / width): purchases of 1e-30 and less are shared out."""
+    assets = limited(band=column(0.005, **{f"i{CASH}": 0.0}))
+    wanted = NOW + 10.0 ** -np.linspace(2, 6, 50)[:, None] * np.cos(np.arange(COUNT) * 2.3)
+    wanted[:, CASH] += 1 - wanted.sum(1)
+    with jax.enable_x64(wide):
+        size = jnp.float64 if wide else jnp.float32
+
+        def weighted(wanted, now, warm):
+            found = dealt(assets, 1 / 12, wanted, now, Smooth(warm))
+            return found @ jnp.arange(COUNT, dtype=size)
+
+        slopes = jax.jit(jax.vmap(jax.grad(weighted, (0, 1)), (0, None, None)))
+        for warm in (0.02, 0.005, 0.001):
+            found = slopes(jnp.asarray(wanted, size), jnp.asarray(NOW, size), size(warm))
+            assert all(np.isfinite(each).all() for each in found)

@@ -36,8 +36,11 @@ def dealt(
         move = jnp.where(limited, smooth.maximum(move, -most, NEAR), move)
     bought = jnp.sum(jnp.maximum(move, 0.0))
     free = now[cash] - wanted[cash] - jnp.sum(jnp.minimum(move, 0.0))
-    paid = smooth.clip(free, 0.0, bought, NEAR)
-    move = jnp.where(move > 0, move * paid / jnp.where(bought > NONE, bought, 1.0), move)
+    # While training, a class within its band is bought in traces, whose reciprocal has no bounds.
+    some = bought > NONE
+    room = jnp.where(some, bought, 1.0)
+    paid = smooth.clip(free, 0.0, room, NEAR) / room
+    move = jnp.where(some & (move > 0), move * paid, move)
     if assets.turnover is not None:
         most = assets.turnover * step
         turned = (jnp.sum(jnp.abs(move)) + jnp.abs(jnp.sum(move))) / 2

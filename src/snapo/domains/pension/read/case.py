@@ -13,6 +13,8 @@ from snapo.case.table import Table, load, parse
 from ..fund.observation import FEATURES
 from ..market.assets.asset_class import Names
 from ..market.correlation import all_names
+from ..pots.outputs import POT_OUTPUTS, pensions
+from ..pots.read import check_pots, read_pots
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.plan import Plan
@@ -78,6 +80,12 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
     rules = _plan(reader, grid, start)
+    lives = _people(reader, rules, grid)
+    members, table = lives["members"], reader.maybe(tables.PotsTable, "pots")
+    pots = read_pots(reader.place("pots"), table, start, members, grid)
+    more = () if pots is None else (*POT_OUTPUTS, *pensions(members))
+    if pots is not None:  # rights are earned no more: contributions go into pots
+        rules = replace(rules, accruing=False)
     if supplied is not None and market["overlay"] is not None and market["overlay"].inflation:
         what = "ready-made scenarios hold no break-evens: swaps of inflation need the models"
         raise CaseError(str(file), "overlay.file", None, what)
@@ -91,7 +99,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         # Time 0 is the beginning of a month that is nearest to the date: 31 December is January.
         start_month=(start + datetime.timedelta(15)).month,
         **market,
-        **_people(reader, rules, grid),
+        **lives,
         plan=rules,
         liability=plan.read_liability(
             reader.place("liability"), reader.table(tables_people.LiabilityTable, "liability")
@@ -102,7 +110,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         ),
         observation=(),
         hidden=tuple(settings.hidden),
-        objective=read_objectives(str(file), top.objective),
+        objective=read_objectives(str(file), top.objective, more),
         training=read_training(top.training, str(file)),
         evaluation=read_evaluation(top.evaluation, str(file)),
         regulation=read_regulation(
@@ -111,11 +119,15 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         funding=read_funding(
             reader.place("funding"), reader.maybe(tables.FundingTable, "funding"), start
         ),
+        pots=pots,
         frontier=plan.read_frontier(
             reader.place("frontier"), reader.maybe(tables.FrontierTable, "frontier"), rules
         ),
     )
     plan.check_limited(case)
+    promised = ("regulation", "funding", "lee_carter", "frontier")
+    others = {name: getattr(top, name) for name in promised}
+    check_pots(str(file), pots, case.plan, case.liability, others)
     seen = settings.observation
     case = replace(
         case,
@@ -217,7 +229,11 @@ def _held(reader: _Reader, case: PensionCase) -> tuple[str, ...]:
     """Names of inputs without a gradient: asked for, left at a default, or without effect."""
     asked = reader.table(tables.SensitivityTable, "sensitivity").held
     every = list(every_given(case))
-    known_words(str(reader.file), "sensitivity.held", asked, [each.name for each in every])
+    names, missing = (
+        [each.name for each in every],
+        "the rules and models of this case have no such number",
+    )
+    known_words(str(reader.file), "sensitivity.held", asked, names, missing)
     idle = reader.silent | {each.name for each in _replaced(case)}
     if case.risk_neutral or case.scenarios is not None:
         idle |= {each.name for each in every if each.group == "premium"}

@@ -186,10 +186,16 @@ def whole_steps(row: Row, column: str, step: float) -> int:
     return round(steps)
 
 
-def known_words(file: str, where: str, given: Sequence[str], known: Sequence[str]) -> None:
+def known_words(
+    file: str,
+    where: str,
+    given: Sequence[str],
+    known: Sequence[str],
+    missing: str = "there is no such name",
+) -> None:
     """Every word of a list must be known, and stand there once."""
     for i, each in enumerate(given):
         if each not in known:
-            raise CaseError(file, where, each, f"there is no such name; {nearest(each, known)}")
+            raise CaseError(file, where, each, f"{missing}; {nearest(each, known)}")
         if each in given[:i]:
             raise CaseError(file, where, each, "this name stands there twice")

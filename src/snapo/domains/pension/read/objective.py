@@ -1,6 +1,6 @@
 """Reads `[objective]`: one aim of the policy, or several that are added up."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from snapo.case.error import CaseError
@@ -14,19 +14,19 @@ from ..records.case import ObjectiveTerm
 USUAL = {"cvar": "surplus_ratio", "mean": "funding_ratio"}
 
 
-def read_objectives(file: str, data: Any) -> tuple[ObjectiveTerm, ...]:
-    """One table, or several that are added up."""
+def read_objectives(file: str, data: Any, more: Sequence[str] = ()) -> tuple[ObjectiveTerm, ...]:
+    """One table, or several that are added up; `more`: outputs beside those of every fund."""
     many = isinstance(data, list)
     terms = data if many else [data or {"kind": "crra", "risk_aversion": 5.0}]
     if not terms:
         raise CaseError(file, "objective", data, "at least one table is needed")
     return tuple(
-        _term(file, f"objective.{i}" if many else "objective", each)
+        _term(file, f"objective.{i}" if many else "objective", each, (*OUTPUTS, *more))
         for i, each in enumerate(terms, 1)
     )
 
 
-def _term(file: str, name: str, data: Any) -> ObjectiveTerm:
+def _term(file: str, name: str, data: Any, known: Sequence[str]) -> ObjectiveTerm:
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, "this must be a table")
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
@@ -35,7 +35,7 @@ def _term(file: str, name: str, data: Any) -> ObjectiveTerm:
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
         raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
     output = data.get("output", USUAL.get(table.kind, "funding_ratio"))
-    if output not in OUTPUTS:
-        close = nearest(str(output), OUTPUTS)
+    if output not in known:
+        close = nearest(str(output), known)
         raise CaseError(file, f"{name}.output", output, f"there is no such output; {close}")
     return ObjectiveTerm(float(weight), str(output), table)

@@ -198,6 +198,18 @@ class RegulationTable(Table):
     active_risk: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
 
 
+class PotsTable(Table):
+    """`[pots]`: personal pots by cohort, with a solidarity reserve."""
+
+    rules: Name = Field(description='"dutch-wtp", or the name of a TOML file of rules')
+    allocation: Name = csv("age,protection,exposure")
+    reserve: Share = Field(0.0, description=f"a share of the assets, {SHARE}")
+    fill_contribution: Share = Field(0.0, description=f"a share of contributions, {SHARE}")
+    fill_return: Share = Field(0.0, description=f"a share of a year's excess return, {SHARE}")
+    release: Share = Field(0.2, description=f"a share of the reserve, {SHARE}")
+    largest: Share | None = Field(None, description=f"a share of the assets, {SHARE}")
+
+
 class FundingTable(Table):
     """`[funding]`: the bases of a scheme of the United Kingdom, side by side."""
 
@@ -238,5 +250,6 @@ class PensionTable(Table):
     frontier: dict | None = Field(None, description="the table [frontier]")
     regulation: dict | None = Field(None, description="the table [regulation]")
     funding: dict | None = Field(None, description="the table [funding]")
+    pots: dict | None = Field(None, description="the table [pots]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

@@ -19,6 +19,7 @@ from .funding import Funding
 from .market import Correlation, Credit, Currencies, Curve, Inflation, SuppliedScenarios
 from .people import CashFlows, LeeCarter, Members, Mortality
 from .plan import Liability, Plan, Reconcile
+from .pots import Pots
 from .regulation import Regulation
 
 if TYPE_CHECKING:
@@ -52,6 +53,7 @@ class PensionCase:
     - `measure`: "P" real-world, "Q" risk-neutral.
     - `members` or `cash_flows`: exactly one of them is there; `mortality` goes with members.
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
+    - `pots`: personal pots in place of promised rights; None where these are promised.
     - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
     """
 
@@ -87,6 +89,7 @@ class PensionCase:
     frontier: Frontier | None = None
     regulation: Regulation | None = None
     funding: Funding | None = None
+    pots: Pots | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 

@@ -14,6 +14,7 @@ from snapo.study.study import Setup, StudyRun
 
 from ..fund.simulator import PensionSimulator
 from ..policies.network import new_policy
+from ..pots.simulator import PotSimulator
 from ..records.case import PensionCase
 from ..records.inputs import pension_inputs
 from ..records.market import SuppliedScenarios
@@ -26,11 +27,17 @@ def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     sources = evaluation.sources(training.seed)
     if case.scenarios is not None:
         sources = _divided(case.scenarios, training.seed)
-    simulator = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator = simulator_of(case)
     problem = Problem(simulator, pension_inputs(case), objective_of(case), sources)
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
+
+
+def simulator_of(case: PensionCase) -> PensionSimulator:
+    """The fund of a case: of promised rights, or of personal pots."""
+    kind = PensionSimulator if case.pots is None else PotSimulator
+    return kind(case)  # pyright: ignore[reportCallIssue]
 
 
 def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
@@ -38,7 +45,7 @@ def moved_setup(setup: Setup, case: PensionCase, engine: str) -> Setup:
 
     Nothing is compiled where the fund takes these numbers from its inputs only.
     """
-    other = PensionSimulator(case)  # pyright: ignore[reportCallIssue]
+    other = simulator_of(case)
     values = {name: given.value for name, given in pension_inputs(case).items()}
     return at_values(setup, other, values, lambda: make_setup(case, engine))
 

@@ -9,6 +9,7 @@ from snapo.study.training import TRAINING, trained
 
 from ..bounds.conjugate import conjugate
 from ..bounds.relaxation import FundRelaxation
+from ..pots import outcome
 from ..records.case import PensionCase
 from . import (
     attribution,
@@ -45,6 +46,9 @@ PARTS = (
     Part("classical policies", compare.work, TRAINED),
     Part("frontier", frontier.work, TRAINED),
 )
+# What is worked out of promised rights alone; a fund of pots has its own part.
+OF_RIGHTS = ("attribution", "variance by source", "market consistency", "frontier")
+POTS = Part("pots", outcome.work, TRAINED)
 MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 
 
@@ -66,7 +70,14 @@ def pension_study(case: PensionCase, engine: str) -> Study:
         return FundRelaxation(setup().problem, setup().policy)
 
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    return Study("pension", about(case), PARTS, result, setup, bounded, moved, checks)
+    return Study("pension", about(case), parts(case), result, setup, bounded, moved, checks)
+
+
+def parts(case: PensionCase) -> tuple[Part, ...]:
+    """The parts of a run: those of promised rights, or of personal pots."""
+    if case.pots is None:
+        return PARTS
+    return (*(each for each in PARTS if each.name not in OF_RIGHTS), POTS)
 
 
 def about(case: PensionCase) -> dict[str, Any]:
@@ -83,6 +94,7 @@ def about(case: PensionCase) -> dict[str, Any]:
         "model": _model(case),
         "kinds": {each.kind: each.words for each in case.assets.classes},
         "held": list(case.held),
+        "personal": case.pots is not None,
         "assets": float(case.assets.amount.used()),
         "units": {"funding": "assets over liability"}
         | dict.fromkeys(("contribution", "benefit", "expenses", "cost"), case.currency),
@@ -99,6 +111,8 @@ def result(run: StudyRun) -> Mapping[str, Any]:
 
 def _unbounded(case: PensionCase) -> str:
     """The reason why the value of a fund is not bounded from above; empty where it is."""
+    if case.pots is not None:
+        return "no bound from above is known for a fund of personal pots"
     if case.scenarios is not None:
         return "ready-made scenarios have no prices of risk to bound a value with"
     try:

@@ -5,6 +5,7 @@ from snapo.report.sections.bound import bound
 from snapo.study.domain import Report
 
 from . import decisions, evidence, frontier, ladder, outcome, outputs, reconciliation, risk
+from .pots import of_rights, pots
 from .run import PensionRun
 
 SECTIONS = (
@@ -12,12 +13,13 @@ SECTIONS = (
     reconciliation.reconciliation,
     decisions.trades,
     outcome.funding,
-    outcome.attribution,
-    outcome.variance,
+    pots,
+    of_rights(outcome.attribution),
+    of_rights(outcome.variance),
     outcome.money,
     outcome.indexation,
     decisions.rivals,
-    frontier.frontier,
+    of_rights(frontier.frontier),
     decisions.policy,
     outputs.outputs,
     risk.sensitivities,

@@ -1,0 +1,115 @@
+"""Reads `[pots]`: personal pots with a solidarity reserve, within the law at the date."""
+
+import datetime
+from typing import Any
+
+import numpy as np
+
+from snapo.case.csv import Mention, read_rows
+from snapo.case.error import CaseError
+
+from ..read.cells import Grid, Place, listed, rising, single
+from ..read.tables import PotsTable
+from ..records.people import Members
+from ..records.plan import Liability, Plan
+from ..records.pots import PotRules, Pots
+from ..records.said import Said, share
+from ..regulation.in_force import in_force
+
+OWN = {"dutch-wtp": "dutch_wtp.toml"}  # rules that come with the package
+# Key of the case, key of the law.
+LIMITS = {
+    "largest": "largest",
+    "reserve": "largest",
+    "fill_contribution": "from_contributions",
+    "fill_return": "from_excess_return",
+}
+RESERVE = share("the solidarity reserve: its size, its filling or its release", "plan")
+PROTECTION = share("the share of the move of its annuity that a cohort is given", "plan")
+EXPOSURE = share("the weight of a cohort's pot in the excess return", "plan")
+
+
+def read_pots(
+    section: Place, table: PotsTable | None, day: datetime.date, members: Members | None, grid: Grid
+) -> Pots | None:
+    """The pots of a case under the rules in force on `day`; None without the table.
+
+    **Raises:** `CaseError` where the reserve is filled beyond the law, or cohorts are missing.
+    """
+    if table is None:
+        return None
+    if members is None:
+        raise section.error("rules", table.rules, "pots are those of the cohorts of [members] file")
+    rules = in_force(section, table.rules, OWN, day, _rules)
+    largest = rules.largest if table.largest is None else table.largest
+    for key, law in LIMITS.items():
+        most = getattr(rules, law)
+        if (found := getattr(table, key)) is not None and found > most:
+            what = f"the law in force since {rules.since} allows at most {most:g}"
+            raise section.error(key, found, what)
+    if table.reserve > largest:
+        raise section.error("reserve", table.reserve, f"the reserve is at most {largest:g}")
+
+    def one(key: str, value: float):
+        return section.told(table, key, single(f"reserve_{key}", value, RESERVE))
+
+    rows = read_rows(
+        Mention(section, "allocation", table.allocation), ("age", "protection", "exposure")
+    )
+    ages = rising(rows, "age", -1.0)
+    labels = [f"from {age:g}" for age in ages]
+    age = members.age + grid.step * np.arange(grid.steps)[:, None]
+    place = np.maximum(np.searchsorted(ages, age + 1e-9, side="right") - 1, 0)
+
+    def by_age(column: str, said: Said):
+        values = [row.number(column, 0.0, 2.0) for row in rows]
+        given = listed(f"pot_{column}", values, labels, said)
+        return said.given(given.name, given.values, labels, place)
+
+    return Pots(
+        rules=rules,
+        reserve=one("reserve", table.reserve),
+        fill_contribution=one("fill_contribution", table.fill_contribution),
+        fill_return=one("fill_return", table.fill_return),
+        release=one("release", table.release),
+        largest=one("largest", largest),
+        protection=by_age("protection", PROTECTION),
+        exposure=by_age("exposure", EXPOSURE),
+    )
+
+
+def check_pots(
+    file: str, pots: Pots | None, plan: Plan, liability: Liability, others: dict[str, Any]
+) -> None:
+    """Rules that have no meaning beside pots are refused.
+
+    **Arguments:**
+
+    - `others`: {key: what is there} of tables that speak of promised rights.
+    """
+    if pots is None:
+        return
+    asked = (
+        ("plan.indexation.kind", plan.indexation.kind, ("none",)),
+        ("plan.contribution.kind", plan.contribution.kind, ("none", "fixed")),
+        ("liability.future_indexation", liability.future_indexation, ("none",)),
+        ("plan.open", plan.open, (False,)),
+    )
+    for key, value, allowed in asked:
+        if value not in allowed:
+            words = " or ".join(str(each).lower() for each in allowed)
+            raise CaseError(file, key, value, f"a fund of personal pots needs {words}")
+    for key, there in others.items():
+        if there is not None:
+            what = "this table speaks of promised rights; a fund of personal pots has none"
+            raise CaseError(file, key, None, what)
+
+
+def _rules(data: dict[str, Any]) -> PotRules:
+    return PotRules(
+        since=data["from"].isoformat(),
+        source=str(data["source"]),
+        largest=float(data["largest"]),
+        from_contributions=float(data["from_contributions"]),
+        from_excess_return=float(data["from_excess_return"]),
+    )

@@ -1,0 +1,113 @@
+"""Who gets the return of a fund of pots, and the solidarity reserve at the end of a year.
+
+    protection of a cohort = its share of protection x its pot x the return of its annuity
+    excess return          = the whole return - all protection
+    a cohort's part of it  = exposure x pot, over the sum of these and of the reserve
+
+The return of an annuity is that of its payments on the curve of the path, so that a pot that is
+fully protected buys the same pension whatever rates do. The reserve has no protection and an
+exposure of one; a loss that it cannot bear falls on the pots, in proportion to their exposures.
+All functions hand on the whole sum of money: pots and reserve after them add up to those before
+and the return.
+"""
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.smooth import Constraints
+
+ROUND = 0.001  # of the assets, over which corners are rounded while training
+
+
+class Shared(NamedTuple):
+    """Money of each cohort's pot [C] and of the reserve, and the collective `excess` return."""
+
+    pots: Float[Array, " C"]
+    reserve: Array
+    excess: Array
+
+
+class Reserve(NamedTuple):
+    """The rules of the reserve: shares, see `records.pots.Pots`."""
+
+    fill_return: Array
+    release: Array
+    largest: Array
+
+
+class Closed(NamedTuple):
+    """After the end of a year: `pots` [C], `reserve`, the money `filled` into it (negative where it
+    was too large and was given back) and `released` from it."""
+
+    pots: Float[Array, " C"]
+    reserve: Array
+    filled: Array
+    released: Array
+
+
+def shared(
+    pots: Float[Array, " C"],
+    reserve: Array,
+    earned: Array,
+    returned: Float[Array, " C"],
+    protection: Float[Array, " C"],
+    exposure: Float[Array, " C"],
+    smooth: Constraints,
+) -> Shared:
+    """The parts of a step's return `earned`, money.
+
+    **Arguments:**
+
+    - `pots`, `reserve`: that earned it. `returned`: of each cohort's annuity, a share.
+    """
+    protected = protection * pots * returned
+    excess = earned - jnp.sum(protected)
+    weights = exposure * pots
+    whole = jnp.sum(weights) + reserve
+    none = whole <= 0
+    own = excess * reserve / jnp.where(none, 1.0, whole)
+    own = smooth.maximum(own, -reserve, ROUND * (jnp.sum(pots) + reserve))
+    return Shared(protected + (excess - own) * _parts(weights, pots), own, excess)
+
+
+def closed(
+    pots: Float[Array, " C"],
+    reserve: Array,
+    gained: Array,
+    missing: Callable[[Array], Array],
+    exposure: Float[Array, " C"],
+    rules: Reserve,
+    smooth: Constraints,
+) -> Closed:
+    """The end of a year: the reserve takes its share of the excess return `gained` in it, gives
+    back what it holds beyond its largest size, and restores pensions.
+
+    **Arguments:**
+
+    - `missing`: function of pots [C] to the money that their pensions in payment lack [C].
+    """
+    total = jnp.sum(pots) + reserve
+    scale = ROUND * total
+    most = rules.largest * total
+    wanted = rules.fill_return * smooth.positive_part(gained, scale)
+    # Positive: there is room. Negative: the reserve is too large, and gives back.
+    filled = smooth.minimum(wanted, most - reserve, scale)
+    pots = pots - filled * _parts(exposure * pots, pots)
+    reserve = reserve + filled
+    lack = missing(pots)
+    needed = jnp.sum(lack)
+    released = smooth.minimum(needed, rules.release * reserve, scale)
+    pots = pots + released * lack / jnp.where(needed > 0, needed, 1.0)
+    released = jnp.where(needed > 0, released, 0.0)
+    return Closed(pots, reserve - released, filled, released)
+
+
+def _parts(weights: Array, pots: Array) -> Float[Array, " C"]:
+    """Shares by weight; by pot where all weights are zero."""
+    whole = jnp.sum(weights)
+    weights = jnp.where(whole > 0, weights, pots)
+    whole = jnp.sum(weights)
+    return weights / jnp.where(whole > 0, whole, 1.0)

@@ -1,0 +1,190 @@
+"""One path of a fund of personal pots: the fund invests, and shares its return among cohorts.
+
+Order within a step: contributions go into pots and reserve, pensions are paid out of pots; the
+fund trades; a step of the market; its return is shared (`sharing`); at the end of a year the
+reserve takes its part, restores pensions in payment, and pensions are set for the next year as pot
+over annuity (`members`). Pots and reserve add up to the assets at every time.
+"""
+
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+from jaxtyping import Array, Float
+
+from snapo.problem.simulator import Schedule
+
+from ..fund.books import State, balance, opening
+from ..fund.observation import RATIO, observe
+from ..fund.plan import contribution
+from ..fund.simulator import Flows, Happened, PensionSimulator
+from ..fund.trading import trade
+from ..market.dynamics import move
+from ..market.state import log_factor
+from .outputs import pensions
+from .schedule import PotPeriod, PotTerms, pot_schedule, worth
+from .sharing import Shared, closed, shared
+
+RESERVE = 0.1  # of the assets: a number of order one of the reserve, as the policy sees it
+LEAST = 1e-9  # of an annuity of today, below which a cohort has no more payments
+
+
+class PotState(NamedTuple):
+    """The `fund` with its market and holdings; `pots` [C] and `reserve`, money; `level` [C] of the
+    pensions of this year, as multiples of those earned at time 0; `gained`: the excess return of
+    the year so far."""
+
+    fund: State
+    pots: Array
+    reserve: Array
+    level: Array
+    gained: Array
+
+    @property
+    def weights(self) -> Array:
+        """[n] of the fund, as drifted."""
+        return self.fund.weights
+
+
+class Paid(NamedTuple):
+    """Money of a step in and out: the fund's `flows`, and of each pot [C] and the reserve."""
+
+    flows: Flows
+    pots: Array
+    reserve: Array
+
+
+class PotSimulator(PensionSimulator):
+    """The fund of a case with `[pots]`; see `snapo.domains.pension.records.pots`."""
+
+    def prepare(self, inputs: dict[str, Any]) -> Schedule:
+        return pot_schedule(self.case, inputs)
+
+    def initial(self, constants: PotTerms, noise) -> PotState:  # pyright: ignore
+        fund, none = opening(constants.fund), jnp.zeros_like(constants.kept)
+        level = constants.level + jnp.zeros_like(constants.pots)
+        return PotState(fund, constants.pots, constants.kept, level, none)
+
+    def observe(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
+        """What a fund sees, then ln of each pot over its annuity, and the reserve's share."""
+        terms, fund = constants.fund, state.fund
+        books = balance(self.case, terms, now.fund.people, now.fund.shape, fund)
+        seen = observe(self.case, terms, now.fund, fund, books.ratio)
+        level = self._level(
+            constants, state.pots, worth(terms, now.value, now.fund.shape, fund.market)
+        )
+        level = jnp.log(jnp.where(level > 1e-3, level, 1e-3) / constants.level) / RATIO
+        held = state.reserve / (RESERVE * jnp.where(fund.assets > 0, fund.assets, constants.assets))
+        return jnp.concatenate([seen, level, held[None]])
+
+    def step(self, constants: PotTerms, now: PotPeriod, state: PotState, action, noise, smooth):  # pyright: ignore
+        case, terms, fund = self.case, constants.fund, state.fund
+        books = balance(case, terms, now.fund.people, now.fund.shape, fund)
+        factor = jnp.exp(log_factor(terms.market, now.fund.shape, fund.market))
+        annuity = now.value @ factor
+        paid = self._paid(constants, now, state, books, smooth)
+        invested = fund.assets + paid.flows.net if self._in_advance else fund.assets
+        by_node = (self._level(constants, state.pots, annuity) @ now.value) * factor
+        buckets = None if terms.swaps is None else terms.swaps.nearest @ by_node
+        held = trade(case, terms, fund, action, invested, buckets, smooth)
+        moved = move(case, terms.market, now.fund.market, fund.market, noise)
+        after = fund._replace(market=moved.market)
+        after = self._settled(terms, after, paid.flows, invested, held, moved)
+        earned = after.assets - fund.assets - paid.flows.net
+        annuities = annuity, worth(terms, now.value_after, now.shape_after, moved.market)
+        parts = self._shared(constants, now, state, paid, earned, annuities, smooth)
+        state = state._replace(fund=after, gained=state.gained + parts.excess)
+        state, told = self._year(constants, now, state, parts, annuities[1], smooth)
+        granted, cut = told.pop("granted"), told.pop("cut")
+        done = Happened(books, paid.flows, invested, held, moved, after, granted, cut)
+        return state, self._outputs(terms, fund, done, smooth) | told
+
+    def _paid(self, constants: PotTerms, now: PotPeriod, state: PotState, books, smooth) -> Paid:
+        """Contributions by salary, less the reserve's part; pensions and expenses out of pots."""
+        people, market = now.fund.people, state.fund.market
+        received = contribution(
+            self.case.plan,
+            constants.fund.plan,
+            assets=state.fund.assets,
+            liability=books.liability,
+            normal_cost=books.accrual,
+            payroll=people.payroll,
+            wage=jnp.exp(market.log_wage),
+            step=self.case.step,
+            smooth=smooth,
+        )
+        # Without anybody at work there is no one whose pot a contribution could go to.
+        received = received * jnp.sum(now.payroll)
+        benefit = state.level * now.benefit
+        expenses = people.expenses * jnp.exp(market.log_price)
+        borne = state.pots / jnp.where(jnp.sum(state.pots) > 0, jnp.sum(state.pots), 1.0)
+        flows = Flows(received, jnp.sum(benefit), expenses)
+        own = (1 - constants.fill) * received * now.payroll - benefit - expenses * borne
+        return Paid(flows, own, flows.net - jnp.sum(own))
+
+    def _shared(
+        self, constants: PotTerms, now: PotPeriod, state: PotState, paid: Paid, *given
+    ) -> Shared:
+        """Pots and reserve after the return of the step, and the excess return in it.
+
+        `given`: money earned, the annuities before and after the step, `smooth`.
+        """
+        earned, (before, after), smooth = given
+        pots, reserve = state.pots + paid.pots, state.reserve + paid.reserve
+        rest, grown = before, after + now.benefit
+        holding = state.pots, state.reserve
+        if self._in_advance:
+            holding = pots, reserve
+            rest, grown = before - now.benefit, after
+        there = rest > LEAST * constants.assets
+        growth = jnp.where(there, grown / jnp.where(there, rest, 1.0), 1.0)
+        returned = growth * jnp.exp(-constants.unwound) - 1
+        parts = shared(*holding, earned, returned, now.protection, now.exposure, smooth)
+        return Shared(pots + parts.pots, reserve + parts.reserve, parts.excess)
+
+    def _year(
+        self, constants: PotTerms, now: PotPeriod, state: PotState, held: Shared, annuity, smooth
+    ):
+        """The state after the end of a year, where there is one, and what happened then."""
+        pots, reserve, _ = held
+        due = now.fund.due
+
+        def missing(pots):
+            lack = smooth.positive_part(state.level * annuity - pots, 0.001 * constants.assets)
+            return now.drawing * lack
+
+        end = closed(pots, reserve, state.gained, missing, now.exposure, constants.reserve, smooth)
+        level = self._level(constants, end.pots, annuity)
+        change = level / jnp.where(state.level > 0, state.level, 1.0) - 1
+        paid = now.drawing * state.level * annuity
+        whole = jnp.sum(paid)
+        paid = paid / jnp.where(whole > 0, whole, 1.0)
+        told = {
+            "granted": due * jnp.sum(paid * smooth.positive_part(change, 0.01)),
+            "cut": due * jnp.sum(paid * smooth.positive_part(-change, 0.01)),
+            "filled": due * end.filled,
+            "released": due * end.released,
+        }
+        state = state._replace(
+            pots=pots + due * (end.pots - pots),
+            reserve=reserve + due * (end.reserve - reserve),
+            level=state.level + due * (level - state.level),
+            gained=state.gained * (1 - due),
+        )
+        return state, told
+
+    @staticmethod
+    def _level(constants: PotTerms, pots: Array, annuity: Array) -> Float[Array, " C"]:
+        """Pots over annuities; that of today for a cohort without payments."""
+        there = annuity > LEAST * constants.assets
+        return jnp.where(there, pots / jnp.where(there, annuity, 1.0), constants.level)
+
+    def terminal(self, constants: PotTerms, state: PotState, smooth):  # pyright: ignore
+        found = super().terminal(constants.fund, state.fund, smooth)
+        level = state.level / constants.level
+        mean = jnp.sum(level * constants.pots) / jnp.sum(constants.pots)
+        assets = jnp.where(state.fund.assets > 0, state.fund.assets, constants.assets)
+        by_cohort = {name: level[i] for i, name in enumerate(pensions(self.case.members))}
+        return found | {"pension": mean, "reserve": state.reserve / assets} | by_cohort
+
+    def slack(self, constants: PotTerms, now: PotPeriod, state: PotState, outputs):  # pyright: ignore
+        return super().slack(constants.fund, now.fund, state.fund, outputs)

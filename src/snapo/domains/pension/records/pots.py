@@ -1,0 +1,42 @@
+"""Personal pots under the Dutch Future of Pensions Act; conventions as in `records.case`."""
+
+from dataclasses import dataclass
+
+from snapo.case.given import Given
+
+
+@dataclass(frozen=True, eq=False)
+class PotRules:
+    """The state of the law; see the comments in `regulation/dutch_wtp.toml`.
+
+    - `largest`: the solidarity reserve's size, a share of all assets; `from_contributions`,
+      `from_excess_return`: at most these shares of a year's go into it.
+    """
+
+    since: str
+    source: str
+    largest: float
+    from_contributions: float
+    from_excess_return: float
+
+
+@dataclass(frozen=True, eq=False)
+class Pots:
+    """Personal pots in place of rights; C cohorts, shares as fractions.
+
+    - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.
+    - `fill_contribution`, `fill_return`: the shares of contributions and of a year's positive
+      excess return that go into it; `release`: the share of it that a year may take at most to
+      restore pensions in payment. All index [].
+    - `protection`: the share of the move of its annuity's value that a cohort is given, and
+      `exposure`: the weight of its pot in the excess return; by age, index [T, C].
+    """
+
+    rules: PotRules
+    reserve: Given
+    fill_contribution: Given
+    fill_return: Given
+    release: Given
+    largest: Given
+    protection: Given
+    exposure: Given
