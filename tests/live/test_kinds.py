@@ -9,6 +9,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small
 from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
+from snapo.live.case.choices import choices
 from snapo.live.case.files import read_files
 from snapo.live.case.places import Places
 from snapo.live.moves import Moves
@@ -175,6 +176,30 @@ def test_a_choice_is_valued_as_solve_does(solved, tmp_path):
         next(valuation.stages({}, {"contract.nothing": "x"}))
     with pytest.raises(CaseError, match="allowed is"):
         next(valuation.stages({}, {choice.name: "; rm -rf"}))
+
+
+@pytest.mark.parametrize(
+    ("kind", "wanted"),
+    [
+        ("gas-storage", {"contract.ratchet_interpolation": "linear",  # stands in the case
+                         "contract.first_decision": "valuation-date"}),  # its default
+        pytest.param("pharma", {"units.crystalliser.separate": False, "numerics.method": "auto"},
+                     marks=pytest.mark.prove),
+    ],
+)  # fmt: skip
+def test_choices_are_those_of_the_format_whether_the_case_names_them_or_not(kind, wanted, tmp_path):
+    commands.new(kind, tmp_path, None)
+    loaded = commands.load(commands.Asked(tmp_path))
+    files = read_files(tmp_path, loaded.data)
+
+    def again(files):
+        return loaded.domain.read(files.write(tmp_path / "again"), files.tables)
+
+    found = {each.name: each for each in choices(files, again)}
+    assert {name: found[name].value for name in wanted} == wanted
+    for each in found.values():
+        assert each.value == each.allowed[0] and len(set(each.allowed)) == len(each.allowed) > 1
+        again(files.with_value(each.key, each.allowed[-1]))  # which the reader takes
 
 
 @pytest.mark.prove

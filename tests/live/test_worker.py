@@ -52,13 +52,15 @@ class Worker:
         self.process.stdin.flush()
 
     def tables(self, n, values):
+        """All tables of a move; the last one comes when the page has rested."""
         self.ask(do="move", n=n, values=values)
-        found = {}
-        while (
-            message := self.hear("value", "deltas", "today", "fans", "health", "done", "refused")
-        )["stage"] != "done":
+        found, stages = {}, ("value", "deltas", "today", "fans", "done", "health", "refused")
+        while "health" not in found:
+            message = self.hear(*stages)
             assert message["stage"] != "refused", message
-            found[message["stage"]] = message["table"]
+            assert message["stage"] != "health" or "done" in found
+            found[message["stage"]] = message.get("table")
+        del found["done"]
         return found
 
 

@@ -10,6 +10,8 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
@@ -110,8 +112,26 @@ def not_utf8(error: UnicodeDecodeError) -> str:
     return f"byte 0x{raw[error.start]:02x} on line {line} is not UTF-8; save the file as UTF-8"
 
 
+_watched: ContextVar[list[tuple[type[Table], Any, str]] | None] = ContextVar(
+    "watched", default=None
+)
+
+
+@contextmanager
+def watching() -> Iterator[list[tuple[type[Table], Any, str]]]:
+    """Collects (format, data, name) of every table that is checked inside of it."""
+    found: list[tuple[type[Table], Any, str]] = []
+    before = _watched.set(found)
+    try:
+        yield found
+    finally:
+        _watched.reset(before)
+
+
 def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
     """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes."""
+    if (watched := _watched.get()) is not None:
+        watched.append((table, data, name))
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:

@@ -41,6 +41,10 @@ class Moves:
         **Raises:** `CaseError` where the case's own reader refuses them.
         """
 
+    def afterwards(self) -> Iterator[tuple[str, Any]]:
+        """(name, table) of what can wait until the hand rests, after all of `stages`."""
+        yield from ()
+
     @cached_property
     def choices(self) -> list[Choice]:
         """The keys of the case with a list of allowed values."""

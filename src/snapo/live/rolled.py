@@ -1,6 +1,5 @@
 """The paths of a move, rolled once: what the value adds up, the deltas replay and the fans show."""
 
-from itertools import pairwise
 from typing import Any, NamedTuple
 
 import jax
@@ -9,11 +8,13 @@ import numpy as np
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import float64
-from snapo.solver.evaluate import CHUNK, path_totals
+from snapo.solver.evaluate import path_totals
 from snapo.study.parts.profile import KINDS
 from snapo.study.study import Setup
 
 from .counts import Counts
+
+MOST_RECORDED = 2048  # paths of one call of the engine: their course is held at once
 
 
 class Rolled(NamedTuple):
@@ -30,26 +31,34 @@ class Rolled(NamedTuple):
 
 
 def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
-    """Every path once, where its totals have the same bits whatever is recorded; else apart."""
+    """Every path once, where its totals have the same bits whatever is recorded; else apart.
+
+    All of a path's course is recorded whoever asks: another record would be compiled anew.
+    """
     problem, engine = setup.problem, setup.engines.evaluate
     source, bound = problem.sources.evaluation, engine.bind(problem)
     paths, deltas, fans = (source.available(each) for each in counts)
 
-    def rolled(first: int, last: int, record: tuple[str, ...]):
+    def rolled(first: int, last: int):
         draws = source.draws(np.arange(first, last), problem.simulator)
-        return bound.values(policy, draws, Exact(), record=record)
+        return bound.values(policy, draws, Exact(), record=KINDS)
 
     if not engine.steady:
         totals = path_totals(problem, policy, counts.value, engine=engine)
-        return Rolled(totals, None, rolled(0, fans, KINDS).record)
-    edges = sorted({*range(0, paths, CHUNK), fans, deltas, paths})
-    found = []
-    for first, last in pairwise(edges):
-        record = KINDS if last <= fans else ("action",) if last <= deltas else ()
-        found.append((last, rolled(first, last, record)))
-    parts = [float64(each.totals) for _, each in found]
+        return Rolled(totals, None, rolled(0, fans).record)
+    parts, decided, shown = [], [], []
+    for first in range(0, paths, MOST_RECORDED):
+        found = rolled(first, min(first + MOST_RECORDED, paths))
+        parts.append(float64(found.totals))
+        if first < deltas:
+            decided.append(found.record["action"][:, : deltas - first])
+        if first < fans:
+            shown.append(jax.tree.map(lambda x, n=fans - first: x[:, :n], found.record))
     totals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    decided = [each.record["action"] for last, each in found if last <= deltas]
-    kept = [each.record for last, each in found if last <= fans]
-    shown = jax.tree.map(lambda *each: np.concatenate(each, 1) if each[1:] else each[0], *kept)
-    return Rolled(totals, np.concatenate(decided, 1), shown)
+    kept = jax.tree.map(lambda *each: np.concatenate(each, 1) if each[1:] else each[0], *shown)
+    return Rolled(totals, np.concatenate(decided, 1), kept)
+
+
+def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
+    """{output: [paths]} of a policy, by the code that rolls a move."""
+    return roll(setup, policy, Counts(paths, 1, 1)).totals

@@ -19,7 +19,7 @@ from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.bound import bound
 from snapo.solver.by_block.passes import Way
-from snapo.solver.evaluate import Value, estimate, path_totals, worth_of_groups
+from snapo.solver.evaluate import Value, estimate, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin, train
@@ -29,10 +29,10 @@ from snapo.study.study import Measured, Setup, Study
 from .case.places import Places
 from .counts import Counts
 from .moves import NONE, Anew, Chosen, Moves, Values
-from .rolled import Rolled, roll
+from .rolled import Rolled, roll, totals_of
 from .terms import derivatives, slopes
 
-HEALTH_PATHS, BOUND_PATHS = 2048, 512
+HEALTH_PATHS, BOUND_PATHS = 1024, 512
 TOLD = 12  # times that a training tells how far it is
 
 
@@ -50,6 +50,7 @@ class Valuation(Moves):
         self._base: np.ndarray | None = None
         self._trained: tuple[float, float] | None = None
         self._variants: dict[str, tuple[Study, Setup]] = {}
+        self._last = self.setup
 
     def believed(self, name: str) -> str:
         table = self.solution.sensitivities
@@ -62,7 +63,7 @@ class Valuation(Moves):
         return {"paths": self.counts.value, "sensitivity_paths": self.counts.deltas}
 
     def stages(self, values: Values, chosen: Chosen = NONE) -> Iterator[tuple[str, Any]]:
-        """Value, the domain's own sections, deltas, today, fans, health."""
+        """Value, the domain's own sections, deltas, today, fans."""
         changed = self.changed(values)
         study, setup = self._at(values, chosen)
         policy = self.solution.policy
@@ -78,7 +79,11 @@ class Valuation(Moves):
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
         yield "fans", fans(rolled.shown)
-        yield "health", self._health(setup)
+        self._last = setup
+
+    def afterwards(self) -> Iterator[tuple[str, Any]]:
+        """How near the policy is to its best at the numbers that were valued last."""
+        yield "health", self._health(self._last)
 
     def train_again(
         self, values: Values, told: Callable[[int, int], None], chosen: Chosen = NONE
@@ -176,8 +181,7 @@ class Valuation(Moves):
         """`_worth` of a policy, by default the run's."""
         policy = policy or self.solution.policy
         assert policy is not None
-        engine = setup.engines.evaluate
-        return _worth(setup, path_totals(setup.problem, policy, self.counts.value, engine=engine))
+        return _worth(setup, totals_of(setup, policy, self.counts.value))
 
     def _deltas(self, setup: Setup, rolled: Rolled) -> list[dict[str, Any]]:
         policy = self.solution.policy
@@ -205,7 +209,8 @@ class Valuation(Moves):
         source = problem.sources.evaluation
         blocks = source.blocks(source.available(min(HEALTH_PATHS, self.counts.value)), 8)
         bound = setup.engines.evaluate.bind(problem, controls=False)
-        return Way(problem, bound, policy, smooth, held=False).derivatives(blocks).policy.norm()
+        way = Way(problem, bound, policy, smooth, held=False, inputs=False)
+        return way.derivatives(blocks).policy.norm()
 
 
 def _alike(one: Policy, other: Policy) -> bool:

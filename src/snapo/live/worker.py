@@ -25,6 +25,8 @@ from .moves import Moves
 from .reopen import open_run
 from .valuation import Valuation
 
+REST = 0.4  # seconds without an order, after which what can wait is computed
+
 
 class Post:
     """Lines to the server."""
@@ -60,6 +62,13 @@ class Desk:
             self.orders.put(order)
         self.orders.put(None)
 
+    def rests(self, seconds: float) -> bool:
+        """Waits so long for an order; whether there was none."""
+        until = time.monotonic() + seconds
+        while self.orders.empty() and time.monotonic() < until:
+            time.sleep(0.02)
+        return self.orders.empty()
+
     def stale(self, order: Mapping[str, Any]) -> bool:
         """Whether the page has asked for something else since."""
         return self.newest.get(order["page"]) != order["n"]
@@ -87,7 +96,7 @@ def serve(valuation: Moves, desk: Desk, post: Post) -> None:
 
 
 def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) -> None:
-    started = time.perf_counter()
+    started, found = time.perf_counter(), ("", None)
     stages = valuation.stages(order["values"], order.get("chosen") or {})
     while not desk.stale(order):
         found = next(stages, None)
@@ -95,8 +104,11 @@ def _move(valuation: Moves, desk: Desk, post: Post, order: Mapping[str, Any]) ->
         address = {"page": order["page"], "n": order["n"], "seconds": seconds}
         if found is None:
             post(**address, stage="done")
-            return
+            break
         post(**address, stage=found[0], table=found[1])
+    if found is None and desk.rests(REST):
+        for name, table in valuation.afterwards():
+            post(page=order["page"], n=order["n"], stage=name, table=table)
 
 
 def _write(valuation: Moves, order: Mapping[str, Any]) -> None:
@@ -169,6 +181,7 @@ def main(arguments: list[str] | None = None) -> int:
         post(stage="failed", message=str(error))
         return 2
     base = dict(valuation.stages({}))  # which leaves nothing to compile for the first move
+    base |= dict(valuation.afterwards())
     counts = valuation.counted()
     known = [each._asdict() for each in valuation.choices]
     bounded = isinstance(valuation, Valuation) and valuation.bounded

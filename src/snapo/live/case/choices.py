@@ -1,7 +1,9 @@
 """Keys of a case with a list of allowed values: words and switches, moved by a menu.
 
-No reader says which words it knows until it is asked for another one: then its refusal lists them.
-Each is tried; a value that the case cannot have as it stands is not offered.
+Of a key that stands in the case, no reader says which words it knows until it is asked for another
+one: then its refusal lists them. A key that the case leaves at its default is known from the
+formats of the tables that are checked while the case is read. Each value is tried; one that the
+case cannot have as it stands is not offered.
 """
 
 import re
@@ -9,19 +11,20 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
+from snapo.case.table import watching
 
 from .files import Files, Key, numbers_in
 from .guesses import tables
 
 Tried = Callable[[Files], Any]
-LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy")
+LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
 NONE = "?"  # which is nobody's word
 MOST_KEYS, MOST_WORDS = 60, 12
 WORD = re.compile(r'"([^"\s][^"]{0,39})"')
 
 
 class Choice(NamedTuple):
-    """A key, its value in the run, and all values that it can have."""
+    """A key, its value in the run (where the case has none, the default), and all allowed ones."""
 
     name: str
     key: Key
@@ -33,8 +36,11 @@ def choices(files: Files, tried: Tried) -> list[Choice]:
     """Every key of the case that has more than one value; `tried` reads a case, or raises
     `CaseError`."""
     found = []
-    for key, value in list(_words(files))[:MOST_KEYS]:
-        others = [not value] if isinstance(value, bool) else _known(files, key, tried)
+    defaults = {key: (value, others) for key, value, others in _defaults(files, tried)}
+    stand = {key: (value, None) for key, value in _words(files)}
+    for key, (value, others) in list({**stand, **defaults}.items())[:MOST_KEYS]:
+        if others is None:
+            others = [not value] if isinstance(value, bool) else _known(files, key, tried)
         allowed = [each for each in others if each != value and _holds(files, key, each, tried)]
         if allowed:
             name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
@@ -71,6 +77,30 @@ def _words(files: Files) -> Iterator[tuple[Key, str | bool]]:
                 plain = re.fullmatch(r"[A-Za-z][\w-]{0,39}", value)
                 if plain and numbers_in([value]) is None:
                     yield (*way, key), value
+
+
+def _defaults(files: Files, tried: Tried) -> Iterator[tuple[Key, str | bool, list[str | bool]]]:
+    """Keys that the case leaves out, with their defaults and all values that their format names."""
+    with watching() as seen:
+        tried(files)
+    places = {id(table): way for way, table in tables(files.tables, ())}
+    by_name = {".".join(map(str, way)): way for way, _ in tables(files.tables, ())}
+    for form, data, name in seen:
+        way = places.get(id(data), by_name.get(name))  # a reader may hand on a copy
+        if way is None and data == {} and name.isidentifier() and name not in files.tables:
+            way = (name,)  # a table that the case leaves out altogether
+        if way is None or (way and way[0] in LEFT):
+            continue
+        for field, about in form.model_fields.items():
+            key, default = about.alias or field, about.default
+            if key in data or (not way and key in LEFT):
+                continue
+            if isinstance(default, bool):
+                yield (*way, key), default, [default, not default]
+            elif isinstance(default, str):
+                words = list(dict.fromkeys(WORD.findall(about.description or "")))
+                if default in words and len(words) > 1:
+                    yield (*way, key), default, [*words][:MOST_WORDS]
 
 
 def _known(files: Files, key: Key, tried: Tried) -> list[str]:

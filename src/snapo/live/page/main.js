@@ -137,7 +137,7 @@ function ask() {
   page.sent = performance.now();
   page.fresh = new Set();
   status("revaluing", "busy");
-  at("value").classList.add("pending");
+  for (const id of ["value", "best"]) at(id).classList.add("pending");
   offer(false);
   send({ do: "move", n: page.n, values: values(), chosen: chosen() });
 }
@@ -239,6 +239,7 @@ function value(found) {
 }
 
 function health(found) {
+  at("best").classList.remove("pending");
   const box = at("health"), ratio = found.gradient / (found.at_training || 1);
   const far = ratio > 2 && found.gradient > 2 * found.noise;
   box.hidden = false;

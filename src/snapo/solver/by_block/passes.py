@@ -42,6 +42,7 @@ class Way(NamedTuple):
     """One way to differentiate: with the decisions recorded and replayed, or through the policy.
 
     `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
+    `inputs`: whether derivatives by the inputs are found, beside those of the policy.
     """
 
     problem: Problem
@@ -50,6 +51,7 @@ class Way(NamedTuple):
     smooth: Any
     held: bool
     recorded: np.ndarray | None = None
+    inputs: bool = True
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
@@ -148,7 +150,7 @@ class Way(NamedTuple):
         """The noise of these paths, who decides there, and the recorded decisions."""
         draws = self._draws(paths)
         if not self.held:
-            return draws, self.policy, {}
+            return draws, self.policy, {} if self.inputs else {"wrt": ("policy",)}
         if self.recorded is None:
             rolled = self.bound.values(self.policy, draws, self.smooth, record=("action",))
             actions = rolled.record["action"]
@@ -180,6 +182,8 @@ class Way(NamedTuple):
     def _carried(self, passes: list[Pulled]) -> dict[str, np.ndarray]:
         """Derivatives by every input, {name: [passes, *shape]}."""
         problem, found = self.problem, [each.schedule for each in passes]
+        if not self.inputs:
+            return {}
         if not found:
             return {name: np.zeros((0, *x.value.shape)) for name, x in problem.named.items()}
         return pull_back(problem.simulator, problem.inputs, found)
