@@ -2,12 +2,14 @@
 
 from collections.abc import Callable
 from functools import cache, wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, ParamSpec, TypeVar
 
 import equinox as eqx
 import jax
 
-P, R = ParamSpec("P"), TypeVar("R")
+P = ParamSpec("P")
+R = TypeVar("R")
+JIT: Any = eqx.filter_jit  # hands on to jax.jit whatever it does not know itself
 LEVEL, EMITTERS = "xla_backend_optimization_level", "xla_cpu_use_fusion_emitters"
 
 
@@ -27,7 +29,7 @@ def compiled_at_once(function: Callable[P, R]) -> Callable[P, R]:
 def _compiled(function: Callable[P, R], level: int) -> Callable[P, R]:
     @cache
     def compiled():
-        return eqx.filter_jit(function, compiler_options=_options(level))
+        return JIT(function, compiler_options=_options(level))
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:

@@ -71,7 +71,7 @@ def _records(rows: list[Mapping[str, Any]], way: tuple[str, ...]) -> Iterator[Pa
     """Records as rows; of records that hold arrays, these are tables of their own."""
     header = list(dict.fromkeys(key for row in rows for key in _plain(row)))
     if header:
-        values = [[_plain(row).get(key) for key in header] for row in rows]
+        values: list[Sequence[Any]] = [[_plain(row).get(key) for key in header] for row in rows]
         yield Part(way, tuple(header), values)
     if len(way) >= DEEPEST:
         return
