@@ -1,5 +1,7 @@
 """Black boxes: counting, exploring, units, and the figures of a result. No training runs."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -7,6 +9,8 @@ import pytest
 import snapo
 
 gymnasium = pytest.importorskip("gymnasium")
+from snapo.gym.black_box import loop  # noqa: E402
+from snapo.gym.black_box import rounds as rounds_  # noqa: E402
 from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
 from snapo.gym.black_box.known import Known, Units  # noqa: E402
 from snapo.gym.black_box.learned import Compared  # noqa: E402
@@ -76,14 +80,14 @@ def test_what_cannot_be_learnt_is_refused_with_a_remedy():
             snapo.learn(environment, limit=10)
     with pytest.raises(ValueError, match="give limit=200"):
         snapo.learn(Counter)
-    with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 1600 steps"):
+    with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 2000 steps"):
         snapo.learn(Counter, steps=100, limit=200)
 
 
 def test_random_actions_are_held_and_keep_within_bounds():
     real, rng = Real(Counter(), 1, 200), np.random.default_rng(0)
     lengths = []
-    for _ in range(50):
+    for _ in range(25):
         act = random_actions(real, rng)
         actions = np.stack([act(None, t) for t in range(200)])
         assert actions.min() >= -1 and actions.max() <= 3
@@ -156,6 +160,35 @@ def test_an_episode_begins_only_where_all_of_it_has_room():
     assert known.seen.count == 20 and known.settled().units.scale[0] == pytest.approx(
         np.append(np.arange(10), np.arange(1, 11)).std()
     )
+
+
+class Chancy(Counter):
+    """Ends by chance."""
+
+    def step(self, action):
+        seen, reward, *_ = super().step(action)
+        return seen, reward, self.np_random.uniform() < 0.05, False, {}
+
+
+@pytest.mark.parametrize("rounds", [1, 6, 15])
+@pytest.mark.parametrize("more", [0, 7, 300])
+@pytest.mark.parametrize("made", [Counter, Chancy])
+def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
+    """However long episodes take; every round and the last policy play. Nothing is fitted."""
+    policy = SimpleNamespace(network=SimpleNamespace(weights=[np.ones((1, 1))], biases=[0.0]))
+    inside = SimpleNamespace(model=None, inputs=None, rows=1, fit=SimpleNamespace(raw=0, error=1))
+    for name in ("fitted", "begun", "improved"):
+        found = inside if name == "fitted" else policy
+        monkeypatch.setattr(loop, name, lambda *given, found=found: found)
+    monkeypatch.setattr(Units, "undone", lambda units, policy: policy)
+    monkeypatch.setattr(rounds_, "Agent", lambda policy: lambda seen: np.zeros(2))
+    monkeypatch.setattr(rounds_, "replace", lambda model, horizon: model)
+    monkeypatch.setattr(rounds_, "value", lambda model, inputs, policy, firsts, *_: firsts[:, 0])
+    steps = 10 * rounds_.fewest(rounds) + more
+    learned = snapo.learn(made, steps, rounds=rounds, limit=10)
+    assert steps - 10 < learned.steps <= steps
+    assert len(learned.rounds) == rounds and min(r.found.episodes for r in learned.rounds) >= 1
+    assert learned.found.episodes >= 1
 
 
 def test_a_held_environment_is_one_of_gymnasium():
