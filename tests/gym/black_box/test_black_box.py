@@ -13,7 +13,7 @@ from snapo.gym.black_box import loop  # noqa: E402
 from snapo.gym.black_box import rounds as rounds_  # noqa: E402
 from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
 from snapo.gym.black_box.known import Known, Units  # noqa: E402
-from snapo.gym.black_box.learned import Compared  # noqa: E402
+from snapo.gym.black_box.learned import Compared, Learned, Round  # noqa: E402
 from snapo.gym.black_box.real import Held, Real  # noqa: E402
 from snapo.gym.black_box.transitions import circles, scale_of  # noqa: E402
 
@@ -150,6 +150,26 @@ def test_the_gap_has_the_error_of_the_difference():
     found = Compared.of(starts + np.array([1.0, 0.9, 1.1, 1.0]), starts)
     assert found.gap == pytest.approx(1.0) and found.gap_error < 0.05 < found.real_error
     assert found.episodes == 4 and found.model == pytest.approx(-140)
+
+
+def test_a_result_prints_itself():
+    """Rounds are compared on the starts that all of them played."""
+    errors = np.array([0.01, 0.2, 0.0])
+    rounds = [
+        Round(500, 300, errors, Compared.of(np.array([-10.0, -20.0, -90.0]), np.zeros(3)), 1.0),
+        Round(800, 500, errors, Compared.of(np.array([-10.0, -18.0]), np.zeros(2)), 1.0),
+    ]
+    learned = Learned(
+        policy=snapo.MLP(), found=rounds[1].found, steps=1000, hold=1, limit=100,
+        rounds=tuple(rounds), chosen=2, seconds=3.2, seed=0, model=None, inputs=None,
+        environment=Counter(),
+    )  # fmt: skip
+    told = str(learned).splitlines()
+    assert told[0] == "real environment -14 ± 4, model 0 ± 0, gap -14 ± 4 over 2 episodes"
+    assert told[1] == "1,000 real steps, 3 s of processor time, policy of round 2 of 2"
+    assert told[3].split()[:4] == ["1", "500", "300", "20.00%"] and "-15 ± 5" in told[3]
+    with pytest.raises(ValueError, match="only one environment came"):
+        learned.play(3)
 
 
 def test_an_episode_begins_only_where_all_of_it_has_room():
