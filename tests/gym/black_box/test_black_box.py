@@ -217,3 +217,10 @@ def test_a_held_environment_is_one_of_gymnasium():
     steps = [held.step(np.zeros(2))[1:4] for _ in range(3)]
     assert steps == [(3.0, False, False), (7.0, False, False), (5.0, True, False)]
     assert held.taken == 5
+
+
+def test_play_stays_a_function():
+    """No module of that name takes its place when the black box is loaded."""
+    import snapo.gym
+
+    assert loop.run and snapo.gym.play.__name__ == "play"
