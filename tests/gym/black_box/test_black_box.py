@@ -1,5 +1,7 @@
 """Black boxes: counting, exploring, units, and the figures of a result. No training runs."""
 
+from types import SimpleNamespace
+
 import equinox as eqx
 import numpy as np
 import pytest
@@ -7,9 +9,11 @@ import pytest
 import snapo
 
 gymnasium = pytest.importorskip("gymnasium")
+from snapo.gym.black_box import loop  # noqa: E402
+from snapo.gym.black_box import rounds as rounds_  # noqa: E402
 from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
 from snapo.gym.black_box.known import Known, Units  # noqa: E402
-from snapo.gym.black_box.learned import Compared  # noqa: E402
+from snapo.gym.black_box.learned import Compared, Learned, Round  # noqa: E402
 from snapo.gym.black_box.real import Held, Real  # noqa: E402
 from snapo.gym.black_box.transitions import circles, scale_of  # noqa: E402
 
@@ -76,14 +80,14 @@ def test_what_cannot_be_learnt_is_refused_with_a_remedy():
             snapo.learn(environment, limit=10)
     with pytest.raises(ValueError, match="give limit=200"):
         snapo.learn(Counter)
-    with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 1600 steps"):
+    with pytest.raises(ValueError, match=r"up to 200 steps; got steps=100 .* at least 2000 steps"):
         snapo.learn(Counter, steps=100, limit=200)
 
 
 def test_random_actions_are_held_and_keep_within_bounds():
     real, rng = Real(Counter(), 1, 200), np.random.default_rng(0)
     lengths = []
-    for _ in range(50):
+    for _ in range(25):
         act = random_actions(real, rng)
         actions = np.stack([act(None, t) for t in range(200)])
         assert actions.min() >= -1 and actions.max() <= 3
@@ -148,6 +152,26 @@ def test_the_gap_has_the_error_of_the_difference():
     assert found.episodes == 4 and found.model == pytest.approx(-140)
 
 
+def test_a_result_prints_itself():
+    """Rounds are compared on the starts that all of them played."""
+    errors = np.array([0.01, 0.2, 0.0])
+    rounds = [
+        Round(500, 300, errors, Compared.of(np.array([-10.0, -20.0, -90.0]), np.zeros(3)), 1.0),
+        Round(800, 500, errors, Compared.of(np.array([-10.0, -18.0]), np.zeros(2)), 1.0),
+    ]
+    learned = Learned(
+        policy=snapo.MLP(), found=rounds[1].found, steps=1000, hold=1, limit=100,
+        rounds=tuple(rounds), chosen=2, seconds=3.2, seed=0, model=None, inputs=None,
+        environment=Counter(),
+    )  # fmt: skip
+    told = str(learned).splitlines()
+    assert told[0] == "real environment -14 ± 4, model 0 ± 0, gap -14 ± 4 over 2 episodes"
+    assert told[1] == "1,000 real steps, 3 s of processor time, policy of round 2 of 2"
+    assert told[3].split()[:4] == ["1", "500", "300", "20.00%"] and "-15 ± 5" in told[3]
+    with pytest.raises(ValueError, match="only one environment came"):
+        learned.play(3)
+
+
 def test_an_episode_begins_only_where_all_of_it_has_room():
     known = Known.of(Real(Counter(), 1, 10), 0)
     known.play(nothing)
@@ -158,9 +182,45 @@ def test_an_episode_begins_only_where_all_of_it_has_room():
     )
 
 
+class Chancy(Counter):
+    """Ends by chance."""
+
+    def step(self, action):
+        seen, reward, *_ = super().step(action)
+        return seen, reward, self.np_random.uniform() < 0.05, False, {}
+
+
+@pytest.mark.parametrize("rounds", [1, 6, 15])
+@pytest.mark.parametrize("more", [0, 7, 300])
+@pytest.mark.parametrize("made", [Counter, Chancy])
+def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
+    """However long episodes take; every round and the last policy play. Nothing is fitted."""
+    policy = SimpleNamespace(network=SimpleNamespace(weights=[np.ones((1, 1))], biases=[0.0]))
+    inside = SimpleNamespace(model=None, inputs=None, rows=1, fit=SimpleNamespace(raw=0, error=1))
+    for name in ("fitted", "begun", "improved"):
+        found = inside if name == "fitted" else policy
+        monkeypatch.setattr(loop, name, lambda *given, found=found: found)
+    monkeypatch.setattr(Units, "undone", lambda units, policy: policy)
+    monkeypatch.setattr(rounds_, "Agent", lambda policy: lambda seen: np.zeros(2))
+    monkeypatch.setattr(rounds_, "replace", lambda model, horizon: model)
+    monkeypatch.setattr(rounds_, "value", lambda model, inputs, policy, firsts, *_: firsts[:, 0])
+    steps = 10 * rounds_.fewest(rounds) + more
+    learned = snapo.learn(made, steps, rounds=rounds, limit=10)
+    assert steps - 10 < learned.steps <= steps
+    assert len(learned.rounds) == rounds and min(r.found.episodes for r in learned.rounds) >= 1
+    assert learned.found.episodes >= 1
+
+
 def test_a_held_environment_is_one_of_gymnasium():
     held = Held(Counter(last=5), 2, 100)
     held.reset(seed=0)
     steps = [held.step(np.zeros(2))[1:4] for _ in range(3)]
     assert steps == [(3.0, False, False), (7.0, False, False), (5.0, True, False)]
     assert held.taken == 5
+
+
+def test_play_stays_a_function():
+    """No module of that name takes its place when the black box is loaded."""
+    import snapo.gym
+
+    assert loop.run and snapo.gym.play.__name__ == "play"

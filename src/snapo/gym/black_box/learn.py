@@ -16,7 +16,6 @@ from .learned import Learned, Round
 from .model import Over, Reward
 
 LONGEST = 125  # decisions of a path in training, where nobody gives them
-FEWEST = 8  # episodes that the steps must suffice for
 
 
 def learn(
@@ -58,18 +57,19 @@ def learn(
     - `progress`: told every `Round`.
 
     **Raises:** `ValueError` where observations or actions are not boxes of numbers, where nothing
-    limits an episode, or where the steps do not suffice for eight episodes.
+    limits an episode, or where the steps do not suffice for ten episodes, or more for more rounds.
     """
     # Late: the public names are there without Gymnasium.
     from .loop import run
     from .real import Real
-    from .rounds import Plan
+    from .rounds import Plan, fewest
 
     real = Real(environment, hold, limit)
-    if rounds < 1 or steps < FEWEST * real.limit:
+    least = fewest(rounds) * real.limit
+    if rounds < 1 or steps < least:
         raise ValueError(
             f"learn: an episode takes up to {real.limit} steps; got steps={steps} and "
-            f"rounds={rounds}, allowed are at least {FEWEST * real.limit} steps and one round."
+            f"rounds={rounds}, allowed are at least {least} steps for them, and one round."
         )
     horizon = horizon or min(LONGEST, max(1, real.decisions // 2))
     plan = Plan(

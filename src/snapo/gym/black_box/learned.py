@@ -127,6 +127,7 @@ class Learned:
         return play(self.policy, held, starts)
 
     def __str__(self) -> str:
+        """Of the rounds the real values are from the starts that all have played."""
         found = self.found
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [
@@ -137,11 +138,13 @@ class Learned:
             f"policy of round {self.chosen} of {len(self.rounds)}",
             "{:>5} {:>7} {:>9} {:>11} {:>18} {:>18}".format(*titles),
         ]
+        shared = min(each.found.episodes for each in self.rounds)
         for number, each in enumerate(self.rounds, 1):
-            real, gap = each.found.real, each.found.gap
+            real, error, _ = statistics.mean(each.found.rewards[:shared])
+            gap = _pair(each.found.gap, each.found.gap_error)
             lines.append(
                 f"{number:>5} {each.steps:>7,} {each.rows:>9,} {np.max(each.error[:-1]):>11.2%} "
-                f"{_pair(real, each.found.real_error):>18} {_pair(gap, each.found.gap_error):>18}"
+                f"{_pair(real, error):>18} {gap:>18}"
             )
         return "\n".join(lines)
 

@@ -29,6 +29,8 @@ def run(
     history, policies, inside = _rounds(known, plan, policy, progress)
     chosen = _best(history)
     found = compared(plan, known, inside, policies[chosen], plan.steps)
+    if environment is not real.inner:
+        real.inner.close()
     return Learned(
         policy=known.units.undone(policies[chosen]), found=found, steps=real.steps,
         hold=real.hold, limit=real.limit, rounds=tuple(history), chosen=chosen + 1,

@@ -29,7 +29,7 @@ class Real:
     """
 
     def __init__(self, environment: Any, hold: int | None, limit: int | None):
-        inner = opened(environment)
+        self.inner = inner = opened(environment)
         seen, self.actions = _box(inner, "observation"), _box(inner, "action")
         if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
             raise ValueError("learn: the actions need a finite low and high, to be explored.")

@@ -1,5 +1,6 @@
 """One round: fit the model, improve the policy inside it, and play it in the real environment."""
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -49,6 +50,12 @@ class Inside(NamedTuple):
     inputs: Any
     fit: Fit
     rows: int
+
+
+def fewest(rounds: int) -> int:
+    """The whole episodes that the steps must suffice for: each round plays one, and the last policy
+    another, wherever they stand."""
+    return max(math.ceil(1 / CONFIRM), math.ceil((rounds + 1) / (1 - EXPLORE)))
 
 
 def until(plan: Plan, number: int) -> float:
