@@ -67,7 +67,9 @@ def _stiff(
             for i in range(2)
         )
         drive = push(problem.drive, start, end)
-        after, error, _ = rosenbrock(problem.rate, y, problem.duration * now["width"], drive)
+        after, error, _ = rosenbrock(
+            problem.rate, y, problem.duration * now["width"], drive, rolled=False
+        )
         return jnp.where(size_of_error(error, y, after) <= limit, after, jnp.nan)
 
     first, last, number = (np.asarray(each) for each in steps)

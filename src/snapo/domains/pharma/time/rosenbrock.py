@@ -59,6 +59,10 @@ BY_TIME = (
     0.21193756319429014, -0.42387512638858027, -0.3384627126235924, 1.8046452872882734,
     2.325825639765069, 0.0, 0.0, 0.0,
 )  # fmt: skip
+# The same as square tables, with zeros where nothing stands.
+_TABLES = tuple(
+    np.array([(*row, *[0.0] * (len(AT) - len(row))) for row in each]) for each in (A, C)
+)
 ORDER = 5  # of the step; its error estimate falls like the same power of its length
 
 Rate = Callable[[Array, Array], Array]
@@ -81,19 +85,43 @@ def push(drive: Callable[..., Array], start: list[Array], end: list[Array]) -> P
 
 
 def rosenbrock(
-    rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push
+    rate: Rate, y: Float[Array, " m"], step: Float[Array, ""], push: Push, rolled: bool = True
 ) -> tuple[Float[Array, " m"], Float[Array, " m"], Float[Array, "m m"]]:
-    """y after a step of `step` seconds, the estimate of its error, and df/dy where it began."""
+    """y after a step of `step` seconds, the estimate of its error, and df/dy where it began.
+
+    `rolled`: the stages are a loop, which compiles several times faster; the native engine takes
+    them written out.
+    """
     now = push.at[0]
     jacobian = jax.jacfwd(rate)(y, now)
     matrix = np.eye(len(y), dtype=y.dtype) - GAMMA * step * jacobian
     factors = factorised(matrix)
     bend = step * jax.jvp(lambda u: rate(y, u), (now,), (push.bend,))[1]
-    u: list[Array] = []
+
+    def stage(point, drive, before, by_time) -> Array:
+        right = step * rate(point, drive) + by_time * bend + before
+        return solve(matrix, factors, GAMMA * right)
+
+    if rolled:
+        u = _looped(stage, y, push)
+        after = y + jnp.asarray(_TABLES[0][-1], y.dtype) @ u + u[-1]
+        return after, u[-1], jacobian
+    found: list[Array] = []
     for i, node in enumerate(AT):
-        point = y + sum(a * each for a, each in zip(A[i], u))
-        right = step * rate(point, push.at[node]) + BY_TIME[i] * bend
-        right = right + sum(c * each for c, each in zip(C[i], u))
-        u.append(solve(matrix, factors, GAMMA * right))
-    after = y + sum(a * each for a, each in zip(A[-1], u)) + u[-1]
-    return after, u[-1], jacobian
+        point = y + sum(a * each for a, each in zip(A[i], found))
+        before = sum(c * each for c, each in zip(C[i], found))
+        found.append(stage(point, push.at[node], before, BY_TIME[i]))
+    return y + sum(a * each for a, each in zip(A[-1], found)) + found[-1], found[-1], jacobian
+
+
+def _looped(stage: Callable, y: Float[Array, " m"], push: Push) -> Float[Array, "8 m"]:
+    """All stages, one after the other in one loop."""
+    a, c = (jnp.asarray(each, y.dtype) for each in _TABLES)
+    by_time, number = jnp.asarray(BY_TIME, y.dtype), jnp.arange(len(AT))
+
+    def one(u, now):
+        i, a, c, by_time, drive = now
+        return u.at[i].set(stage(y + a @ u, drive, c @ u, by_time)), None
+
+    start = jnp.zeros((len(AT), len(y)), y.dtype)
+    return jax.lax.scan(one, start, (number, a, c, by_time, push.at[np.array(AT)]))[0]

@@ -151,7 +151,8 @@ class Reactor(Timed):
 
     @property
     def holds(self):
-        return True
+        """Of cells in series every implicit step would factorise a large matrix."""
+        return self.kind != "plug-flow"
 
     def sizes(self, inlets):
         return (NO_CRYSTALS,)
