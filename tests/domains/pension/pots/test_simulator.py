@@ -1,6 +1,7 @@
 """A fund of personal pots: its money adds up, and its closed forms."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +19,11 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import plain
 from snapo.problem.objective import Mean
+from snapo.problem.policy import Constant
 from snapo.problem.problem import Problem
-from snapo.problem.scenarios import Pseudo
+from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.smooth import Exact
+from snapo.solver.certificate import bump_check, nudged
 
 pytestmark = pytest.mark.prove
 STEPS = 24
@@ -69,7 +72,8 @@ def fund(steps=STEPS, step=1 / 12, people=None, rate=0.01, equity=0.2, timing="a
 
 def rolled(case, paths=6, actions=None):
     """Every state [T+1, N, …] and output [T, N] on paths with weights drawn at random, or these."""
-    simulator, rng = PotSimulator(case), np.random.default_rng(3)
+    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    rng = np.random.default_rng(3)
     inputs = plain(pension_inputs(case))
     with jax.enable_x64(True):
         schedule = jax.jit(simulator.prepare)(inputs)
@@ -186,21 +190,22 @@ def alone(timing):
 
 
 def test_both_engines_agree_and_the_adjoint_is_that_of_differences():
-    """Pots, reserve and rules by every input, decisions held, against central differences."""
+    """Pensions of the horizon by every number of every input, decisions of the policy held."""
     case = fund(steps=3, step=1.0)
     case = replace(case, pots=pots(case, [0.2, 0.6, 0.4, 0.9, 1.0], [1.5, 1.0, 1.2, 0.5, 0.3]))
-    simulator, source = PotSimulator(case), Pseudo(1)
-    problem = Problem(simulator, pension_inputs(case), Mean("pension"), source)
-    draws = source.draws(np.arange(8), simulator)
-    rng = np.random.default_rng(0)
-    actions = rng.dirichlet(np.ones(3), (3, 8))
-    weights = {"pension": np.full(8, 1 / 8)}
-    found = [
-        engine("float64").bind(problem).adjoint(None, draws, Exact(), weights, actions=actions)
+    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    source = Pseudo(1)
+    problem = nudged(
+        Problem(simulator, pension_inputs(case), Mean("pension"), Sources(source, source, source))
+    )
+    policy = Constant(np.array([0.2, 0.5, 0.3]))
+    found = bump_check(problem, policy, 16, smooth=None, every=True, engine=Native("float64"))
+    assert {"reserve_reserve", "pot_protection", "pot_exposure"} <= {each.input for each in found}
+    assert all(each.passed for each in found)
+    draws = source.draws(np.arange(16), simulator)
+    totals = [
+        engine("float64").bind(problem).values(policy, draws, Exact()).totals
         for engine in (Xla, Native)
     ]
-    for one, other in zip(*(jax.tree.leaves(each.schedule) for each in found)):
-        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-12)
-    assert np.asarray(found[0].totals["pension"]) == pytest.approx(
-        np.asarray(found[1].totals["pension"]), rel=1e-12
-    )
+    for name, one in totals[0].items():
+        assert np.asarray(one) == pytest.approx(np.asarray(totals[1][name]), rel=1e-9, abs=1e-12)
