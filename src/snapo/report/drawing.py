@@ -9,6 +9,7 @@ from typing import Any
 import matplotlib
 from markupsafe import Markup
 from matplotlib.axes import Axes
+from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.figure import Figure
 
 from .theme import LIGHT, by_variable
@@ -94,9 +95,15 @@ def draw_alone(
 
 def _svg(paint, size, grid, face: str = "none") -> str:
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(size[0] / 72, size[1] / 72), layout="constrained", facecolor=face)
+        figure = Figure((size[0] / 72, size[1] / 72), dpi=72, layout="constrained", facecolor=face)
+        FigureCanvasSVG(figure)
         axes = figure.subplots(**grid, squeeze=False).ravel()
         paint(*axes)
+        layout = figure.get_layout_engine()
+        assert layout is not None
+        # `savefig` would draw all once more, for nothing but this.
+        layout.execute(figure)
+        figure.set_layout_engine("none")
         file = io.StringIO()
         figure.savefig(file, format="svg", metadata=NOTHING, facecolor=face)
     return file.getvalue()

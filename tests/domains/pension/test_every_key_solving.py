@@ -48,6 +48,7 @@ def test_a_case_is_trained_valued_and_differentiated(name, engine, tmp_path):
     found = solve(problem, policy=policy, training=training, evaluation=evaluation, engine=engines)
     assert found.status in ("trained", "stopped early")
     assert found.standard_error >= 0
+    assert not any(found.dropped.values())
     assert found.sensitivities is not None
     assert set(found.sensitivities.held) == set(problem.inputs)
     assert all(np.isfinite(each.value).all() for each in found.sensitivities.held.values())

@@ -1,6 +1,7 @@
 """A fund of personal pots: its money adds up, and its closed forms."""
 
 from dataclasses import replace
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -8,68 +9,20 @@ import numpy as np
 import pytest
 from tests.domains.pension import market_cases, people_cases
 from tests.domains.pension.people_cases import members
+from tests.domains.pension.pots_cases import STEPS, fund, pots
 
-from snapo.case.given import Given
-from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.pots.simulator import PotSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.domains.pension.records.pots import PotRules, Pots
-from snapo.engine import Xla
-from snapo.engine.native import Native
 from snapo.problem.inputs import plain
-from snapo.problem.objective import Mean
-from snapo.problem.problem import Problem
-from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 
 pytestmark = pytest.mark.prove
-STEPS = 24
-RULES = PotRules("2023-07-01", "by hand", 0.15, 0.1, 0.1)
-
-
-def pots(case, protection, exposure, **changes):
-    """Allocations by cohort [C], the same in all steps."""
-
-    def by_cohort(name, values):
-        index = np.broadcast_to(np.arange(len(values)), (case.steps, len(values)))
-        return Given(name, np.array(values, float), tuple(map(str, values)), "1", index)
-
-    usual = {"reserve": 0.1, "fill_contribution": 0.1, "fill_return": 0.1, "release": 0.2}
-    numbers = usual | {"largest": 0.15} | changes
-    return Pots(
-        RULES,
-        **{k: market_cases.given(f"reserve_{k}", v) for k, v in numbers.items()},
-        protection=by_cohort("pot_protection", protection),
-        exposure=by_cohort("pot_exposure", exposure),
-    )
-
-
-def fund(steps=STEPS, step=1 / 12, people=None, rate=0.01, equity=0.2, timing="arrears", **changes):
-    """Cohorts with stochastic rates, equity and a bond."""
-    classes = [market_cases.CASH, market_cases.EQUITY, Bond("Bond", maturity=round(10 / step))]
-    held = market_cases.assets(
-        steps, classes, mean=[0.03], volatility=[equity], weight=[0.2, 0.5, 0.3], amount=8000.0,
-        cost=[0.0, 0.001, 0.0005],
-    )  # fmt: skip
-    plan = market_cases.plan(
-        timing, contribution=market_cases.no_contribution("fixed", rate=0.2),
-        expenses=market_cases.given("expenses", 5.0),
-    )  # fmt: skip
-    people = members() if people is None else people
-    fields = {
-        "step": step, "cash_flows": None, "members": people, "mortality": people_cases.mortality(),
-        "rates": market_cases.rates(steps, s=rate), "plan": plan,
-        "observation": ("time", "funding_ratio", "rates", "weights"),
-    }  # fmt: skip
-    case = market_cases.case(steps, held_assets=held)
-    case = replace(case, **fields)
-    count = len(people.names)
-    return replace(case, **({"pots": pots(case, [0.5] * count, [1.0] * count)} | changes))
 
 
 def rolled(case, paths=6, actions=None):
     """Every state [T+1, N, …] and output [T, N] on paths with weights drawn at random, or these."""
-    simulator, rng = PotSimulator(case), np.random.default_rng(3)
+    simulator: Any = PotSimulator(case)  # pyright: ignore[reportCallIssue]
+    rng = np.random.default_rng(3)
     inputs = plain(pension_inputs(case))
     with jax.enable_x64(True):
         schedule = jax.jit(simulator.prepare)(inputs)
@@ -183,24 +136,3 @@ def alone(timing):
     case = fund(steps=8, step=1.0, people=people, timing=timing, rate=0.0)
     none = {"reserve": 0.0, "fill_contribution": 0.0, "fill_return": 0.0}
     return replace(case, pots=pots(case, [0.7], [1.3], **none))
-
-
-def test_both_engines_agree_and_the_adjoint_is_that_of_differences():
-    """Pots, reserve and rules by every input, decisions held, against central differences."""
-    case = fund(steps=3, step=1.0)
-    case = replace(case, pots=pots(case, [0.2, 0.6, 0.4, 0.9, 1.0], [1.5, 1.0, 1.2, 0.5, 0.3]))
-    simulator, source = PotSimulator(case), Pseudo(1)
-    problem = Problem(simulator, pension_inputs(case), Mean("pension"), source)
-    draws = source.draws(np.arange(8), simulator)
-    rng = np.random.default_rng(0)
-    actions = rng.dirichlet(np.ones(3), (3, 8))
-    weights = {"pension": np.full(8, 1 / 8)}
-    found = [
-        engine("float64").bind(problem).adjoint(None, draws, Exact(), weights, actions=actions)
-        for engine in (Xla, Native)
-    ]
-    for one, other in zip(*(jax.tree.leaves(each.schedule) for each in found)):
-        assert np.asarray(one) == pytest.approx(np.asarray(other), rel=1e-9, abs=1e-12)
-    assert np.asarray(found[0].totals["pension"]) == pytest.approx(
-        np.asarray(found[1].totals["pension"]), rel=1e-12
-    )

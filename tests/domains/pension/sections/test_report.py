@@ -255,7 +255,8 @@ def test_reconciliation_comes_first(folder):
     html = write_report(folder).read_text(encoding="utf-8")
     headings = re.findall(r'<section id="([^"]+)"', html)
     assert headings[:2] == ["headline", "reconciliation"]
-    assert len(headings) == len(set(headings)) == len(SECTIONS)
+    # Personal pots are told where there are some.
+    assert len(headings) == len(set(headings)) == len(SECTIONS) - 1
 
 
 def test_the_page_is_whole_and_needs_nothing(folder):
@@ -404,3 +405,23 @@ def test_inflation_and_the_regulator_are_told_where_they_are_there(folder):
     stand = html[html.index('id="reconciliation"') : html.index('id="ladder"')]
     for text in ("112.8", "in deficit: a recovery plan is needed", "falling ones", "40.0"):
         assert text in stand
+
+
+@pytest.mark.prove
+def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
+    cohort = {"name": "Pensioners", "pot": 1.02e8, "earned": 11800.0, "pension": 11817.0}
+    cohort |= {"horizon": [11655.0, 12117.0, 12659.0], "of_salary": None, "volatility": 0.0153}
+    pots = {
+        "cohorts": [cohort | {"cut": 0.137, "fall": 0.0118}],
+        "years": [0.0, 1.0],
+        "reserve": [[0.05, 0.05, 0.05], [0.039, 0.0497, 0.058]],
+        "quantiles": [0.05, 0.5, 0.95],
+        "level": 1.0015, "filled": 3.7e6, "released": 2.6e6,
+        "since": "2023-07-01", "source": "the law",
+    }  # fmt: skip
+    html = written(folder, deepcopy(sample()) | {"personal": True, "pots": pots})
+    headings = re.findall(r'<section id="([^"]+)"', html)
+    assert not {"attribution", "variance", "frontier"} & set(headings)
+    told = html[html.index('id="pots"') :]
+    for text in ("Pensioners", "100.1", "12,117", "13.7", "Rules from 2023-07-01: the law."):
+        assert text in told.replace("\u2009", ",").replace("\u202f", ",")

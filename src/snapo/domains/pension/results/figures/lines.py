@@ -56,6 +56,7 @@ def lines(case: PensionCase) -> list[str]:
         *_human(case, found.human),
         *_regulation(case),
         *_funding(case),
+        *_pots(case, found.human),
         *(_line(case, line) for line in found.lines),
         *(f"note: {each}" for each in found.remarks),
     ]
@@ -109,6 +110,19 @@ def _funding(case: PensionCase) -> list[str]:
         what = f"recovery plan: {readable(plan.each, currency)} a year for {plan.years:g} years"
         told.append(f"{what} (deficit {readable(plan.deficit, currency)})")
     return told
+
+
+def _pots(case: PensionCase, found: Human) -> list[str]:
+    """The division into pots and reserve; nothing where rights are promised."""
+    if case.pots is None or found.funding is None:
+        return []
+    kept = float(case.pots.reserve.used())
+    pots, reserve = (readable(s * found.assets, case.currency) for s in (1 - kept, kept))
+    return [
+        f"personal pots {pots}, pensions {(1 - kept) * found.funding:.1%} of those earned;"
+        f" solidarity reserve {reserve}, {kept:.1%} of at most"
+        f" {float(case.pots.largest.used()):.0%} (rules from {case.pots.rules.since})"
+    ]
 
 
 def _by_tenor(values: dict[int, float]) -> str:
