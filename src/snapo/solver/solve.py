@@ -25,7 +25,7 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
-from .learning.features import on_one_scale
+from .learning.features import scale_of
 from .learning.following import fitted
 from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
@@ -160,9 +160,10 @@ def _begun(
     Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
     """
     starts = others(policy, training.starts, training.seed)
-    if fresh:
-        starts = [on_one_scale(each, problem) for each in starts]
-    begun = [begin(each, training, problem) for each in starts]
+    scale = scale_of(policy, problem) if fresh else None
+    if scale is not None:
+        starts = [scale.plain(each) for each in starts]
+    begun = [replace(begin(each, training, problem), scale=scale) for each in starts]
 
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)

@@ -2,14 +2,20 @@
 
 A feature that stays near one number is, to an untrained network, a constant: training first finds
 the best decision that ignores it, and saturates there. So the first layer of a network that nobody
-has made yet is drawn for features of mean 0 and deviation 1. That needs a mean and a deviation that
-hold whatever is decided, as those of prices, demands and times do. Features that a decision moves
-are left as they are: under an untrained policy they are not where a trained one brings them.
+has made yet is drawn, and trained, for features of mean 0 and deviation 1. That needs a mean and a
+deviation that hold whatever is decided, as those of prices, demands and times do. Features that a
+decision moves are left as they are: an untrained policy does not bring them where a trained one
+does.
+
+So it is where many numbers are decided, each of which has to tell states apart: a battery of 24
+powers a day earns 95 % of its bound in place of 84 %. With few, other settings are known to do: an
+American put ended at 4.444 in place of 4.466 with scaled features and another rate.
 """
+
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
-import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -22,38 +28,74 @@ from snapo.problem.smooth import Exact
 from ..windows.critic import observations
 
 PATHS = 64
+MANY = 8  # more decided numbers than these: the network is wider there too
 VARIES = 1e-6  # of its size: a feature that varies less is a constant
 MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see who follows them
 
 
-def on_one_scale(policy: Policy, problem: Problem) -> Policy:
-    """The untrained policy, its network's first layer drawn for features as they are.
+class Scale(NamedTuple):
+    """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
-    A policy that is no `MLP` or `Residual` is left as it is.
+    A network's first layer has weights for features as they are. Training moves those for scaled
+    features, which say the same: `scaled` and `plain` go there and back.
     """
+
+    mean: tuple[float, ...]
+    deviation: tuple[float, ...]
+
+    def plain(self, policy: Policy) -> Policy:
+        """The policy of features as they are that does what `policy` does with scaled ones."""
+        weights, bias = _layer(policy)
+        weights = weights / np.asarray(self.deviation, np.float32)
+        return eqx.tree_at(_layer, policy, (weights, bias - weights @ self._mean))
+
+    def scaled(self, policy: Policy) -> Policy:
+        """The inverse of `plain`."""
+        weights, bias = _layer(policy)
+        both = weights * np.asarray(self.deviation, np.float32), bias + weights @ self._mean
+        return eqx.tree_at(_layer, policy, both)
+
+    def slope(self, gradient: Policy) -> Policy:
+        """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
+        weights, bias = _layer(gradient)
+        both = weights - np.outer(bias, self._mean)
+        both = both / np.asarray(self.deviation, np.float32)
+        return eqx.tree_at(_layer, gradient, (both, bias))
+
+    @classmethod
+    def read(cls, stored) -> "Scale | None":
+        """From plain data, as JSON gives it."""
+        return None if stored is None else cls(*map(tuple, stored))
+
+    @property
+    def _mean(self) -> np.ndarray:
+        return np.asarray(self.mean, np.float32)
+
+
+def _layer(policy: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The first layer of a policy's network."""
+    network = policy.network
+    return network.weights[0], network.biases[0]
+
+
+def scale_of(policy: Policy, problem: Problem) -> Scale | None:
+    """The scale of the features that no decision moves; None where there is none to be seen, for
+    a policy that is no `MLP` or `Residual`, and where few numbers are decided."""
     if not isinstance(policy, MLP | Residual) or policy.network is None:
-        return policy
-    found = fixed(problem)
-    if found is None:
-        return policy
-    mean, deviation = found
-    first = policy.network.weights[0] / jnp.asarray(deviation, jnp.float32)
-    bias = policy.network.biases[0] - first @ jnp.asarray(mean, jnp.float32)
-
-    def layer(tree):
-        return tree.network.weights[0], tree.network.biases[0]
-
-    return eqx.tree_at(layer, policy, (first, bias))
+        return None
+    if problem.action.size <= MANY:
+        return None
+    return fixed(problem)
 
 
-def fixed(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
-    """[features] mean and deviation over time and paths of the features that no decision moves; 0
-    and 1 of all others. None where there is none to be seen."""
+def fixed(problem: Problem) -> Scale | None:
+    """Over time and paths, of the features that no decision moves; None where there is none."""
     moved = _moved(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None
     simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
-    bound = Bound(Xla("float32"), _Unmoved(simulator, moved), schedule)
+    still = _Unmoved(simulator, moved)  # pyright: ignore
+    bound = Bound(Xla("float32"), still, schedule)
     draws = problem.sources.training.batch(0, PATHS, simulator)
     actions = np.zeros((horizon, draws.size, simulator.action.size), np.float32)
     states = bound.values(None, draws, Exact(), actions=actions, record=("state",)).record["state"]
@@ -71,7 +113,8 @@ def fixed(problem: Problem) -> tuple[np.ndarray, np.ndarray] | None:
     known &= np.isfinite(mean) & np.isfinite(deviation)
     if not known.any():
         return None
-    return np.where(known, mean, 0.0), np.where(known, deviation, 1.0)
+    mean, deviation = np.where(known, mean, 0.0), np.where(known, deviation, 1.0)
+    return Scale(tuple(mean.tolist()), tuple(deviation.tolist()))
 
 
 class _Unmoved(Around):
