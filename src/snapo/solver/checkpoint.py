@@ -14,6 +14,7 @@ from jaxtyping import PyTree
 from snapo.problem.carry import archive
 from snapo.problem.describe import described, difference
 
+from .learning.features import Scale
 from .learning.growth import Growth
 from .learning.progress import Progress, Record
 from .limits.dual import Dual
@@ -43,6 +44,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "growth": progress.growth,
         "dual": progress.dual,
         "raced": progress.raced,
+        "scale": progress.scale,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
         "mark": mark,
@@ -64,11 +66,12 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         history = tuple(Record(*record) for record in state["history"])
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
         raced = tuple(state.get("raced", ()))
+        scale = Scale.read(state.get("scale"))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    told = {"history": history, "growth": growth, "dual": dual, "raced": raced}
+    told = {"history": history, "growth": growth, "dual": dual, "raced": raced, "scale": scale}
     return replace(like, **trees, **plain, **told)
 
 

@@ -25,6 +25,7 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
+from .learning.features import scale_of
 from .learning.following import fitted
 from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
@@ -114,13 +115,15 @@ def solve(
         elif limits or any(each is not None for each in (inputs, objective, scenarios)):
             what = "inputs, objective, scenarios and limits"
             raise ValueError(f"solve: a Problem has its own {what}.")
-        policy = _recipe(policy).for_problem(problem.interface, jax.random.key(training.seed))
+        recipe = _recipe(policy)
+        policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
         training = fitted(training, problem, policy)
         if progress is None or (progress.step == 0 and training.starts > 1):
-            progress = _begun(problem, policy, training, engines.train)
+            fresh = progress is None and policy is not recipe
+            progress = _begun(problem, policy, training, engines.train, fresh)
         clock.stage("evaluate")
         progress = train(problem, progress, training, engines.train, callbacks)
         clock.stage("train")
@@ -149,10 +152,18 @@ def _recipe(policy: Policy | Solution | None) -> Policy:
     return policy or MLP()
 
 
-def _begun(problem: Problem, policy: Policy, training: Training, engine: Engine) -> Progress:
-    """The start, or the best of several after the rounds in which the others fell out."""
+def _begun(
+    problem: Problem, policy: Policy, training: Training, engine: Engine, fresh: bool
+) -> Progress:
+    """The start, or the best of several after the rounds in which the others fell out.
+
+    Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
+    """
     starts = others(policy, training.starts, training.seed)
-    begun = [begin(each, training, problem) for each in starts]
+    scale = scale_of(policy, problem) if fresh else None
+    if scale is not None:
+        starts = [scale.plain(each) for each in starts]
+    begun = [replace(begin(each, training, problem), scale=scale) for each in starts]
 
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)

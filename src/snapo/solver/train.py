@@ -25,6 +25,7 @@ from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
+from .learning.features import Scale
 from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, updater
@@ -72,7 +73,12 @@ def train(
     problem = remembering(problem, progress.policy)
     training = fitted(training, problem, progress.policy)
     last = training.steps if until is None else min(until, training.steps)
-    loop = Loop(problem, training, engine.bind(problem, controls=False), *_updaters(training))
+    loop = Loop(
+        problem,
+        training,
+        engine.bind(problem, controls=False),
+        *_updaters(training, progress.scale),
+    )
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -96,8 +102,8 @@ def train(
     return progress
 
 
-def _updaters(training: Training) -> tuple[Callable, Callable]:
-    return updater(training), updater(training, UPDATES)
+def _updaters(training: Training, scale: Scale | None) -> tuple[Callable, Callable]:
+    return updater(training, scale=scale), updater(training, UPDATES, scale)
 
 
 def _due(progress: Progress, training: Training) -> bool:

@@ -68,7 +68,6 @@ def test_hydro():
 
 
 @pytest.mark.study
-@pytest.mark.xfail(strict=True, reason="84 % was seen: the battery is not solved by default")
 def test_battery():
     """94 % of a linear program for each day that knows its prices, on the prices of the run."""
     problem = snapo.Problem(problems.Battery(), problems.BATTERY, snapo.Mean("cash"))

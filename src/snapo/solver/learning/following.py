@@ -21,7 +21,8 @@ from .settings import Training, follows
 WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
 PATHS = (16, 512)  # at least, at most
 STEPS = (240, 3840)
-WIDTH = 32  # of hidden layers at which `RATE` is right for the fewest steps
+USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
+WIDTH = 32  # of hidden layers at which it is
 LONG = 48_000  # steps of the simulator that all steps of training go through, on one path
 
 
@@ -34,10 +35,13 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
         paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
     if follows(steps):
         # The gradient of fewer paths is noisier, which more steps average out.
-        noisy = (PATHS[1] / paths) ** 0.6 if paths < PATHS[1] else 1.0
-        steps = round(noisy * _within(STEPS, LONG // horizon))
+        noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] else 1.0
+        usual = _within(STEPS, LONG // horizon)
+        steps = round(noisy * usual)
         if follows(rate):
-            rate *= math.sqrt(steps / STEPS[0]) * min(1.0, WIDTH / _width(policy)) ** 0.75
+            many = usual / STEPS[0] if usual > USUAL else 1.0
+            rate *= math.sqrt(noisy * many)
+            rate *= math.sqrt(min(1.0, WIDTH / _width(policy)))
     return replace(training, paths=paths, steps=steps, learning_rate=float(rate))
 
 

@@ -16,7 +16,11 @@ from jaxtyping import Array, PyTree
 
 from snapo.problem.policy import trainable
 
-WINDOWS_FORGET = 0.99  # of Adam's second moment; 0.999 elsewhere
+from .features import Scale
+
+FORGET = 0.999  # of Adam's second moment, a step
+WINDOWS_FORGET = 0.99  # on windows
+SCALED_FORGET = 0.95  # where noise drives features: large first gradients must not hold steps down
 
 
 class Plan(Protocol):
@@ -32,7 +36,7 @@ class Plan(Protocol):
     def average(self) -> float: ...
 
 
-def optimiser(plan: Plan, updates: int = 1) -> optax.GradientTransformation:
+def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
     """Adam; with more than one update a step, the rate is that of the step."""
     # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
     warmup = min(plan.warmup, max(0, plan.steps - 1))
@@ -43,13 +47,13 @@ def optimiser(plan: Plan, updates: int = 1) -> optax.GradientTransformation:
         max(1, plan.steps),
     )
     if updates == 1:
-        return optax.adam(rate, eps=1e-16)
+        return optax.adam(rate, b2=forget, eps=1e-16)
     return optax.adam(lambda count: rate(count / updates), b2=WINDOWS_FORGET, eps=1e-16)
 
 
-def updater(plan: Plan, updates: int = 1):
-    """The compiled update: ascend, and move the average along."""
-    adam = optimiser(plan, updates)
+def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
+    """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
+    adam = optimiser(plan, updates, FORGET if scale is None else SCALED_FORGET)
     memory = max(1.0, plan.average * plan.steps)
 
     @jax.jit
@@ -63,12 +67,17 @@ def updater(plan: Plan, updates: int = 1):
         return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
 
     def update(policy, average, state, gradient, step):
+        if scale is not None:
+            policy, average = scale.scaled(policy), scale.scaled(average)
+            gradient = scale.slope(gradient)
         # What is not trained goes round the compiled part.
         moving, fixed = trainable(policy)
         vector = flat(moving)
         old, slope = (flat(trainable(tree)[0]) for tree in (average, gradient))
         vector, old, state, norm = ascend(vector, old, state, slope.astype(vector.dtype), step)
         policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (vector, old))
+        if scale is not None:
+            policy, average = scale.plain(policy), scale.plain(average)
         return policy, average, state, norm
 
     return update

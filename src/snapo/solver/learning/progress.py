@@ -12,6 +12,7 @@ from snapo.problem.problem import Problem
 from ..limits.dual import Dual
 from ..windows.critic import Learner, learner
 from ..windows.window import UPDATES
+from .features import Scale
 from .following import fitted
 from .growth import Growth
 from .optimiser import flat, optimiser
@@ -48,6 +49,7 @@ class Progress:
     began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
     `dual`: the prices of the problem's limits.
     `raced`: the exact values of all starts, where there were several, when each was last compared.
+    `scale`: of the features that no decision moves, for which the first layer is trained.
     """
 
     step: int
@@ -68,6 +70,7 @@ class Progress:
     growth: Growth | None = None
     dual: Dual = Dual()
     raced: tuple[float, ...] = ()
+    scale: Scale | None = None
 
     @property
     def record(self) -> Record:

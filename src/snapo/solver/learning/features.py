@@ -1,0 +1,180 @@
+"""Features that no decision moves are put on one scale before training.
+
+A feature that stays near one number is, to an untrained network, a constant: training first finds
+the best decision that ignores it, and saturates there. So the first layer of a network that nobody
+has made yet is drawn, and trained, for features of mean 0 and deviation 1. That needs a mean and a
+deviation that hold whatever is decided, as those of prices, demands and times do. Features that a
+decision moves are left as they are: an untrained policy does not bring them where a trained one
+does.
+
+So it is where many numbers are decided, each of which has to tell states apart: a battery of 24
+powers a day earns 95 % of its bound in place of 84 %. With few, other settings are known to do: an
+American put ended at 4.444 in place of 4.466 with scaled features and another rate.
+"""
+
+from typing import Any, NamedTuple
+
+import equinox as eqx
+import jax
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.engine import Bound, Xla
+from snapo.problem.policy import MLP, Policy, Residual
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import Around, at
+from snapo.problem.smooth import Exact
+
+from ..windows.critic import observations
+
+PATHS = 64
+MANY = 8  # more decided numbers than these: the network is wider there too
+VARIES = 1e-6  # of its size: a feature that varies less is a constant
+MOVED = (-0.7, 0.3, 1.9)  # where numbers that a decision moves are set to see who follows them
+
+
+class Scale(NamedTuple):
+    """Mean and deviation of every feature; 0 and 1 where a decision moves it.
+
+    A network's first layer has weights for features as they are. Training moves those for scaled
+    features, which say the same: `scaled` and `plain` go there and back.
+    """
+
+    mean: tuple[float, ...]
+    deviation: tuple[float, ...]
+
+    def plain(self, policy: Policy) -> Policy:
+        """The policy of features as they are that does what `policy` does with scaled ones."""
+        weights, bias = _layer(policy)
+        weights = weights / np.asarray(self.deviation, np.float32)
+        return eqx.tree_at(_layer, policy, (weights, bias - weights @ self._mean))
+
+    def scaled(self, policy: Policy) -> Policy:
+        """The inverse of `plain`."""
+        weights, bias = _layer(policy)
+        both = weights * np.asarray(self.deviation, np.float32), bias + weights @ self._mean
+        return eqx.tree_at(_layer, policy, both)
+
+    def slope(self, gradient: Policy) -> Policy:
+        """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
+        weights, bias = _layer(gradient)
+        both = weights - np.outer(bias, self._mean)
+        both = both / np.asarray(self.deviation, np.float32)
+        return eqx.tree_at(_layer, gradient, (both, bias))
+
+    @classmethod
+    def read(cls, stored) -> "Scale | None":
+        """From plain data, as JSON gives it."""
+        return None if stored is None else cls(*map(tuple, stored))
+
+    @property
+    def _mean(self) -> np.ndarray:
+        return np.asarray(self.mean, np.float32)
+
+
+def _layer(policy: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The first layer of a policy's network."""
+    network = policy.network
+    return network.weights[0], network.biases[0]
+
+
+def scale_of(policy: Policy, problem: Problem) -> Scale | None:
+    """The scale of the features that no decision moves; None where there is none to be seen, for
+    a policy that is no `MLP` or `Residual`, and where few numbers are decided."""
+    if not isinstance(policy, MLP | Residual) or policy.network is None:
+        return None
+    if problem.action.size <= MANY:
+        return None
+    return fixed(problem)
+
+
+def fixed(problem: Problem) -> Scale | None:
+    """Over time and paths, of the features that no decision moves; None where there is none."""
+    moved = _moved(problem)
+    if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
+        return None
+    simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
+    still = _Unmoved(simulator, moved)  # pyright: ignore
+    bound = Bound(Xla("float32"), still, schedule)
+    draws = problem.sources.training.batch(0, PATHS, simulator)
+    actions = np.zeros((horizon, draws.size, simulator.action.size), np.float32)
+    states = bound.values(None, draws, Exact(), actions=actions, record=("state",)).record["state"]
+    seen = [
+        np.asarray(
+            observations(simulator, schedule.constants, schedule.steps, _set(states, moved, x))
+        )
+        for x in MOVED
+    ]
+    rows = seen[0].reshape(horizon * draws.size, -1).astype(np.float64)
+    with np.errstate(invalid="ignore"):
+        alike = np.all([np.all(each == seen[0], axis=(0, 1)) for each in seen], axis=0)
+        mean, deviation = rows.mean(0), rows.std(0)
+        known = alike & (deviation > VARIES * np.maximum(1.0, np.abs(mean)))
+    known &= np.isfinite(mean) & np.isfinite(deviation)
+    if not known.any():
+        return None
+    mean, deviation = np.where(known, mean, 0.0), np.where(known, deviation, 1.0)
+    return Scale(tuple(mean.tolist()), tuple(deviation.tolist()))
+
+
+class _Unmoved(Around):
+    """A simulator of whose state only the parts move that no decision moves, without outputs."""
+
+    moved: PyTree = eqx.field(static=True)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, _ = self.own.step(constants, now, state, action, noise, smooth)
+        flags = jax.tree.leaves(self.moved)
+        kept = [
+            old if flag else new
+            for old, new, flag in zip(jax.tree.leaves(state), jax.tree.leaves(after), flags)
+        ]
+        return jax.tree.unflatten(jax.tree.structure(state), kept), {}
+
+    def terminal(self, constants, state, smooth):
+        return {}
+
+
+def _set(states: PyTree, moved: PyTree, number: float) -> PyTree:
+    """The states with another number in every part that a decision moves."""
+
+    def one(leaf, flag):
+        if not flag or not np.issubdtype(leaf.dtype, np.number):
+            return leaf
+        return (leaf * number + number).astype(leaf.dtype)
+
+    return jax.tree.map(lambda leaf, flag: one(np.asarray(leaf), flag), states, moved)
+
+
+def _moved(problem: Problem) -> PyTree:
+    """For each leaf of the state whether a decision moves it, now or later."""
+    simulator, schedule = problem.simulator, problem.schedule
+    constants = schedule.constants
+    start = np.zeros(simulator.initial_noise_size, np.float32)
+    state = jax.eval_shape(simulator.initial, constants, start)
+    leaves, structure = jax.tree.flatten(state)
+    action = np.zeros(simulator.action.size, np.float32)
+    noise = np.zeros(simulator.noise_size, np.float32)
+
+    def step(action, leaves, noise, given):
+        state, (constants, now) = jax.tree.unflatten(structure, leaves), given
+        return jax.tree.leaves(simulator.step(constants, now, state, action, noise, Exact())[0])
+
+    given = constants, at(schedule.steps, 0)
+    program = jax.make_jaxpr(step)(action, leaves, noise, given).jaxpr
+    moved, other = [False] * len(leaves), [False] * (1 + len(jax.tree.leaves(given)))
+    while True:
+        after = _follows(program, [True, *moved, *other])
+        both = [a or b for a, b in zip(moved, after)]
+        if both == moved:
+            return jax.tree.unflatten(structure, moved)
+        moved = both
+
+
+def _follows(program, marks: list[bool]) -> list[bool]:
+    """Which results of a program follow from a marked argument."""
+    known = {var for var, mark in zip(program.invars, marks) if mark}
+    for eqn in program.eqns:
+        if any(not hasattr(var, "val") and var in known for var in eqn.invars):
+            known.update(eqn.outvars)
+    return [not hasattr(var, "val") and var in known for var in program.outvars]
