@@ -197,7 +197,7 @@ def test_charts_are_chosen_and_every_input_goes_back_by_itself(page):
     slider.focus()
     page.keyboard.press("ArrowRight")
     assert settled(page) != before
-    page.get_by_role("button", name="Inventory: back to the run's number").click()
+    page.get_by_role("button", name="Inventory: back to the run's number", exact=True).click()
     page.locator("#status", has_text="the run's numbers").wait_for()
     assert page.inner_text("#figure") == before
 
