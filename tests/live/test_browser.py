@@ -175,6 +175,50 @@ def test_what_the_case_refuses_is_said_beside_its_control(page):
     home(page)
 
 
+def test_charts_are_chosen_and_every_input_goes_back_by_itself(page):
+    before = page.inner_text("#figure")
+    for menu, chart in (("#delta-input", "#delta-chart"), ("#fan-name", "#fan-chart")):
+        found = [each.get_attribute("value") for each in page.locator(f"{menu} option").all()]
+        seen = set()
+        for name in found[:3]:
+            page.select_option(menu, name)
+            seen.add(page.inner_html(chart))
+        assert len(seen) == min(3, len(found))
+    curve = page.locator("[data-input=forward_curve]")
+    curve.locator(".short").fill("2")
+    curve.get_by_role("button", name="Shift", exact=True).click()
+    assert settled(page) != before
+    assert page.inner_text("#groups .moved >> nth=0") == "1 moved"
+    curve.get_by_role("button", name="Back to the run's").click()
+    page.locator("#status", has_text="the run's numbers").wait_for()
+    group = page.locator("details.group", has=page.locator("[data-input=inventory]"))
+    group.locator("summary").first.click()
+    slider = page.locator("[data-input=inventory] input[type=range]")
+    slider.focus()
+    page.keyboard.press("ArrowRight")
+    assert settled(page) != before
+    page.get_by_role("button", name="Inventory: back to the run's number", exact=True).click()
+    page.locator("#status", has_text="the run's numbers").wait_for()
+    assert page.inner_text("#figure") == before
+
+
+@pytest.mark.study  # the other choice is compiled
+def test_a_choice_is_made_by_its_menu_and_taken_back(page):
+    before = page.inner_text("#figure")
+    page.locator("details.group", has=page.locator("[data-choice]")).locator("summary").click()
+    menu = page.locator("[data-choice] select").first
+    menu.focus()
+    page.keyboard.press("ArrowDown")
+    page.locator("#status", has_text="revalued in").wait_for(timeout=START)
+    assert page.inner_text("#figure") != before
+    assert page.locator("[data-choice].changed").count() == 1
+    page.reload()  # a choice is remembered as a number is
+    page.locator("#status", has_text="revalued in").wait_for(timeout=START)
+    assert page.locator("[data-choice].changed").count() == 1
+    home(page)
+    assert page.inner_text("#figure") == before
+
+
 def test_scenarios_are_kept_shown_compared_and_survive_a_killed_worker(page, served):
     assert page.inner_text("#title").startswith("<img src=x")  # a text, and no element
     page.fill("[data-input=forward_curve] .short", "1.5")

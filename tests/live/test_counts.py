@@ -19,11 +19,21 @@ from snapo.live.counts import ENOUGH, FEWEST, MOST, Counts
 )
 def test_paths_of_the_value(error, paths, wanted):
     solution = SimpleNamespace(value=-2.0, standard_error=2.0 * error)
-    evaluation = SimpleNamespace(paths=paths, sensitivity_paths=min(paths, 1536))
+    evaluation = SimpleNamespace(paths=paths, sensitivity_paths=min(paths, 768))
     found = Counts.enough(solution, evaluation)
-    assert found.value == wanted and found.deltas == min(paths, 1536)
+    assert found.value == wanted and found.deltas == min(paths, 768)
     if FEWEST < found.value < MOST:
         assert error * (paths / found.value) ** 0.5 <= ENOUGH
+
+
+@pytest.mark.parametrize(
+    ("numbers", "wanted"),
+    [(100, MOST), (5_000, 7680), (20_000, 2000 // 512 * 512), (10**6, FEWEST)],
+)
+def test_a_long_and_wide_course_has_fewer_paths(numbers, wanted):
+    solution = SimpleNamespace(value=1.0, standard_error=0.1)
+    evaluation = SimpleNamespace(paths=65536, sensitivity_paths=16384)
+    assert Counts.enough(solution, evaluation, numbers).value == wanted
 
 
 def test_paths_that_are_asked_for_are_taken():

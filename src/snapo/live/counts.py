@@ -6,9 +6,10 @@ from typing import NamedTuple
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
 
-FEWEST, MOST = 2048, 12288  # paths of the value: as many as its error needs
+FEWEST, MOST = 1024, 12288  # paths of the value: as many as its error needs
 ENOUGH = 0.0012  # standard error over value; at moved inputs it may be a little larger
-DELTA_PATHS, FAN_PATHS = 2048, 1024
+DELTA_PATHS, FAN_PATHS = 1024, 1024
+MOST_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there are fewer paths
 
 
 class Counts(NamedTuple):
@@ -24,9 +25,14 @@ class Counts(NamedTuple):
         return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
 
     @classmethod
-    def enough(cls, solution: Solution, evaluation: Evaluation) -> "Counts":
-        """As many paths as a run's own error says that the value needs, and no more than it had."""
+    def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "Counts":
+        """As many paths as a run's own error says that the value needs, and no more than it had.
+
+        `numbers`: of the course of one path; a wide one has fewer paths, so that an answer comes
+        in time.
+        """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MOST, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
+        needed = min(needed, max(FEWEST, 512 * (MOST_NUMBERS // numbers // 512)))
         paths = min(evaluation.paths, 512 * math.ceil(needed / 512))
         return cls.of(paths, evaluation.sensitivity_paths)

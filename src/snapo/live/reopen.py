@@ -16,6 +16,7 @@ from .case.places import Places
 from .counts import Counts
 from .moves import Moves
 from .recalculation import Recalculation
+from .rolled import numbers_of_a_path
 from .valuation import Valuation
 
 
@@ -51,5 +52,6 @@ def open_run(
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
     places = Places(domain.read, files, setup.problem.named, study.inputs)
-    counts = counts or Counts.enough(solution, setup.evaluation)
+    if counts is None:
+        counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
     return Valuation(study, solution, places, counts, anew)

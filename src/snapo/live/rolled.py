@@ -3,9 +3,12 @@
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import float64
 from snapo.solver.evaluate import path_totals
@@ -57,6 +60,22 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
     totals = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     kept = jax.tree.map(lambda *each: np.concatenate(each, 1) if each[1:] else each[0], *shown)
     return Rolled(totals, np.concatenate(decided, 1), kept)
+
+
+def numbers_of_a_path(problem: Problem) -> int:
+    """How many numbers the course of one path has: states, actions and outputs of all steps."""
+    simulator = problem.simulator
+
+    def step(noise, first, action):
+        schedule = jax.tree.map(jnp.asarray, problem.schedule)
+        state = simulator.initial(schedule.constants, first)
+        now = at(schedule.steps, 0)
+        return simulator.step(schedule.constants, now, state, action, noise, Exact()), action
+
+    sizes = simulator.noise_size, simulator.initial_noise_size, simulator.action.size
+    with jax.enable_x64(True):
+        found = jax.eval_shape(step, *(jnp.zeros(size) for size in sizes))
+    return simulator.horizon * sum(leaf.size for leaf in jax.tree.leaves(found))
 
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:

@@ -23,7 +23,7 @@ from snapo.solver.evaluate import Value, estimate, worth_of_groups
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin, train
-from snapo.study.parts.profile import MOST_ENTRIES, bands, leaves
+from snapo.study.parts.profile import KINDS, MOST_ENTRIES, bands, leaves
 from snapo.study.study import Measured, Setup, Study
 
 from .case.places import Places
@@ -189,6 +189,7 @@ class Valuation(Moves):
         found = sensitivities(
             setup.problem, policy, self.counts.deltas,
             engine=setup.engines.evaluate, actions=rolled.actions,
+            totals=None if rolled.actions is None else rolled.totals,
         )  # fmt: skip
         return derivatives(found.held, setup.problem.named)
 
@@ -222,8 +223,8 @@ def _alike(one: Policy, other: Policy) -> bool:
 def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Bands over time of every number of state and outputs, and of the actions."""
     found = []
-    for kind, record in shown.items():
-        for name, values in leaves(record).items():
+    for kind in KINDS:
+        for name, values in leaves(shown[kind]).items():
             values = np.asarray(values, np.float64)
             values = values.reshape(*values.shape[:2], -1)
             if values.shape[2] > MOST_ENTRIES:

@@ -1,11 +1,12 @@
 """The page of a report: sections of blocks, rendered into one file that needs nothing else."""
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from markupsafe import Markup
+from markupsafe import Markup, escape
 
 from .theme import DARK, LIGHT, variables
 
@@ -151,9 +152,15 @@ def render(page: Page) -> str:
         trim_blocks=True,
         lstrip_blocks=True,
     )
+    environment.filters["coded"] = coded
     template = environment.get_template("page.html")
     light, dark = Markup(variables(LIGHT)), Markup(variables(DARK))
     return template.render(page=page, light=light, dark=dark, moving=_moving(page))
+
+
+def coded(text: str) -> Markup:
+    """A text, escaped; what stands in it between backticks is set as code."""
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
 
 
 def _moving(page: Page) -> bool:

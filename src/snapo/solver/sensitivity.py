@@ -171,19 +171,22 @@ def sensitivities(
     earlier: Policy | None = None,
     engine: Engine | None = None,
     actions: np.ndarray | None = None,
+    totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
     """Held derivatives on `paths`, and if `smooth` is given, smooth ones on `smooth_paths`.
 
     On the problem's evaluation scenarios. Standard errors come from 32 independent blocks of
     paths. `earlier` is a policy from halfway through training: its held derivatives on the same
     paths tell how far they still moved. `actions` [T, paths, A] are the policy's decisions on
-    these paths, where they were recorded before.
+    these paths, and `totals` {output: [paths]} their totals, where they were recorded before.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     source = problem.sources.evaluation
     paths = source.available(paths)
     blocks = source.blocks(paths)
-    held = Way(problem, bound, policy, Exact(), True, actions).derivatives(blocks)
+    if bound.simulator is not problem.simulator:
+        totals = None  # a program without control variates may round in another way
+    held = Way(problem, bound, policy, Exact(), True, actions, totals=totals).derivatives(blocks)
     moved = None
     if earlier is not None:
         before = Way(problem, bound, earlier, Exact(), held=True).derivatives(blocks).inputs

@@ -19,7 +19,7 @@ class Part(NamedTuple):
 
     way: tuple[str, ...]
     header: tuple[str, ...]
-    rows: list[Sequence[Any]]
+    rows: Sequence[Sequence[Any]]
 
 
 def tables_in(data: Mapping[str, Any], way: tuple[str, ...] = ()) -> Iterator[Part]:

@@ -16,14 +16,20 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator, at
 from snapo.problem.smooth import Exact
 
+PROGRAM = "_program"  # under which a problem keeps its own
+
 
 def same_program(problem: Problem, other: Simulator) -> bool:
     """Whether `other`, in place of the problem's simulator, computes the same functions.
 
-    Both are traced at the problem's inputs; nothing is compiled.
+    Both are traced at the problem's inputs; nothing is compiled. The problem keeps its own program:
+    a page asks again at every move.
     """
     with jax.enable_x64(True):
-        return _traced(problem, problem.simulator) == _traced(problem, other)
+        known = problem.__dict__.get(PROGRAM)
+        if known is None:
+            known = problem.__dict__[PROGRAM] = _traced(problem, problem.simulator)
+        return known == _traced(problem, other)
 
 
 def _traced(problem: Problem, simulator: Simulator) -> tuple[str, tuple[bytes, ...]]:

@@ -110,14 +110,17 @@ export function bars(width, rows, before, label) {
 // Effects side by side: a horizontal bar for each, the largest first.
 export function tornado(width, rows) {
   const line = 24, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
-  const names = width * 0.5, middle = (names + width) / 2, half = (width - names) / 2 - 58;
+  const names = width * 0.5, room = width - names - 8, side = 62; // beside a bar: its number
+  const up = rows.some((row) => row.effect > 0), down = rows.some((row) => row.effect < 0);
+  const middle = names + (up && down ? room / 2 : down ? room : 4);
+  const half = (up && down ? room / 2 : room - 4) - side;
   const svg = node("svg", { viewBox: `0 0 ${width} ${rows.length * line + 4}`, height: rows.length * line + 4, role: "img", "aria-label": "Effect of moving each input" });
   svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: 0, y2: rows.length * line }));
-  const room = Math.floor(names / 6.1);
+  const letters = Math.floor(names / 6.1);
   rows.forEach((row, i) => {
     const y = i * line + 4, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
-    const fits = [row.name, row.short].find((each) => each.length <= room);
-    const name = fits ?? row.short.slice(0, room - 1) + "…";
+    const fits = [row.name, row.short].find((each) => each.length <= letters);
+    const name = fits ?? row.short.slice(0, letters - 1) + "…";
     const text = node("text", { x: 0, y: y + 12 }, name);
     text.append(node("title", {}, row.name));
     svg.append(text);

@@ -16,7 +16,7 @@ export function controls(place, inputs, moved) {
   const ordered = [...groups].sort(([a], [b]) => rank(a) - rank(b));
   for (const [k, [name, members]] of ordered.entries()) {
     const mark = element("span", { className: "moved" });
-    const box = element("details", { className: "group", open: groups.size < 4 || k === 0 }, element("summary", {}, name, mark));
+    const box = element("details", { className: "group", open: groups.size < 4 || k === 0 }, element("summary", {}, groups.size === 1 && name === "other" ? "all inputs" : name, mark));
     for (const input of members) {
       input.now = [...input.values];
       box.append(input.values.length > 1 ? table(input, moved) : single(input, moved));
@@ -182,8 +182,13 @@ function editor(width, place, input, set) {
   const chart = frame(width, 200, low - pad, high + pad, `${label(input)}: points to drag`);
   chart.svg.setAttribute("role", "group");
   const gap = (chart.right - chart.left) / now.length, x = (i) => chart.left + (i + 0.5) * gap;
-  const line = (numbers) => numbers.map((v, i) => `${i ? "L" : "M"}${x(i).toFixed(1)} ${chart.y(v).toFixed(1)}`).join("");
-  chart.svg.append(node("path", { class: "base", d: line(base) }));
+  // Dates and numbers follow one another along a line; names stand apart, each on a stem.
+  const apart = !input.handles.every((h) => /\d/.test(h.label));
+  const foot = chart.y(Math.max(low - pad, Math.min(high + pad, 0)));
+  const point = (v, i) => (apart ? `M${x(i).toFixed(1)} ${foot.toFixed(1)}` : i ? "" : "M") + `${apart || i ? "L" : ""}${x(i).toFixed(1)} ${chart.y(v).toFixed(1)}`;
+  const line = (numbers) => numbers.map(point).join("");
+  const marks = (numbers) => numbers.map((v, i) => `M${(x(i) - Math.min(16, gap / 3)).toFixed(1)} ${chart.y(v).toFixed(1)}h${(2 * Math.min(16, gap / 3)).toFixed(1)}`).join("");
+  chart.svg.append(node("path", { class: "base", d: (apart ? marks : line)(base) }));
   const curve = node("path", { class: "now", d: line(now) });
   chart.svg.append(curve);
   below(chart.svg, input.handles.map((h) => h.label), x, chart.bottom, chart.right - chart.left);

@@ -267,13 +267,16 @@ function today(found) {
   at("today-table").replaceChildren(head, ...rows);
 }
 
-// The domain's own sections.
+// The domain's own sections. A column of standard errors stands in the one before it.
 function sections(found) {
-  const cell = (each) => element("td", { className: typeof each === "string" ? "text" : "" }, typeof each === "string" ? each : shown(each));
+  const text = (each) => (typeof each === "string" ? each : shown(each));
   at("sections").replaceChildren(...found.map(({ title, words, columns, rows }) => {
-    const kind = (i) => (typeof rows[0]?.[i] === "string" ? "text" : "");
-    const head = element("tr", {}, ...columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(i) }, unit ? `${name}, ${unit}` : name)));
-    const body = rows.map((row) => element("tr", {}, ...row.map(cell)));
+    const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
+    const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
+    const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
+    const name = ([words, unit]) => (unit ? `${words}, ${unit}` : words);
+    const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, name(columns[i]))));
+    const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
     return element("section", { className: "card" }, element("h2", {}, title), words ? element("p", { className: "quiet" }, words) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
   }));
 }

@@ -1,6 +1,6 @@
 """Derivatives from one adjoint pass for each block of paths, with their standard errors."""
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import Any, NamedTuple
 
@@ -42,6 +42,7 @@ class Way(NamedTuple):
     """One way to differentiate: with the decisions recorded and replayed, or through the policy.
 
     `recorded` [T, paths, A]: the decisions by number of the path, where they are known already.
+    `totals` {output: [paths]}: those of the policy in the same way, where they are known already.
     `inputs`: whether derivatives by the inputs are found, beside those of the policy.
     """
 
@@ -52,6 +53,7 @@ class Way(NamedTuple):
     held: bool
     recorded: np.ndarray | None = None
     inputs: bool = True
+    totals: Mapping[str, np.ndarray] | None = None
 
     def derivatives(self, blocks: list[np.ndarray]) -> Found:
         """From one pass for each block of paths, and a few on a sample of all."""
@@ -99,8 +101,7 @@ class Way(NamedTuple):
             return [plan(each, nothing, sizes) for each in objectives], blocks, 0
         parts = []
         for own in _batches(blocks):
-            draws = self._draws(np.concatenate(blocks[own]))
-            found = float64(self.bound.values(self.policy, draws, self.smooth).totals)
+            found = self._totals(np.concatenate(blocks[own]))
             edges = np.cumsum(sizes[own])[:-1]
             split = {name: np.split(found[name], edges) for name in names}
             parts += [{n: x[k] for n, x in split.items()} for k in range(len(edges) + 1)]
@@ -112,6 +113,11 @@ class Way(NamedTuple):
         totals = {n: np.concatenate([part[n] for part in parts]) for n in names}
         sizes = [len(block) for block in blocks]
         return [plan(each, totals, sizes) for each in objectives], blocks, dropped
+
+    def _totals(self, paths: np.ndarray) -> Mapping[str, np.ndarray]:
+        if self.totals is not None:
+            return {name: total[paths] for name, total in self.totals.items()}
+        return float64(self.bound.values(self.policy, self._draws(paths), self.smooth).totals)
 
     def _draws(self, paths: np.ndarray) -> Draws:
         return self.problem.sources.evaluation.draws(paths, self.problem.simulator)
