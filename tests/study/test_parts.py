@@ -104,6 +104,6 @@ def test_sections_of_a_whole_run(tmp_path):
     page = render(Page("A run", [], [section(run) for section in SECTIONS]))
     for words in ("1,000.0", "± 2.2".replace(" ", "\N{NO-BREAK SPACE}"), "trained to the end",
                   "a remark", "of a week", "Water (state), 40 paths", "Cash: total of a path",
-                  "its method `slack` names none", "12.00 more, 12.80 less",
+                  "its method <code>slack</code> names none", "12.00 more, 12.80 less",
                   ">12.40<"):  # fmt: skip
         assert words in page, words
