@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import replace
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,11 +17,13 @@ from snapo.solver.train import begin, train
 from snapo.study.study import Setup, StudyRun, Tell
 
 from ..policies.classical import ConstantMix, followers
+from ..policies.one_of import OneOf
 from ..policies.present_mix import present_mixes
+from ..records.case import PensionCase
 from .setup import case_in
 
-AnyPolicy = TypeVar("AnyPolicy", bound=Policy)
-LEARNED = "learned"  # the key of the policy that the others are compared with
+LEARNED, MIX = "learned", "constant_mix"  # keys: of the policy that the others are compared with
+EVEN = 1.0, 1.0  # funding ratios of a glide path that is not asked yet
 RATE = 0.05  # learning rate of rules of a few numbers each, which have far to go
 
 
@@ -69,15 +71,24 @@ def compare(setup: Setup, solution: Solution, tell: Tell) -> list[dict[str, Any]
         return totals
 
     tell("tuning constant mix")
-    mix = tuned(setup, ConstantMix(case))
-    totals = measure("constant_mix", "Constant mix", mix)
-    for key, (name, start) in followers(case, mix, reached(problem, totals)).items():
-        tell(f"tuning {name.lower()}")
-        measure(key, name, tuned(setup, start))
-    for key, (name, policy) in present_mixes(case).items():
-        tell(f"holding {name.lower()}")
-        measure(key, name, policy)
+    mix = tuned(setup, _one_of(_rules(case, ConstantMix(case), EVEN), MIX))
+    totals = measure(MIX, "Constant mix", mix)
+    rules, held = _rules(case, mix.rule, reached(problem, totals)), present_mixes(case)
+    for key, (name, _) in list(rules.items())[1:]:
+        policy = _one_of(rules, key)
+        tell(f"{'holding' if key in held else 'tuning'} {name.lower()}")
+        measure(key, name, policy if key in held else tuned(setup, policy))
     return found
+
+
+def _rules(case: PensionCase, mix, ratios: tuple[float, float]) -> dict[str, tuple[str, Policy]]:
+    """{key: (name, rule)} of all rules, those that follow the funding ratio starting at `mix`."""
+    followed = followers(case, mix, ratios)
+    return {MIX: ("Constant mix", mix), **followed, **present_mixes(case)}
+
+
+def _one_of(rules: dict[str, tuple[str, Policy]], key: str) -> OneOf:
+    return OneOf([rule for _, rule in rules.values()], list(rules).index(key))
 
 
 def reached(problem: Problem, totals: Totals) -> tuple[float, float]:
@@ -87,8 +98,8 @@ def reached(problem: Problem, totals: Totals) -> tuple[float, float]:
     return min(now, float(low)), max(now, float(high))
 
 
-def tuned(setup: Setup, policy: AnyPolicy) -> AnyPolicy:
-    """The best of the policies along a run of training, as for the network."""
+def tuned(setup: Setup, policy: OneOf) -> OneOf:
+    """The best of the rules along a run of training, as for the network."""
     rate = max(RATE, setup.training.learning_rate)
     training = replace(setup.training, learning_rate=rate)
     found = train(setup.problem, begin(policy, training), training, setup.engines.train)
