@@ -20,7 +20,7 @@ from jaxtyping import Array, Float
 
 from .actions import Actions
 from .inputs import Frozen
-from .quickly import compiled_at_once
+from .quickly import compiled_sooner
 from .simulator import Interface
 from .smooth import Smooth
 
@@ -71,7 +71,7 @@ class Network(eqx.Module):
         return self.weights[-1] @ x + self.biases[-1]
 
 
-@compiled_at_once
+@compiled_sooner
 def _weights(key, shapes) -> list[Array]:
     keys = jax.random.split(key, len(shapes))
     drawn = [

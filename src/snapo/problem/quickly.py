@@ -10,26 +10,21 @@ import jax
 P = ParamSpec("P")
 R = TypeVar("R")
 JIT: Any = eqx.filter_jit  # hands on to jax.jit whatever it does not know itself
-LEVEL, EMITTERS = "xla_backend_optimization_level", "xla_cpu_use_fusion_emitters"
+# A level lower, a number that is computed twice is rounded in two ways: the derivative of a
+# maximum, which compares the two, is then wrong.
+OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": False}
 
 
 def compiled_sooner(function: Callable[P, R]) -> Callable[P, R]:
-    """`eqx.filter_jit` in two thirds of the time, for a program as fast: what a problem prepares.
+    """`eqx.filter_jit` in two thirds of the time, for what is prepared and what reports draw.
 
-    Nothing differs but the last bits. On other devices than processors it is `eqx.filter_jit`.
+    Nothing differs but time and the last bits. On other devices than processors, and with an XLA
+    that knows no such options, it is `eqx.filter_jit`.
     """
-    return _compiled(function, 1)
 
-
-def compiled_at_once(function: Callable[P, R]) -> Callable[P, R]:
-    """The same in a quarter of the time, and the program two to four times as slow: to run once."""
-    return _compiled(function, 0)
-
-
-def _compiled(function: Callable[P, R], level: int) -> Callable[P, R]:
     @cache
     def compiled():
-        return JIT(function, compiler_options=_options(level))
+        return JIT(function, compiler_options=_options())
 
     @wraps(function)
     def call(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -39,12 +34,11 @@ def _compiled(function: Callable[P, R], level: int) -> Callable[P, R]:
 
 
 @cache
-def _options(level: int) -> dict | None:
+def _options() -> dict | None:
     """The options that this XLA knows; None on another device."""
     if jax.default_backend() != "cpu":
         return None
-    wanted = {LEVEL: level, EMITTERS: False}
-    return {name: value for name, value in wanted.items() if _known(name, value)}
+    return {name: value for name, value in OPTIONS.items() if _known(name, value)}
 
 
 def _known(name: str, value: int | bool) -> bool:

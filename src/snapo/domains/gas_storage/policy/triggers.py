@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.problem import Problem
-from snapo.problem.quickly import compiled_at_once
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
 from ..contract.schedule import State
@@ -75,7 +75,7 @@ def decide(
         return Decision(*(np.asarray(x)[:count] for x in _decided(*given)))
 
 
-@compiled_at_once
+@compiled_sooner
 def _decided(
     simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots
 ):
@@ -90,7 +90,7 @@ def _decided(
     return jax.vmap(one)(inventories, spots)
 
 
-@compiled_at_once
+@compiled_sooner
 def _gains(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots):
     """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
 
