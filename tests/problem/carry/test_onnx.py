@@ -95,9 +95,11 @@ def test_the_scaling_of_observations_is_part_of_the_graph(tmp_path):
 def test_the_head_of_a_store_and_one_state_alone():
     policy = _large(StoragePolicy(HEAD + 5, key=KEY))
     seen = 1 + 0.2 * np.random.default_rng(3).normal(size=(257, HEAD + 5))
-    found = agree(policy, seen)  # it knows its number of features
+    # Its last weights are twenty times those of a start: a few last digits of float32 are lost in sums
+    # that the two add up in other orders; 1.4e-6 was seen. In float64 nothing is.
+    found = agree(policy, seen, tolerance=5e-6)  # it knows its number of features
     assert np.ptp(found, axis=0).min() > 0
-    agree(policy, seen[:1])
+    agree(policy, seen[:1], tolerance=5e-6)
     agree(policy, seen, dtype="float64", tolerance=1e-12)
 
 
