@@ -17,6 +17,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -67,12 +68,12 @@ async ([at, key, places]) => {
 
 
 @contextmanager
-def served(run: Path, simulator: tuple[str, str] | None = None) -> Iterator[Server]:
-    """The page's server, in a thread of its own."""
+def served(run: Path, simulator: tuple[str, str] | None = None, **about: Any) -> Iterator[Server]:
+    """The page's server, in a thread of its own; `about`: what it says in place of the run."""
     command = [sys.executable, "-m", "snapo.live.worker", str(run)]
     if simulator is not None:
         command += ["--simulator", ":".join(simulator)]
-    server = Server(run, about_run(run, simulator), command)
+    server = Server(run, about_run(run, simulator) | about, command)
     loop, up = asyncio.new_event_loop(), threading.Event()
 
     async def start() -> None:

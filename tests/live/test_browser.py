@@ -1,12 +1,9 @@
 """A real browser on a real run: every kind of control, by mouse and by keyboard alone."""
 
-import asyncio
 import json
 import os
 import shutil
 import signal
-import sys
-import threading
 import time
 from pathlib import Path
 
@@ -15,8 +12,7 @@ import pytest
 pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
 
-from snapo.live.open import about_run  # noqa: E402
-from snapo.live.server import Server  # noqa: E402
+from benchmarks import live_browser  # noqa: E402
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = [
@@ -32,26 +28,10 @@ def served(solved, tmp_path_factory):
     """The server of a small store, in a thread of its own."""
     run = tmp_path_factory.mktemp("browser") / "run"
     shutil.copytree(solved("gas-storage") / "run", run)
-    about = about_run(run) | {"title": '<img src=x onerror="document.title=1">Small store'}
-    server = Server(run, about, [sys.executable, "-m", "snapo.live.worker", str(run)])
-    loop, up = asyncio.new_event_loop(), threading.Event()
-
-    async def start():
-        await server.start()
-        up.set()
-
-    def live():
-        loop.run_until_complete(start())
-        loop.run_forever()
-
-    thread = threading.Thread(target=live)
-    thread.start()
-    assert up.wait(30)
-    yield server
-    asyncio.run_coroutine_threadsafe(server.close(), loop).result(30)
-    loop.call_soon_threadsafe(loop.stop)
-    thread.join()
-    loop.close()
+    with live_browser.served(
+        run, title='<img src=x onerror="document.title=1">Small store'
+    ) as server:
+        yield server
 
 
 @pytest.fixture(scope="module")

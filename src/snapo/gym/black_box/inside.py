@@ -18,6 +18,7 @@ from .known import Known
 from .model import Model
 
 STARTS = 512  # first states of the model: half of them those of episodes, half seen on the way
+PATHS = 32  # first observations that are valued together
 BEYOND = 0.05  # of the range of what was seen: how far the model goes
 
 
@@ -72,6 +73,3 @@ def value(
     draws = Pseudo(seed).draws(np.arange(paths), model)
     totals = bound.values(policy, draws, Exact(), start=start).totals["reward"]
     return np.asarray(totals, np.float64).reshape(members, -1).mean(0)[:count]
-
-
-PATHS = 32  # first observations that are valued together

@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snapo.problem.policy import MLP
+from snapo.solver.learning.features import layer, plain, scaled
 
 from .real import Act, Episode, Real
 from .transitions import Transitions, circles, joined, scale_of
@@ -23,14 +24,11 @@ class Units(NamedTuple):
     def undone(self, policy: MLP) -> MLP:
         """The policy that takes observations as the environment gives them: no network of a kind
         of its own, so that it is saved and exported as every policy is."""
-        weight, bias = _first(policy)
-        weight = weight / self.scale
-        return _with_first(policy, weight, bias - weight @ self.shift)
+        return _with_layer(policy, plain(*_layer(policy), self.shift, self.scale))
 
     def done(self, policy: MLP) -> MLP:
         """The way back."""
-        weight, bias = _first(policy)
-        return _with_first(policy, weight * self.scale, bias + weight @ self.shift)
+        return _with_layer(policy, scaled(*_layer(policy), self.shift, self.scale))
 
 
 @dataclass
@@ -79,16 +77,11 @@ class Known:
         return self.real.steps + self.real.limit <= steps
 
 
-def _first(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
-    assert policy.network is not None
-    weight, bias = policy.network.weights[0], policy.network.biases[0]
-    return np.asarray(weight, np.float64), np.asarray(bias, np.float64)
+def _layer(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
+    """Weights and biases of the first layer, in float64: what is far from zero loses no digits."""
+    weights, bias = layer(policy)
+    return np.asarray(weights, np.float64), np.asarray(bias, np.float64)
 
 
-def _with_first(policy: MLP, weight: np.ndarray, bias: np.ndarray) -> MLP:
-    """The policy with another first layer."""
-
-    def places(policy):
-        return [policy.network.weights[0], policy.network.biases[0]]
-
-    return eqx.tree_at(places, policy, [jnp.asarray(each, jnp.float32) for each in (weight, bias)])
+def _with_layer(policy: MLP, numbers) -> MLP:
+    return eqx.tree_at(layer, policy, tuple(jnp.asarray(each, jnp.float32) for each in numbers))

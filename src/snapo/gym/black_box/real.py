@@ -9,6 +9,7 @@ from ..installed import gymnasium
 from ..played import made
 from .transitions import Transitions
 
+MOST_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
 Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's number to action
 
 
@@ -87,9 +88,6 @@ class Held(gymnasium.Wrapper):
             if ended or late:
                 break
         return seen, total, bool(ended), late, info
-
-
-MOST_DECISIONS = 250  # of an episode, where nobody says how long a decision is held
 
 
 def opened(environment: Any):

@@ -45,22 +45,17 @@ class Scale(NamedTuple):
 
     def plain(self, policy: Policy) -> Policy:
         """The policy of features as they are that does what `policy` does with scaled ones."""
-        weights, bias = _layer(policy)
-        weights = weights / np.asarray(self.deviation, np.float32)
-        return eqx.tree_at(_layer, policy, (weights, bias - weights @ self._mean))
+        return eqx.tree_at(layer, policy, plain(*layer(policy), self._mean, self._deviation))
 
     def scaled(self, policy: Policy) -> Policy:
         """The inverse of `plain`."""
-        weights, bias = _layer(policy)
-        both = weights * np.asarray(self.deviation, np.float32), bias + weights @ self._mean
-        return eqx.tree_at(_layer, policy, both)
+        return eqx.tree_at(layer, policy, scaled(*layer(policy), self._mean, self._deviation))
 
     def slope(self, gradient: Policy) -> Policy:
         """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
-        weights, bias = _layer(gradient)
-        both = weights - np.outer(bias, self._mean)
-        both = both / np.asarray(self.deviation, np.float32)
-        return eqx.tree_at(_layer, gradient, (both, bias))
+        weights, bias = layer(gradient)
+        both = (weights - np.outer(bias, self._mean)) / self._deviation
+        return eqx.tree_at(layer, gradient, (both, bias))
 
     @classmethod
     def read(cls, stored) -> "Scale | None":
@@ -71,11 +66,26 @@ class Scale(NamedTuple):
     def _mean(self) -> np.ndarray:
         return np.asarray(self.mean, np.float32)
 
+    @property
+    def _deviation(self) -> np.ndarray:
+        return np.asarray(self.deviation, np.float32)
 
-def _layer(policy: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The first layer of a policy's network."""
+
+def layer(policy: Any) -> tuple[np.ndarray, np.ndarray]:
+    """The first layer of a policy's network: weights and biases."""
     network = policy.network
     return network.weights[0], network.biases[0]
+
+
+def plain(weights, bias, mean, deviation) -> tuple[Any, Any]:
+    """The layer of features as they are that does what this one does with scaled ones."""
+    weights = weights / deviation
+    return weights, bias - weights @ mean
+
+
+def scaled(weights, bias, mean, deviation) -> tuple[Any, Any]:
+    """The inverse of `plain`."""
+    return weights * deviation, bias + weights @ mean
 
 
 def scale_of(policy: Policy, problem: Problem) -> Scale | None:

@@ -4,6 +4,7 @@ from typing import Any
 
 import numpy as np
 
+from snapo.engine import COURSE
 from snapo.problem.smooth import Exact
 from snapo.study.study import StudyRun
 
@@ -58,8 +59,9 @@ def _recorded(run: StudyRun) -> tuple[np.ndarray, np.ndarray]:
     paths = source.available(min(PATHS, setup.evaluation.paths))
     for block in source.blocks(paths, max(8, paths // 1024)):
         draws = source.draws(block, problem.simulator)
-        record = ("action", "outputs", "state")
-        state = bound.values(run.solution.policy, draws, Exact(), record=record).record["state"]
+        # All of the course, whose program the certificate has compiled or will use again.
+        rolled = bound.values(run.solution.policy, draws, Exact(), record=COURSE)
+        state = rolled.record["state"]
         levels.append(np.asarray(state.level))
         shares.append(np.asarray(state.reserve) / np.asarray(state.fund.assets))
     return np.concatenate(levels, 1), np.concatenate(shares, 1)

@@ -14,7 +14,7 @@ from ..given import use
 from ..read.fields import quantity
 from ..read.numbers import POSITIVE
 from .operation import Inlet, Instant
-from .solids.release import gone, inside
+from .solids.release import gone, lasting
 
 
 class DissolutionTable(Table):
@@ -89,7 +89,4 @@ class Dissolution(Instant):
     def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
         """1 - (1 - D Cs t / (rho h r))^3 with r = d32 / 2 of the crystals, 1 once they are gone;
         they fall out of granules at once."""
-        size, density = inside(product)
-        reach = use(inputs, self.diffusivity) * use(inputs, self.solubility)
-        whole = density * use(inputs, self.film) * size / 2 / reach
-        return gone(use(inputs, self.test_time), whole)
+        return gone(use(inputs, self.test_time), lasting(self, product, inputs))

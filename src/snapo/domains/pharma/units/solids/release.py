@@ -1,9 +1,12 @@
 """The drug that a tablet, or loose crystals, have dissolved by a time."""
 
+from typing import Any
+
 import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from ...flowsheet.stream import Stream
+from ...given import use
 from ..crystals.population import mean_sizes
 
 
@@ -12,6 +15,15 @@ def inside(product: Stream) -> tuple[Float[Array, ""], Float[Array, ""]]:
     granules = product.inner_size > 0
     size = jnp.where(granules, product.inner_size, mean_sizes(product.moments)["d32"])
     return size, jnp.where(granules, product.inner_density, product.density)
+
+
+def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
+    """The seconds that the drug's crystals last: rho h r / (D Cs), r = d32 / 2.
+
+    `unit` has `diffusivity`, `solubility` and `film`."""
+    size, density = inside(product)
+    reach = use(inputs, unit.diffusivity) * use(inputs, unit.solubility)
+    return density * use(inputs, unit.film) * size / 2 / reach
 
 
 def gone(time, whole) -> Float[Array, ""]:

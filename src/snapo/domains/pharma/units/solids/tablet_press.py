@@ -29,7 +29,7 @@ from ...given import use
 from ...read.fields import Text, number, quantity, word
 from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, Bounds
 from ..operation import Inlet, Instant
-from .release import inside, released
+from .release import lasting, released
 
 ACCEPTED = (0.985, 1.015)  # of the label: a mean within them adds nothing to the acceptance value
 TEN = 2.4  # acceptability constant of ten tablets
@@ -221,10 +221,7 @@ class TabletPress(Instant):
 
     def dissolved(self, fed: Stream, mean, inputs: dict[str, Any]) -> Float[Array, ""]:
         """The share of the drug in solution at the end of the test."""
-        size, density = inside(fed)
-        reach = use(inputs, self.diffusivity) * use(inputs, self.solubility)
-        whole = density * use(inputs, self.film) * size / 2 / reach
-        return released(use(inputs, self.test_time), whole, mean)
+        return released(use(inputs, self.test_time), lasting(self, fed, inputs), mean)
 
 
 def acceptance(mean, deviation) -> Float[Array, ""]:
