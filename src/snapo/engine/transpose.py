@@ -1,6 +1,9 @@
 """From derivatives at the schedule back to the inputs: the end of every adjoint's road."""
 
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager, suppress
+from threading import Thread
 
 import equinox as eqx
 import jax
@@ -38,6 +41,26 @@ def pull_back(
             moved += threads.map(one, schedules[1:])
     names = [entry.name for entry in inputs_.named(inputs)]
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
+
+
+@contextmanager
+def compiled_meanwhile(simulator: Simulator, inputs: PyTree, schedule: PyTree) -> Iterator[None]:
+    """Compiles the transpose for a schedule like this one beside the work of the block.
+
+    A failure is silent here: `pull_back` tells of it.
+    """
+
+    def compiled() -> None:
+        with suppress(Exception):
+            nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
+            pull_back(simulator, inputs, [nothing])
+
+    beside = Thread(target=compiled, name="transpose")
+    beside.start()
+    try:
+        yield
+    finally:
+        beside.join()
 
 
 @compiled_sooner

@@ -1,5 +1,6 @@
 """Seconds by stage, the compiler's apart."""
 
+import threading
 import time
 from typing import Any
 
@@ -12,12 +13,13 @@ class Clock:
     """Books the time of a run under the names of its stages, and that of compiling apart.
 
     A context manager: it listens to JAX's compiler and to that of the native engine until it is
-    left. Compiling within compiling, as the tracing of a kernel is, counts once.
+    left. Compiling within compiling, as the tracing of a kernel is, counts once; that of other
+    threads takes none of this one's time.
     """
 
     def __init__(self):
         self.seconds = {"compile": 0.0, "train": 0.0, "evaluate": 0.0}
-        self._started = time.perf_counter()
+        self._started, self._thread = time.perf_counter(), threading.get_ident()
         self._compiled: list[tuple[float, float]] = []
         self._listener: Any = self._heard
 
@@ -30,7 +32,7 @@ class Clock:
 
     def _heard(self, event: str, duration: float, **_: Any) -> None:
         """An event is told when it ends."""
-        if event.startswith(COMPILERS):
+        if event.startswith(COMPILERS) and threading.get_ident() == self._thread:
             now = time.perf_counter()
             self._compiled.append((now - duration, now))
 

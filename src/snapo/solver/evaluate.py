@@ -54,11 +54,13 @@ def path_totals(
     engine: Engine | None = None,
     source: Scenarios | None = None,
     controls: bool = True,
+    record: tuple[str, ...] = (),
 ) -> dict[str, np.ndarray]:
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
-    `controls`: with the outputs that are control variates alone.
+    `controls`: with the outputs that are control variates alone. `record`: of a call before, whose
+    program then serves here as well.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source, smooth = source or problem.sources.evaluation, smooth or Exact()
@@ -66,7 +68,8 @@ def path_totals(
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
         draws = source.draws(block, problem.simulator)
-        for name, total in float64(bound.values(policy, draws, smooth).totals).items():
+        rolled = bound.values(policy, draws, smooth, record=record)
+        for name, total in float64(rolled.totals).items():
             totals.setdefault(name, np.full(paths, np.nan))[block] = total
     return totals
 

@@ -18,6 +18,7 @@ from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
+from .by_block.passes import DECIDED
 from .evaluate import path_totals
 from .statistics import independent, mean
 
@@ -113,18 +114,17 @@ def judge(
     An input whose numbers are all zero moves by its own `move`; without one it has no verdict. Nor
     has any where the value is no number, as after a ruin.
     """
-    centre = path_totals(problem, policy, paths, engine=engine, controls=False)
+
+    def totals(at: Problem) -> Totals:
+        return path_totals(at, policy, paths, engine=engine, controls=False, record=DECIDED)
+
+    centre = totals(problem)
     if not np.isfinite(problem.objective.value(centre)):
         return {}
 
     def sides(name: str, by: np.ndarray) -> tuple[float, float, float]:
         value = problem.named[name].value
-        low, high = (
-            path_totals(
-                problem.at({name: value + move}), policy, paths, engine=engine, controls=False
-            )
-            for move in (-by, by)
-        )
+        low, high = (totals(problem.at({name: value + move})) for move in (-by, by))
         return _differences(problem, low, centre, high)
 
     found = {}

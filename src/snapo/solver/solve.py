@@ -4,6 +4,7 @@ A run is three plain stages on one problem: `train`, `path_totals`, `sensitiviti
 """
 
 from collections.abc import Mapping, Sequence
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,6 +14,7 @@ from jaxtyping import PyTree
 
 from snapo.checker.first import first_mistakes
 from snapo.engine import Choice, Engine, Engines, Xla, choose
+from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective, Totals
 from snapo.problem.policy import MLP, Policy
@@ -121,12 +123,13 @@ def solve(
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
         training = fitted(training, problem, policy)
-        if progress is None or (progress.step == 0 and training.starts > 1):
-            fresh = progress is None and policy is not recipe
-            progress = _begun(problem, policy, training, engines.train, fresh)
-        clock.stage("evaluate")
-        progress = train(problem, progress, training, engines.train, callbacks)
-        clock.stage("train")
+        with _meanwhile(problem, evaluation):
+            if progress is None or (progress.step == 0 and training.starts > 1):
+                fresh = progress is None and policy is not recipe
+                progress = _begun(problem, policy, training, engines.train, fresh)
+            clock.stage("evaluate")
+            progress = train(problem, progress, training, engines.train, callbacks)
+            clock.stage("train")
         found = measure(problem, policy, progress, training, evaluation, engines)
         clock.stage("evaluate")
     return Solution(
@@ -170,6 +173,13 @@ def _begun(
 
     left, values = race(begun, training.steps, run)
     return replace(left, raced=values if len(begun) > 1 else ())
+
+
+def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:
+    """What the sensitivities need is compiled while a processor waits for the training's."""
+    if not min(evaluation.sensitivity_paths, evaluation.paths):
+        return nullcontext()
+    return compiled_meanwhile(problem.simulator, problem.inputs, problem.schedule)
 
 
 def _refuse_mistakes(problem: Problem, policy: Policy) -> None:

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from snapo.case.objective import make_objective
-from snapo.engine import Choice, Engines
+from snapo.engine import Choice
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -26,7 +26,7 @@ from .contract.records import StorageCase
 from .contract.schedule import of_prices
 from .contract.simulator import StorageSimulator, largest_rate, mean_price, simulator_of
 from .policy.fitted_guide import FittedKnots
-from .policy.network import GuidePolicy, PricingPolicy, StoragePolicy
+from .policy.network import StoragePolicy
 from .policy.surprise import Surprises
 from .policy.value_table import ValueTable
 from .prices.process import GaussianFactors
@@ -55,7 +55,7 @@ def make_setup(
     problem = _guided(replace(problem, sources=sources), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     engines = engines_for(engine, problem, policy)
-    return Setup(_hedged(problem, engines, seed), policy, training, evaluation, engines)
+    return _hedged(Setup(problem, policy, training, evaluation, engines))
 
 
 def moved_setup(setup: Setup, case: StorageCase) -> Setup:
@@ -71,8 +71,7 @@ def moved_setup(setup: Setup, case: StorageCase) -> Setup:
     bare = replace(simulator, guide=None, hedge=None, surprises=None, **scales)
     values = {name: given.value for name, given in storage_inputs(case).items()}
     problem = replace(setup.problem, simulator=bare).at(values)
-    problem = _guided(problem, fitted_value(problem))
-    return setup._replace(problem=_hedged(problem, setup.engines, setup.training.seed))
+    return _hedged(setup._replace(problem=_guided(problem, fitted_value(problem))))
 
 
 def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
@@ -91,12 +90,13 @@ def _surprises(problem: Problem, fitted: FittedValue | None) -> Surprises | None
     return Surprises.of(surprises(fitted))
 
 
-def _hedged(problem: Problem, engines: Engines, seed: int) -> Problem:
-    """The problem with a hedge as its control variate, where it has no better one."""
-    simulator = simulator_of(problem)
+def _hedged(setup: Setup) -> Setup:
+    """The setup with a hedge as its control variate, where it has no better one."""
+    problem, simulator = setup.problem, simulator_of(setup.problem)
     if simulator.surprises is not None or not simulator.process.martingale:
-        return problem
-    return replace(problem, simulator=replace(simulator, hedge=_hedge(problem, engines, seed)))
+        return setup
+    hedged = replace(simulator, hedge=_hedge(setup))
+    return setup._replace(problem=replace(problem, simulator=hedged))
 
 
 def fitted_value(problem: Problem) -> FittedValue | None:
@@ -124,9 +124,9 @@ def case_of(setup: Setup) -> StorageCase:
     return simulator_of(setup.problem).case
 
 
-def policy_of(solution: Solution) -> PricingPolicy:
+def policy_of(solution: Solution) -> StoragePolicy:
     """The trained policy."""
-    assert isinstance(solution.policy, PricingPolicy)
+    assert isinstance(solution.policy, StoragePolicy)
     return solution.policy
 
 
@@ -148,11 +148,13 @@ def _measured_on(problem: Problem, source: Pseudo) -> Problem:
     return replace(problem, sources=Sources(old.training, old.validation, source))
 
 
-def _hedge(problem: Problem, engines: Engines, seed: int) -> np.ndarray:
+def _hedge(setup: Setup) -> np.ndarray:
     """Forward volumes [T] for the control variate: the deltas of the guide's rule."""
+    problem, policy, engine = setup.problem, setup.policy, setup.engines.evaluate
+    assert isinstance(policy, StoragePolicy)
     plain = replace(problem, objective=Mean(OUTPUT))
-    on = _measured_on(plain, Pseudo(seed, stream=stream(EVALUATE, HEDGE)))
-    way = Way(on, engines.evaluate.bind(on), GuidePolicy(), Exact(), held=True)
+    on = _measured_on(plain, Pseudo(setup.training.seed, stream=stream(EVALUATE, HEDGE)))
+    way = Way(on, engine.bind(on), policy.guide, Exact(), held=True)
     found = way.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
     simulator = simulator_of(problem)
     curve = simulator.case.market.forward_curve.name

@@ -19,7 +19,6 @@ KINDS = {
     "Frozen": "snapo.problem.inputs",
     "Stages": "snapo.problem.stages",
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
-    "GuidePolicy": "snapo.domains.gas_storage.policy.network",
     "PensionPolicy": "snapo.domains.pension.policies.network",
     "Limits": "snapo.domains.pension.policies.limits",
     "Cover": "snapo.domains.pension.policies.limits",

@@ -20,6 +20,7 @@ from ..statistics import Estimate
 from .changes import Plan, plan
 
 CHUNK = 8192  # paths in one call of an engine, where a block has no more
+DECIDED = ("action",)  # recorded where decisions are held; a call alike uses the same program
 
 
 class Found(NamedTuple):
@@ -158,7 +159,7 @@ class Way(NamedTuple):
         if not self.held:
             return draws, self.policy, {} if self.inputs else {"wrt": ("policy",)}
         if self.recorded is None:
-            rolled = self.bound.values(self.policy, draws, self.smooth, record=("action",))
+            rolled = self.bound.values(self.policy, draws, self.smooth, record=DECIDED)
             actions = rolled.record["action"]
         else:
             actions = self.recorded[:, paths]

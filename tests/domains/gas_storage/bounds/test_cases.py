@@ -7,7 +7,6 @@ import pytest
 
 from snapo import Pseudo, bound
 from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
-from snapo.domains.gas_storage.policy.network import GuidePolicy
 from snapo.domains.gas_storage.references.lattice import lattice
 from snapo.domains.gas_storage.setup import bare_problem, factors, fitted_value, make_setup
 from snapo.study.commands import Asked, load
@@ -24,7 +23,9 @@ def ready(name: str):
 
 def certified(name: str, paths: int):
     setup, relaxation = ready(name)
-    return bound(setup.problem, GuidePolicy(), relaxation, paths, engine=setup.engines.evaluate)
+    return bound(
+        setup.problem, setup.policy.guide, relaxation, paths, engine=setup.engines.evaluate
+    )
 
 
 # G3 with volumes between the extremes; the others as published.
@@ -64,7 +65,14 @@ def test_intervals_cover_the_exact_value_and_a_bad_policy_has_a_wide_gap():
     assert of is not None
     exact = lattice(problem.schedule, of, "linear").value
     found = [
-        bound(problem, GuidePolicy(), relaxation, 128, engine=engine, source=Pseudo(seed, stream=9))
+        bound(
+            problem,
+            setup.policy.guide,
+            relaxation,
+            128,
+            engine=engine,
+            source=Pseudo(seed, stream=9),
+        )
         for seed in range(50)
     ]
     held = sum(each.lower.low <= exact <= each.upper.high for each in found)

@@ -9,7 +9,7 @@ from numpy.testing import assert_allclose
 from tests.domains.gas_storage.storage_cases import bare, read
 
 from snapo.domains.gas_storage.contract.schedule import of_prices
-from snapo.domains.gas_storage.policy.network import GuidePolicy, StoragePolicy
+from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.results.certificate import off_ties
 from snapo.domains.gas_storage.setup import bare_problem, make_setup
 from snapo.engine import Xla
@@ -117,6 +117,6 @@ def test_a_store_earns_the_spikes():
         made = make_setup(case(jump_intensity=intensity), "native")
         assert made.problem.simulator.control_variates() == ("forward_hedge",)
         engine = made.engines.evaluate
-        values[intensity] = evaluate(made.problem, GuidePolicy(), 4096, engine=engine)
+        values[intensity] = evaluate(made.problem, made.policy.guide, 4096, engine=engine)
     calm, wild = values.values()
     assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

@@ -7,9 +7,9 @@ the feasible. That is exact on fast storage too, gives the trigger prices for fr
 almost nothing when it is made hard.
 """
 
-import abc
 from typing import ClassVar, NamedTuple
 
+import equinox as eqx
 import jax
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -30,22 +30,10 @@ class MarginalValue(NamedTuple):
     emptied: Array
 
 
-class PricingPolicy(Policy):
-    """A rule that prices gas in store; the action is (injected, withdrawn) fraction."""
+class StoragePolicy(Policy):
+    """The guide's marginal value plus a network; the action is (injected, withdrawn) fraction."""
 
     head: ClassVar[int] = HEAD  # numbers of the observation that the network does not see
-
-    @abc.abstractmethod
-    def marginal_value(self, observation) -> MarginalValue:
-        """The policy's value of a unit of gas at the end of the day."""
-
-    def __call__(self, observation, smooth):
-        return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
-
-
-class StoragePolicy(PricingPolicy):
-    """The guide's marginal value plus a network."""
-
     network: Network
 
     def __init__(
@@ -53,7 +41,20 @@ class StoragePolicy(PricingPolicy):
     ):
         self.network = Network((features - HEAD, *hidden, 3), key=key, activation=activation)
 
+    def __call__(self, observation, smooth):
+        return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
+
+    @property
+    def guide(self) -> "StoragePolicy":
+        """The guide alone, by a network that adds nothing: whatever runs this policy runs it."""
+
+        def last(policy: StoragePolicy):
+            return policy.network.weights[-1], policy.network.biases[-1]
+
+        return eqx.tree_at(last, self, tuple(jnp.zeros_like(each) for each in last(self)))
+
     def marginal_value(self, observation) -> MarginalValue:
+        """The policy's value of a unit of gas at the end of the day."""
         seen = Economics(*observation[:HEAD])
         level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
         return MarginalValue(
@@ -61,14 +62,6 @@ class StoragePolicy(PricingPolicy):
             seen.filled + level + into * seen.room_in,
             seen.emptied + level + out * seen.room_out,
         )
-
-
-class GuidePolicy(PricingPolicy):
-    """The guide alone: the one-factor dynamic program's rule, or the intrinsic one's."""
-
-    def marginal_value(self, observation) -> MarginalValue:
-        seen = Economics(*observation[:HEAD])
-        return MarginalValue(seen.keep, seen.filled, seen.emptied)
 
 
 def _flows(seen: Economics, value: MarginalValue, smooth):

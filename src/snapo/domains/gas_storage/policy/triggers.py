@@ -17,7 +17,7 @@ from snapo.problem.smooth import Exact
 
 from ..contract.schedule import State
 from ..contract.simulator import StorageSimulator, simulator_of
-from .network import PricingPolicy
+from .network import StoragePolicy
 from .observation import HEAD, Economics
 
 ROUND = 256  # inventories and prices of one call
@@ -40,7 +40,7 @@ class Decision(NamedTuple):
 
 
 def triggers(
-    problem: Problem, policy: PricingPolicy, day: np.ndarray, inventory: np.ndarray
+    problem: Problem, policy: StoragePolicy, day: np.ndarray, inventory: np.ndarray
 ) -> Triggers:
     """Trigger prices on the days with these numbers, at these inventories, both [n]."""
     with jax.enable_x64(True):
@@ -57,7 +57,7 @@ def triggers(
 
 def decide(
     problem: Problem,
-    policy: PricingPolicy,
+    policy: StoragePolicy,
     day: int,
     inventory: np.ndarray,
     spot: np.ndarray | None = None,
@@ -77,7 +77,7 @@ def decide(
 
 @compiled_sooner
 def _decided(
-    simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots
+    simulator: StorageSimulator, constants, policy: StoragePolicy, now, inventories, spots
 ):
     def one(inventory, spot):
         price = simulator.process.state_at(constants.price, now.price, spot)
@@ -91,7 +91,7 @@ def _decided(
 
 
 @compiled_sooner
-def _gains(simulator: StorageSimulator, constants, policy: PricingPolicy, now, inventories, spots):
+def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, inventories, spots):
     """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
 
     def one(now, inventory, spot) -> tuple[Array, Array]:

@@ -11,7 +11,7 @@ from snapo.solver.solution import Solution
 from snapo.study.study import Part, Setup, StudyRun, Today
 
 from ..contract.records import StorageCase
-from ..policy.network import PricingPolicy
+from ..policy.network import StoragePolicy
 from ..policy.triggers import Triggers, decide, triggers
 from ..setup import beside, case_of, policy_of
 
@@ -51,7 +51,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     }
 
 
-def _by_price(problem: Problem, case: StorageCase, policy: PricingPolicy, levels: np.ndarray):
+def _by_price(problem: Problem, case: StorageCase, policy: StoragePolicy, levels: np.ndarray):
     """Header and rows of `decisions.csv`: the first day's decision by spot price and inventory."""
     forward = float(problem.schedule.steps.forward[0])
     spots, stock = np.meshgrid(forward * np.linspace(0.5, 1.5, PRICES), levels, indexing="ij")
@@ -106,7 +106,7 @@ def _levels(schedule) -> tuple[float, np.ndarray]:
     return here, np.unique(np.append(np.linspace(low, high, 11), here))
 
 
-def today(setup: Setup, policy: PricingPolicy) -> Today:
+def today(setup: Setup, policy: StoragePolicy) -> Today:
     """The first day's decision at the forward price, by inventory in store."""
     problem, case = setup.problem, case_of(setup)
     here, levels = _levels(problem.schedule)
@@ -147,7 +147,7 @@ def _today(
 
 
 def _ladder(
-    problem: Problem, policy: PricingPolicy, place: tuple[float, np.ndarray], at: Triggers
+    problem: Problem, policy: StoragePolicy, place: tuple[float, np.ndarray], at: Triggers
 ) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """The first day's decision at the inventory in store, and at every level."""
     here, levels = place

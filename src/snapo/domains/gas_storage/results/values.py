@@ -11,8 +11,7 @@ from snapo.study.study import Part, Setup, StudyRun
 from ..contract.records import StorageCase
 from ..contract.simulator import simulator_of
 from ..policy.fitted_guide import FittedKnots
-from ..policy.network import GuidePolicy
-from ..setup import OUTPUT, beside, case_of
+from ..setup import OUTPUT, beside, case_of, policy_of
 from .profile import working_volume
 
 PATHS = 16384
@@ -35,7 +34,7 @@ VALUES = Part("value ladder", work, needs=("intrinsic value", "training"))
 def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
     engine = run.setup.engines.evaluate
-    guide = evaluate(beside(run.setup), GuidePolicy(), PATHS, engine=engine)
+    guide = evaluate(beside(run.setup), policy_of(solution).guide, PATHS, engine=engine)
 
     error, plan = solution.standard_error, run.get("intrinsic.value")
     ladder = [

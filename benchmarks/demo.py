@@ -1,0 +1,60 @@
+"""The main job, `snapo solve` of the flagship store, in two checkouts at the same time.
+
+    python -m benchmarks.demo ../base [times]
+
+Each begins with empty caches of compiled code. Side by side, both suffer the same from whatever
+else the machine does, which moves a run on its own by a fifth and more.
+"""
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from statistics import median
+
+HERE = Path(__file__).parents[1]
+CHILD = """
+import resource, sys, time
+from snapo.cli.main import main
+started = time.perf_counter()
+assert main(sys.argv[1:]) == 0
+used = resource.getrusage(resource.RUSAGE_SELF)
+print("took", time.perf_counter() - started, used.ru_utime + used.ru_stime)
+"""
+
+
+def begun(root: Path) -> subprocess.Popen[str]:
+    """The case made, and its solution on the way."""
+    folder = tempfile.mkdtemp()
+    environment = os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": folder}
+    child = [sys.executable, "-c", CHILD]
+    quiet = {"cwd": folder, "env": environment, "text": True, "stderr": subprocess.DEVNULL}
+    subprocess.run(
+        [*child, "new", "gas-storage", "store"], check=True, stdout=subprocess.DEVNULL, **quiet
+    )
+    return subprocess.Popen([*child, "solve", "store"], stdout=subprocess.PIPE, **quiet)
+
+
+def ended(run: subprocess.Popen[str]) -> tuple[float, float]:
+    """Seconds on the clock, and of the processors."""
+    text, _ = run.communicate()
+    line = next(line for line in text.splitlines() if line.startswith("took"))
+    wall, used = map(float, line.split()[1:])
+    return wall, used
+
+
+def main() -> None:
+    """Prints each pair, and the medians of the ratios."""
+    other, times = Path(sys.argv[1]).resolve(), int(sys.argv[2]) if len(sys.argv) > 2 else 3
+    ratios = []
+    for _ in range(times):
+        ours, theirs = map(ended, [begun(root) for root in (HERE, other)])
+        ratios.append((ours[0] / theirs[0], ours[1] / theirs[1]))
+        print(f"here {ours[0]:.1f} s (processor {ours[1]:.1f}), there {theirs[0]:.1f} "
+              f"({theirs[1]:.1f}): {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip
+    print("medians {:.3f} ({:.3f})".format(*map(median, zip(*ratios))))
+
+
+if __name__ == "__main__":
+    main()
