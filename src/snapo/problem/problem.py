@@ -67,7 +67,12 @@ class Problem:
         if not self.limits:
             return self
         other = replace(self, objective=priced(self.objective, self.limits, prices), limits=())
-        other.__dict__["schedule"] = self.schedule
+        return other.prepared(self.schedule)
+
+    def prepared(self, schedule: Schedule) -> "Problem":
+        """The same problem with the schedule that its simulator would prepare, known already."""
+        other = replace(self)
+        other.__dict__["schedule"] = schedule
         return other
 
     @property

@@ -179,10 +179,10 @@ def solve(
     options = {"engine": engine}
     if isinstance(loaded.domain, RunsCode):
         options |= loaded.domain.decides(loaded.case)
-    study = loaded.domain.study(loaded.case, Options(engine, reference))
     decides = run_folder.decisive(loaded.file, loaded.data, options)
-    if resume:
-        run_folder.check_same(out, decides)
+    before = run_folder.check_same(out, decides) if resume else None
+    about = before and before.get("about")
+    study = loaded.domain.study(loaded.case, Options(engine, reference, about))
     run_folder.copy_case(loaded.file, out)
     preparing = time.perf_counter() - began
     return carry_out(loaded.domain, study, out, decides, resume, tell, preparing)

@@ -31,10 +31,12 @@ class Options(NamedTuple):
 
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
+    - `about`: what a run to resume says of the same case, whose simulator was checked for it.
     """
 
     engine: str = "auto"
     reference: bool = False
+    about: Mapping[str, Any] | None = None
 
 
 class Case(Protocol):

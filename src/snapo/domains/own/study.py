@@ -91,12 +91,12 @@ def study(case: OwnCase, options: Options) -> Study:
     if options.reference:
         what = "a simulator of your own has no references to compute"
         raise CaseError("--reference", "", None, what)
-    findings = checked(case)
+    known = (options.about or {}).get("notes")
+    notes = _notes(case) if known is None else known
     setup = make_setup(case, options.engine)
     parts = [TRAINING, distribution_part(case.units), profile_part(case.units), MOVES, CERTIFICATE]
     if isinstance(setup.problem.simulator, Relaxable):
         parts.append(BOUND)
-    notes = [*case.notes, *(f"{each.where}: {each.what}" for each in findings.warnings)]
     about = {
         "title": case.title,
         "step": case.step,
@@ -125,6 +125,11 @@ def study(case: OwnCase, options: Options) -> Study:
         moved=moved,
         inputs=lambda other: {each.name: each.input for each in named(other.inputs)},
     )
+
+
+def _notes(case: OwnCase) -> list[str]:
+    """Remarks on the case and on its simulator, which is checked."""
+    return [*case.notes, *(f"{each.where}: {each.what}" for each in checked(case).warnings)]
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

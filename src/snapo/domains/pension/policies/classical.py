@@ -9,6 +9,7 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.policy import Policy
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
 from ..fund.observation import RATIO, slots
@@ -84,7 +85,7 @@ class LiabilityDriven(Policy):
         count = len(case.assets.classes)
         self.limits, self.place = mix.limits, _ratio_slot(case)
         self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
-        held = np.asarray(self.limits.weights(mix.logits[:count], Exact()))
+        held = np.asarray(_held(mix.limits, mix.logits[:count]))
         self.growth = jnp.asarray([held[np.array(self.own)].sum() / UNIT, 0.0], jnp.float32)
         self.mix = jnp.asarray(np.log(np.maximum(held, LEAST)), jnp.float32)
         self.hedge = mix.logits[count:] if case.buckets else None
@@ -101,6 +102,11 @@ class LiabilityDriven(Policy):
         weights = share * grown / jnp.maximum(jnp.sum(grown), 1e-9)
         weights = weights + (1 - share) * safe / jnp.sum(safe)
         return self.limits.action(self.limits.nearest(weights, smooth), self.hedge, smooth)
+
+
+@compiled_sooner
+def _held(limits: Limits, logits: Array) -> Array:
+    return limits.weights(logits, Exact())
 
 
 class StockBond(Policy):

@@ -18,6 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Schedule
 from snapo.solver.evaluate import path_totals
 from snapo.study.study import StudyRun
@@ -51,7 +52,10 @@ def work(run: StudyRun) -> dict[str, Any]:
     """
     case, setup, policy = case_of(run), run.setup, run.solution.policy
     assert policy is not None
-    problem = replace(setup.problem, simulator=Explained(case))  # pyright: ignore
+    simulator = Explained(case)  # pyright: ignore
+    with jax.enable_x64(True):
+        schedule = jax.tree.map(np.asarray, moments(setup.problem.schedule))
+    problem = replace(setup.problem, simulator=simulator).prepared(schedule)
     constants = problem.schedule.constants
     assets, liability = float(constants.assets), float(constants.liability)
     if liability <= LEAST * assets:
@@ -81,18 +85,23 @@ class Moment(NamedTuple):
     shape: Array
 
 
+@compiled_sooner
+def moments(fund: Schedule) -> Schedule:
+    """The schedule of `Explained` from that of the fund."""
+
+    def later(rows, last):
+        return jnp.concatenate([rows[1:], last[None]])
+
+    terms, steps = fund.constants, fund.steps
+    people = jax.tree.map(later, steps.people, terms.last)
+    return Schedule(terms, Moment(steps, people, later(steps.shape, terms.last_shape)))
+
+
 class Explained(PensionSimulator):
     """The fund with other outputs: the effect of each part of a step on the funding ratio."""
 
     def prepare(self, inputs: dict[str, Any]) -> Schedule:
-        made = super().prepare(inputs)
-        terms, steps = made.constants, made.steps
-
-        def later(rows, last):
-            return jnp.concatenate([rows[1:], last[None]])
-
-        people = jax.tree.map(later, steps.people, terms.last)
-        return Schedule(terms, Moment(steps, people, later(steps.shape, terms.last_shape)))
+        return moments(super().prepare(inputs))
 
     def observe(self, constants, now: Moment, state):
         return super().observe(constants, now.period, state)

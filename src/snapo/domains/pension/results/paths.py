@@ -7,6 +7,7 @@ from typing import Any
 import jax
 import numpy as np
 
+from snapo.engine import COURSE
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 from snapo.study.study import StudyRun
@@ -65,8 +66,8 @@ class Record:
         limited = case_of(run).assets.dealing
         for block in source.blocks(paths, max(8, paths // 1024)):
             draws = source.draws(block, problem.simulator)
-            record = ("action", "outputs", *(("state",) * limited))
-            rolled = bound.values(policy, draws, Exact(), record=record)
+            # All of the course, whose program the certificate uses too.
+            rolled = bound.values(policy, draws, Exact(), record=COURSE)
             action = np.asarray(rolled.record["action"])
             if limited:
                 action = _traded(case_of(run), action, rolled.record["state"].weights)

@@ -4,7 +4,6 @@ The trained policy decides throughout, on the same paths; only the volatilities 
 zero. Shares need not add up to one: sources offset each other, and the policy reacts.
 """
 
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -47,8 +46,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     problem, paths = setup.problem, min(PATHS, setup.evaluation.paths)
 
     def final(zeros: list[Given]) -> np.ndarray:
-        none = {each.name: replace(each, values=0 * each.values).input() for each in zeros}
-        moved = replace(problem, inputs=problem.inputs | none)
+        moved = problem.at({each.name: 0 * each.values for each in zeros})
         totals = path_totals(moved, policy, paths, engine=setup.engines.evaluate)
         return totals["funding_ratio"]
 
