@@ -4,6 +4,7 @@ The trained policy decides throughout, on the same paths; only the volatilities 
 zero. Shares need not add up to one: sources offset each other, and the policy reacts.
 """
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -43,7 +44,10 @@ def work(run: StudyRun) -> dict[str, Any]:
     assert policy is not None
     if case.scenarios is not None:
         return {"variance": []}
-    problem, paths = setup.problem, min(PATHS, setup.evaluation.paths)
+    paths, risks = min(PATHS, setup.evaluation.paths), sources(case)
+    # What the case holds fixed is moved too: as inputs all, so that one program serves every row.
+    every = {each.name: each.input() for volatilities in risks.values() for each in volatilities}
+    problem = replace(setup.problem, inputs=every | setup.problem.inputs)
 
     def final(zeros: list[Given]) -> np.ndarray:
         moved = problem.at({each.name: 0 * each.values for each in zeros})
@@ -52,7 +56,7 @@ def work(run: StudyRun) -> dict[str, Any]:
 
     base = final([])
     rows = [{"source": "All sources", "mean": base.mean(), "deviation": base.std()}]
-    for name, volatilities in sources(case).items():
+    for name, volatilities in risks.items():
         present = [each for each in volatilities if each.values.any()]
         if present:
             left = final(present)
