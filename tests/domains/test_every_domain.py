@@ -72,7 +72,8 @@ def test_the_miniature_is_solved_and_its_report_can_be_written_again(
     record = json.loads((run / "run.json").read_text())
     asked = MINIATURES[kind].asked(solved(kind))
     loaded = commands.load(asked)
-    parts = loaded.domain.study(loaded.case, commands.Options()).parts
+    options = commands.Options(about=record["about"])
+    parts = loaded.domain.study(loaded.case, options).parts
     assert [each.name for each in parts] == list(record["parts"])
     assert {each["state"] for each in record["parts"].values()} == {"done"}
     assert {each.file for each in parts} == {each.name for each in (run / "parts").iterdir()}

@@ -5,7 +5,7 @@ from typing import Any
 
 from snapo.case.error import CaseError
 from snapo.solver.solution import Solution
-from snapo.study.again import case_of_run
+from snapo.study.again import case_of_run, options_of_run
 from snapo.study.commands import domain_of_run
 from snapo.study.domain import Options
 from snapo.study.run_folder import read
@@ -37,7 +37,8 @@ def open_run(
     def anew(case: Any) -> Study:
         return domain.study(case, Options(engine))
 
-    study = anew(domain.read(file, data))
+    case = domain.read(file, data)
+    study = domain.study(case, options_of_run(domain, case, record, engine))
     files = read_files(file.parent, data)
     if study.setup is None and study.recalculated is not None:
         given = study.recalculated()

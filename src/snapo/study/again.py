@@ -9,6 +9,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.case.table import load
 
+from .domain import Domain, Options, RunsCode
 from .run_folder import CASE, differences
 
 
@@ -24,6 +25,14 @@ def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, A
         raise CaseError(str(out / CASE), "", None, what)
     file, data = min(found, key=lambda each: len(list(differences(_plain(each[1]), recorded))))
     return file, _as_recorded(data, recorded)
+
+
+def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
+    """As the case of a run is studied again: without the checks that it passed, unless it runs code
+    that has changed since."""
+    decided = record["decides"].get("options", {})
+    same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided.items()
+    return Options(engine, about=record.get("about") if same else None)
 
 
 def _as_recorded(data: Any, recorded: Any) -> Any:

@@ -202,7 +202,7 @@ def certify(
     **Raises:** `CaseError` where there is no such run, or nothing bounds its value; it says why.
     """
     from . import run_folder
-    from .again import case_of_run
+    from .again import case_of_run, options_of_run
     from .cores import use_every_core
 
     record = run_folder.read(run)
@@ -213,7 +213,8 @@ def certify(
     from .carry_out import certify as certified
     from .parts.bound import PATHS
 
-    study = domain.study(domain.read(file, data), Options(engine))
+    case = domain.read(file, data)
+    study = domain.study(case, options_of_run(domain, case, record, engine))
     return certified(domain, study, run, tell, paths or PATHS, penalty)
 
 

@@ -45,7 +45,7 @@ class PensionFund:
         """The classical policies are always tuned: `reference` asks for nothing more."""
         from .results.study import pension_study
 
-        return pension_study(case, options.engine)
+        return pension_study(case, options)
 
     def report(self) -> "Report":
         from .sections.page import REPORT

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+from snapo.study.domain import Options
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -52,12 +53,14 @@ POTS = Part("pots", outcome.work, TRAINED)
 MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 
 
-def pension_study(case: PensionCase, engine: str) -> Study:
+def pension_study(case: PensionCase, options: Options) -> Study:
     """All that a run of the case does.
 
     **Raises:** `CaseError` where a figure of the actuary's is missed: before anything is written.
     """
-    examine(case)
+    if options.about is None:  # else it passed, and a run of it goes on
+        examine(case)
+    engine = options.engine
 
     @cache
     def setup() -> Setup:
