@@ -54,7 +54,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     assert policy is not None
     simulator = Explained(case)  # pyright: ignore
     with jax.enable_x64(True):
-        schedule = jax.tree.map(np.asarray, moments(setup.problem.schedule))
+        schedule = jax.tree.map(np.asarray, _moments(setup.problem.schedule))
     problem = replace(setup.problem, simulator=simulator).prepared(schedule)
     constants = problem.schedule.constants
     assets, liability = float(constants.assets), float(constants.liability)
@@ -85,7 +85,6 @@ class Moment(NamedTuple):
     shape: Array
 
 
-@compiled_sooner
 def moments(fund: Schedule) -> Schedule:
     """The schedule of `Explained` from that of the fund."""
 
@@ -95,6 +94,9 @@ def moments(fund: Schedule) -> Schedule:
     terms, steps = fund.constants, fund.steps
     people = jax.tree.map(later, steps.people, terms.last)
     return Schedule(terms, Moment(steps, people, later(steps.shape, terms.last_shape)))
+
+
+_moments = compiled_sooner(moments)  # not within another program, as `Explained.prepare` is
 
 
 class Explained(PensionSimulator):
