@@ -9,9 +9,9 @@ else the machine does, which moves a run on its own by a fifth and more.
 import os
 import subprocess
 import sys
-import tempfile
 from pathlib import Path
 from statistics import median
+from tempfile import TemporaryDirectory
 
 HERE = Path(__file__).parents[1]
 CHILD = """
@@ -24,9 +24,8 @@ print("took", time.perf_counter() - started, used.ru_utime + used.ru_stime)
 """
 
 
-def begun(root: Path) -> subprocess.Popen[str]:
-    """The case made, and its solution on the way."""
-    folder = tempfile.mkdtemp()
+def begun(root: Path, folder: str) -> subprocess.Popen[str]:
+    """The case made in an empty folder, and its solution on the way."""
     environment = os.environ | {"PYTHONPATH": str(root / "src"), "XDG_CACHE_HOME": folder}
     child = [sys.executable, "-c", CHILD]
     quiet = {"cwd": folder, "env": environment, "text": True, "stderr": subprocess.DEVNULL}
@@ -49,7 +48,8 @@ def main() -> None:
     other, times = Path(sys.argv[1]).resolve(), int(sys.argv[2]) if len(sys.argv) > 2 else 3
     ratios = []
     for _ in range(times):
-        ours, theirs = map(ended, [begun(root) for root in (HERE, other)])
+        with TemporaryDirectory() as here, TemporaryDirectory() as there:
+            ours, theirs = map(ended, [begun(HERE, here), begun(other, there)])
         ratios.append((ours[0] / theirs[0], ours[1] / theirs[1]))
         print(f"here {ours[0]:.1f} s (processor {ours[1]:.1f}), there {theirs[0]:.1f} "
               f"({theirs[1]:.1f}): {ratios[-1][0]:.3f} ({ratios[-1][1]:.3f})")  # fmt: skip

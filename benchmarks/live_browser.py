@@ -69,7 +69,7 @@ async ([at, key, places]) => {
 
 @contextmanager
 def served(run: Path, simulator: tuple[str, str] | None = None, **about: Any) -> Iterator[Server]:
-    """The page's server, in a thread of its own; `about`: what it says in place of the run."""
+    """The page's server, in a thread of its own; `about`: entries in place of the run's."""
     command = [sys.executable, "-m", "snapo.live.worker", str(run)]
     if simulator is not None:
         command += ["--simulator", ":".join(simulator)]

@@ -94,6 +94,6 @@ def test_a_killed_run_resumes_to_the_same_bits(solved, tmp_path):
 
 @pytest.mark.study
 @pytest.mark.parametrize("kind", sorted(MINIATURES))
-def test_fifty_kills(kind, solved, tmp_path):
-    """Thirteen of each domain."""
+def test_thirteen_kills(kind, solved, tmp_path):
+    """Of every domain."""
     same_after(kind, solved, tmp_path, 13, 3.0)

@@ -16,7 +16,7 @@ OPTIONS = {"xla_backend_optimization_level": 1, "xla_cpu_use_fusion_emitters": F
 
 
 def compiled_sooner(function: Callable[P, R]) -> Callable[P, R]:
-    """`eqx.filter_jit` in two thirds of the time, for what is prepared and what reports draw.
+    """`eqx.filter_jit` in two thirds of the time, for schedules and the figures of reports.
 
     Nothing differs but time and the last bits. On other devices than processors, and with an XLA
     that knows no such options, it is `eqx.filter_jit`.

@@ -176,7 +176,7 @@ def _begun(
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:
-    """What the sensitivities need is compiled while a processor waits for the training's."""
+    """The transpose for the sensitivities, compiled beside the program of the training."""
     if not min(evaluation.sensitivity_paths, evaluation.paths):
         return nullcontext()
     return compiled_meanwhile(problem.simulator, problem.inputs, problem.schedule)

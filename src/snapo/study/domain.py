@@ -31,7 +31,7 @@ class Options(NamedTuple):
 
     - `engine`: "auto", "xla" or "native".
     - `reference`: compute the exact references as well, however long they take.
-    - `about`: what a run to resume says of the same case, which passed its checks for it.
+    - `about`: that of an earlier run of the same case, which passed its checks for it; else None.
     """
 
     engine: str = "auto"

@@ -46,7 +46,7 @@ class StoragePolicy(Policy):
 
     @property
     def guide(self) -> "StoragePolicy":
-        """The guide alone, by a network that adds nothing: whatever runs this policy runs it."""
+        """The guide alone, by a network that adds nothing: one program runs both."""
 
         def last(policy: StoragePolicy):
             return policy.network.weights[-1], policy.network.biases[-1]

@@ -45,7 +45,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     if case.scenarios is not None:
         return {"variance": []}
     paths, risks = min(PATHS, setup.evaluation.paths), sources(case)
-    # What the case holds fixed is moved too: as inputs all, so that one program serves every row.
+    # Numbers that the case holds fixed move too: all are inputs, so that one program serves.
     every = {each.name: each.input() for volatilities in risks.values() for each in volatilities}
     problem = replace(setup.problem, inputs=every | setup.problem.inputs)
 
