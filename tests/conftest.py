@@ -10,7 +10,9 @@ from pathlib import Path
 # twice in two ways: the derivative of a maximum, which compares the two, is then wrong or NaN.)
 # SNAPO_TEST_XLA=full compiles as users do, and tests/engine/test_xla_level.py compares the two.
 # Processes that tests start read the flags too.
-LOW = "--xla_backend_optimization_level=1 --xla_cpu_use_fusion_emitters=false"
+LOW = "--xla_backend_optimization_level=1"
+if tuple(map(int, version("jaxlib").split(".")[:2])) < (0, 11):
+    LOW += " --xla_cpu_use_fusion_emitters=false"  # later ones end the process: unknown flag
 LEVEL = os.environ.setdefault("SNAPO_TEST_XLA", "low")
 if LEVEL == "low":
     os.environ["XLA_FLAGS"] = f"{os.environ.get('XLA_FLAGS', '')} {LOW}".strip()

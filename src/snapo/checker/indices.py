@@ -13,6 +13,7 @@ import numpy as np
 from jax._src import source_info_util
 from jax.lax import GatherScatterMode
 
+from snapo.lanes.jax_private import arguments_of_scan
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact
 
@@ -141,7 +142,7 @@ def _inner(eqn, values):
     if kind == "cond":
         return [(branch, values[1:]) for branch in params["branches"]]
     if kind == "scan":
-        fixed = params["num_consts"]
+        fixed, _ = arguments_of_scan(params)
         return [(params["jaxpr"], values[:fixed])]
     found = [x for x in params.values() if isinstance(x, jex.ClosedJaxpr)]
     return [(x, values if len(x.jaxpr.invars) == len(values) else []) for x in found]

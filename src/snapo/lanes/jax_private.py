@@ -26,8 +26,10 @@ CALLS = {
     "custom_vjp_call": "call_jaxpr",
     "custom_vjp_call_jaxpr": "fun_jaxpr",
 }
-# The function inside `jnp.searchsorted`, which is compiled as one operation.
-SEARCH = "_searchsorted_scan_impl"
+# The function inside `jnp.searchsorted`, or its own class, which is compiled as one operation.
+_SEARCHES = ("_searchsorted_scan_impl", "SearchSorted")
+# A primitive of a class of its own, which says what it consists of.
+_OWN_CLASS = "call_hi_primitive"
 # Modules, and the names that are used of each.
 _NAMES = {
     "jax.extend.core": ("Literal",),
@@ -70,6 +72,39 @@ def traceback_of(eqn, caller=None) -> Any:
     """An equation's traceback, or the caller's where it holds no line of user code."""
     traceback = eqn.source_info.traceback
     return caller if _found["user_frame"](traceback) is None else traceback
+
+
+def called(eqn) -> Any:
+    """The jaxpr of an equation that only calls it; None of every other equation."""
+    name, params = eqn.primitive.name, eqn.params
+    if searched_side(eqn) is not None:
+        return None
+    if name in CALLS:
+        return params[CALLS[name]]
+    if name == _OWN_CLASS:
+        given = [v.aval for v in eqn.invars]
+        return jax.make_jaxpr(lambda *values: eqn.primitive.to_lojax(*values, **params))(*given)
+    return None
+
+
+def searched_side(eqn) -> str | None:
+    """ "left" or "right" of a `jnp.searchsorted` in one table; None of every other equation."""
+    own = eqn.params.get("_prim")
+    name = eqn.params.get("name") if own is None else type(own).__name__
+    if name not in _SEARCHES or eqn.invars[0].aval.ndim != 1:
+        return None
+    if own is not None:
+        return own.side
+    # It asks whether query < entry, or query <= entry.
+    return "right" if "lt_to" in str(eqn.params["jaxpr"].jaxpr) else "left"
+
+
+def arguments_of_scan(params) -> tuple[int, int]:
+    """How many of a `scan`'s arguments are the same in all rounds, and how many are carried."""
+    if "ft_in" in params:
+        fixed, carried, _ = params["ft_in"].unpack()
+        return len(list(fixed)), len(list(carried))
+    return params["num_consts"], params["num_carry"]
 
 
 def apply(eqn, inputs: list, traceback) -> list:

@@ -36,7 +36,9 @@ def compiled_sooner(function: Callable[P, R]) -> Callable[P, R]:
 @cache
 def _options() -> dict | None:
     """The options that this XLA knows; None on another device."""
-    if jax.default_backend() != "cpu":
+    device = jax.config.jax_default_device  # pyright: ignore[reportAttributeAccessIssue]
+    kind = jax.default_backend() if device is None else getattr(device, "platform", device)
+    if kind != "cpu":
         return None
     return {name: value for name, value in OPTIONS.items() if _known(name, value)}
 

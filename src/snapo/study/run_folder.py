@@ -14,6 +14,7 @@ report.html
 import hashlib
 import json
 import math
+import os
 import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
@@ -46,7 +47,7 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 def check_writable(out: Path) -> None:
     """An unwritable folder or a full disk is found before training, not after."""
     place = out
-    while not place.exists() and place != place.parent:
+    while not os.path.lexists(place) and place != place.parent:  # a link to nowhere is no folder
         place = place.parent
     if not place.is_dir():
         raise CaseError(str(out), "", None, f"{place} is not a folder")

@@ -15,7 +15,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_private import CALLS, SEARCH, apply, is_literal, traceback_of
+from ..jax_private import apply, called, is_literal, searched_side, traceback_of
 
 CONSTANT, CALL, STEP, PATH = range(4)
 # What comes after it is the same whatever comes before it: a number that arrives from memory in
@@ -75,8 +75,7 @@ def inlined(function: Callable, avals: Sequence[Any]):
 
 
 def _plain_call(eqn) -> bool:
-    name = eqn.primitive.name
-    return name in ("jit", "pjit", "closed_call") and eqn.params.get("name") != SEARCH
+    return eqn.primitive.name in ("jit", "pjit", "closed_call") and searched_side(eqn) is None
 
 
 def evaluate(closed, values, caller=None):
@@ -95,7 +94,7 @@ def evaluate(closed, values, caller=None):
         inputs = [read(a) for a in eqn.invars]
         line = traceback_of(eqn, caller)
         if _plain_call(eqn):
-            outputs = evaluate(eqn.params[CALLS[eqn.primitive.name]], inputs, line)
+            outputs = evaluate(called(eqn), inputs, line)
         else:
             outputs = apply(eqn, inputs, line)
         env.update(zip(eqn.outvars, outputs))

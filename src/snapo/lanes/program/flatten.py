@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from .. import numbers
-from ..jax_private import CALLS, SEARCH, is_literal, line_of
+from ..jax_private import arguments_of_scan, called, is_literal, line_of, searched_side
 from ..unsupported import Unsupported
 from . import folding
 from .cut import BARRIER
@@ -60,8 +60,9 @@ class Flattener:
 
     def operation(self, eqn, inputs: list[Value], line: str) -> list[Value]:
         name = eqn.primitive.name
-        if name in CALLS and eqn.params.get("name") != SEARCH:
-            return self.inline(eqn.params[CALLS[name]], inputs)
+        inner = called(eqn)
+        if inner is not None:
+            return self.inline(inner, inputs)
         if name in IDENTITIES:
             return inputs
         if name == BARRIER:
@@ -74,8 +75,10 @@ class Flattener:
             raise Unsupported(f"while: loops of unknown length, at {line}")
         if len(self.ops) > LARGEST:
             raise Unsupported(f"{name}: more than {LARGEST} operations in one step, at {line}")
-        name = "searchsorted" if eqn.params.get("name") == SEARCH else name
-        return self.add(name, inputs, [v.aval for v in eqn.outvars], eqn.params, line)
+        side, avals = searched_side(eqn), [v.aval for v in eqn.outvars]
+        if side is not None:
+            return self.add("searchsorted", inputs, avals, {"side": side}, line)
+        return self.add(name, inputs, avals, eqn.params, line)
 
     def add(self, name, inputs, avals, params, line="") -> list[Value]:
         """Appends an operation, or folds it when everything it reads is known."""
@@ -129,7 +132,7 @@ class Flattener:
     def scan(self, eqn, inputs: list[Value], line: str) -> list[Value]:
         """An inner `scan` or `fori_loop`, written out."""
         p = eqn.params
-        length, consts, carries = p["length"], p["num_consts"], p["num_carry"]
+        length, (consts, carries) = p["length"], arguments_of_scan(p)
         if length > UNROLL:
             raise Unsupported(f"scan: {length} inner steps (at most {UNROLL}), at {line}")
         fixed, carry, xs = (

@@ -15,7 +15,7 @@ from .conversions import FLOAT, compare, convert, one_like, width, zero_like
 
 LIBRARY = {
     "tan": "llvm.tan", "asin": "llvm.asin", "acos": "llvm.acos",
-    "atan": "llvm.atan", "sinh": "llvm.sinh", "cosh": "llvm.cosh", "exp2": "llvm.exp2",
+    "atan": "llvm.atan", "sinh": "llvm.sinh", "cosh": "llvm.cosh", "exp2": "llvm.exp2", "log2": "llvm.log2",
     "sqrt": "llvm.sqrt", "floor": "llvm.floor", "ceil": "llvm.ceil",
 }  # fmt: skip
 C_LIBRARY = {
@@ -41,6 +41,8 @@ def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
         return _shift(code, SHIFTS[name], *inputs)
     if name == "convert_element_type":
         return convert(code, inputs[0], dtype)
+    if name == "bitcast_convert_type":
+        return _same_bits(code, op, inputs[0])
     if name == "integer_pow":
         return _power(code, inputs[0], op.params["y"])
     if name == "fma":
@@ -61,7 +63,10 @@ def apply(code: Code, op: Op, inputs: list[Ref]) -> Ref:
 def supported(name: str) -> bool:
     """Whether a primitive is elementwise and known."""
     known = (FLOAT, CURVES, LIBRARY, C_LIBRARY, BITS, SHIFTS, RULES)
-    others = ("fma", "convert_element_type", "integer_pow", "round", "reduce_precision")
+    others = (
+        "fma", "convert_element_type", "bitcast_convert_type", "integer_pow", "round",
+        "reduce_precision",
+    )  # fmt: skip
     return any(name in k for k in known) or name in others
 
 
@@ -91,6 +96,14 @@ def _reduced(op: Op, x: Ref) -> Ref:
     if kept != ((8, 23) if x.dtype == "float32" else (11, 52)):
         raise Unsupported(f"reduce_precision: to {kept} bits, at {op.where}")
     return x
+
+
+def _same_bits(code: Code, op: Op, x: Ref) -> Ref:
+    """The bits of a number as a number of another type, as wide."""
+    dtype = op.outputs[0].dtype
+    if dtype.itemsize != op.inputs[0].dtype.itemsize:
+        raise Unsupported(f"bitcast_convert_type: to {dtype}, of another width, at {op.where}")
+    return code.convert("bitcast", x, dtype.name)
 
 
 def _extreme(code: Code, a: Ref, b: Ref, larger: bool) -> Ref:
@@ -237,6 +250,20 @@ def _rsqrt(code: Code, x: Ref) -> Ref:
     return code.div(one_like(code, x), code.call("llvm.sqrt", x))
 
 
+def _one_minus_square(code: Code, x: Ref) -> Ref:
+    """1 - x^2 without cancellation near one, as JAX writes it: the derivative of tanh."""
+    one = one_like(code, x)
+    return code.mul(code.add(one, x), code.sub(one, x))
+
+
+def _polynomial(code: Code, x: Ref, *coefficients: Ref) -> Ref:
+    """c0 + c1 x + c2 x^2 …, by Horner's rule."""
+    *others, result = coefficients
+    for coefficient in reversed(others):
+        result = code.add(code.mul(result, x), coefficient)
+    return result
+
+
 RULES: dict[str, Callable[..., Ref]] = {
     "add": Code.add,
     "sub": Code.sub,
@@ -255,6 +282,8 @@ RULES: dict[str, Callable[..., Ref]] = {
     "select_n": select,
     "is_finite": _finite,
     "square": lambda code, x: code.mul(x, x),
+    "one_minus_square": _one_minus_square,
+    "polynomial": _polynomial,
     "rsqrt": _rsqrt,
     "lt_to": _total_order(True),
     "le_to": _total_order(False),

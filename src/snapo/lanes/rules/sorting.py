@@ -97,8 +97,7 @@ def _extreme(values: Values, op: Op) -> None:
 def _search(values: Values, op: Op) -> None:
     """`jnp.searchsorted` as the number of entries below: no branches, no gathers."""
     table, query = op.inputs
-    strict = op.params["jaxpr"].jaxpr
-    right = "lt_to" in str(strict)  # it asks whether query < entry, or query <= entry
+    right = op.params["side"] == "right"
     code, out = values.code, op.outputs[0]
     if table.size > 4 * LONGEST:
         raise Unsupported(

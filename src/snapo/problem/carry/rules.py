@@ -5,6 +5,8 @@ from typing import Any
 
 import numpy as np
 
+from snapo.lanes.jax_private import arguments_of_scan
+
 from .graph import Graph, Tensor
 
 MOST = 64  # rounds of a loop that are written out
@@ -237,7 +239,7 @@ def _matrix(graph: Graph, value: Tensor, axis: int, last: bool) -> Tensor:
 
 def unrolled(graph: Graph, settings: Any, given: list[Tensor], write: Callable) -> list[Tensor]:
     """A loop of a known, small number of rounds that carries values and returns no others."""
-    count, carried = settings["num_consts"], settings["num_carry"]
+    count, carried = arguments_of_scan(settings)
     if settings["length"] > MOST or len(given) != count + carried:
         raise ValueError(f"to_onnx: a loop of more than {MOST} rounds is not exported.")
     fixed, moving = given[:count], given[count:]

@@ -13,7 +13,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.recipe.optimise import optimise, varies
-from snapo.domains.pharma.recipe.optimum import Traced, best, optimum
+from snapo.domains.pharma.recipe.optimum import ACTIVE, Traced, best, optimum
 from snapo.domains.pharma.recipe.watch import Limits
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "plug_flow"
@@ -114,7 +114,8 @@ def test_a_limit_is_worth_what_solving_again_gains():
     assert found.recipe.converged and found.recipe.residual < 1e-6
     temperature, duration = found.recipe.x
     assert temperature == pytest.approx(323.15)
-    assert found.recipe.value == pytest.approx(0.11 / (duration / 3600), rel=1e-9)
+    # A limit counts as reached within 1e-7; how close an optimiser comes differs between machines.
+    assert found.recipe.value == pytest.approx(0.11 / (duration / 3600), rel=ACTIVE)
     worth = found.recipe.conditions.above[0] / found.bounds[0].size
     step, ends = 1e-4, []
     for limit in (0.11 - step, 0.11 + step):
