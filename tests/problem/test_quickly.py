@@ -29,9 +29,13 @@ def test_an_option_that_xla_does_not_know_is_left_out(monkeypatch):
     known = {"xla_backend_optimization_level": 1}
     monkeypatch.setattr(quickly, "OPTIONS", known | {"xla_no_such_option": True})
     monkeypatch.setattr(quickly.jax, "default_backend", lambda: "cpu")
-    assert quickly._options.__wrapped__() == known
+    with quickly.jax.default_device(None):
+        assert quickly._options.__wrapped__() == known
 
 
 def test_other_devices_have_no_such_options(monkeypatch):
     monkeypatch.setattr(quickly.jax, "default_backend", lambda: "gpu")
-    assert quickly._options.__wrapped__() is None
+    with quickly.jax.default_device(None):
+        assert quickly._options.__wrapped__() is None
+    with quickly.jax.default_device("cpu"):  # a GPU is there, and nothing is computed on it
+        assert quickly._options.__wrapped__() is not None

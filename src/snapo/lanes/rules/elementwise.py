@@ -15,7 +15,8 @@ from .conversions import FLOAT, compare, convert, one_like, width, zero_like
 
 LIBRARY = {
     "tan": "llvm.tan", "asin": "llvm.asin", "acos": "llvm.acos",
-    "atan": "llvm.atan", "sinh": "llvm.sinh", "cosh": "llvm.cosh", "exp2": "llvm.exp2", "log2": "llvm.log2",
+    "atan": "llvm.atan", "sinh": "llvm.sinh", "cosh": "llvm.cosh", "exp2": "llvm.exp2",
+    "log2": "llvm.log2",
     "sqrt": "llvm.sqrt", "floor": "llvm.floor", "ceil": "llvm.ceil",
 }  # fmt: skip
 C_LIBRARY = {
