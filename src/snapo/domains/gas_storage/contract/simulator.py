@@ -226,7 +226,10 @@ class StorageSimulator(Simulator):
         most = jnp.where(now.min_withdrawal > 0, -now.min_withdrawal, injection)
         least = smooth.maximum(least, now.next_low - keep, scale)
         most = smooth.minimum(most, now.next_high - keep, scale)
-        # Rounding may leave least a hair above most: one feasible flow, then.
+        # Rounding may leave least a hair above most: one feasible flow, then. Where they are equal,
+        # as before an agreed end, XLA must not compute them twice, rounded in two ways: either side
+        # of the maximum would pass for the smaller one, and the derivative be lost or doubled.
+        most, least = jax.lax.optimization_barrier((most, least))
         most = jnp.maximum(most, least)
         base = smooth.minimum(smooth.maximum(0.0, least, scale), most, scale)
         return Flows(keep, base, most, least)
