@@ -196,6 +196,13 @@ def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units)
         colour = LIGHT["main"] if strong else LIGHT["other"]
         axes.plot(x, y, "o", color=colour, markersize=9 if strong else 7)
     axes.margins(x=0.25, y=0.3)
+    number_axis(axes.xaxis)
+    number_axis(axes.yaxis)
+    axes.set_xlabel(units[0])
+    unit_above(axes, units[1])
+    layout = axes.get_figure(root=True).get_layout_engine()
+    if layout is not None:
+        layout.execute(axes.get_figure(root=True))  # the names need to know how large the plot is
     for (name, x, y, strong), (left, up) in zip(points, _beside(axes, points), strict=True):
         # A name that had to leave its point has a line to it.
         line = {"arrowstyle": "-", "color": LIGHT["other"], "linewidth": 0.6}
@@ -203,10 +210,6 @@ def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units)
             name, (x, y), (left, up), textcoords="offset points", va="center",
             fontweight="bold" if strong else "normal", arrowprops=line if abs(up) > LINE else None,
         )  # fmt: skip
-    number_axis(axes.xaxis)
-    number_axis(axes.yaxis)
-    axes.set_xlabel(units[0])
-    unit_above(axes, units[1])
 
 
 def _beside(axes: Axes, points) -> list[tuple[float, float]]:

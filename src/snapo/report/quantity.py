@@ -97,6 +97,7 @@ def part_of(share: Any, places: int = 2) -> str:
 def unit_words(unit: str) -> str:
     """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
     text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
+    text = re.sub(r"\bsqrt\((\w+)\)", r"√\1", text)
     return re.sub(r"\bum\b", "µm", text).replace("*", "·")
 
 
