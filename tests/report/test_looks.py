@@ -44,6 +44,7 @@ def test_units_are_written_by_hand(unit, written):
 def test_numbers_that_would_be_noughts_are_powers_of_ten():
     assert number(1.578e-6).replace("\u00a0", " ") == "1.578 × 10⁻⁶"
     assert number(-3.5e-8, 9).replace("\u00a0", " ") == "−3.5 × 10⁻⁸"
+    assert number(0.0, 9) == "0"  # beside them on an axis
     assert number(3.5e-8, 3) == "0.000"  # a column of few decimals stays one
     assert number(0.00006918) == "0.00006918" and number(0.0) == "0"
     assert (part_of(2.5e-5), part_of(0.0)) == (f"less than {percent(1e-4, 2)}", percent(0.0, 2))
@@ -126,7 +127,8 @@ WIDE = """() => [...document.querySelectorAll("body *")].filter((each) => {
   const box = each.getBoundingClientRect();
   return box.width && box.right > innerWidth + 1 && !each.closest(".scroll, .drawing, .skip");
 }).map((each) => each.outerHTML.slice(0, 80))"""
-# The contrast of every text with what lies behind it (WCAG 2: 4.5, and 3 for large type).
+# The contrast of every text with what lies behind it (WCAG 2: 4.5, and 3 for large type; a control
+# that is switched off is free of it).
 PALE = """() => {
   const parse = (text) => (text.match(/[\\d.]+/g) ?? []).map(Number);
   const light = (rgb) => rgb.slice(0, 3).map((c) => c / 255)
@@ -141,7 +143,7 @@ PALE = """() => {
   };
   return [...document.querySelectorAll("body *:not(svg *):not(script):not(style)")].filter((each) => {
     const own = [...each.childNodes].some((node) => node.nodeType === 3 && node.data.trim());
-    if (!own || !each.getClientRects().length) return false;
+    if (!own || !each.getClientRects().length || each.closest(":disabled")) return false;
     const style = getComputedStyle(each), [a, b] = [light(parse(style.color)), light(behind(each))];
     const ratio = (Math.max(a, b) + 0.05) / (Math.min(a, b) + 0.05);
     return ratio < (parseFloat(style.fontSize) >= 24 ? 3 : 4.5);

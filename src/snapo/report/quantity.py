@@ -47,6 +47,8 @@ def number(value: Any, places: int | None = None, sign: bool = False) -> str:
     known = finite(value)
     if known is None:
         return NONE
+    if known == 0 and places is not None and places > MOST:
+        return "0"
     if 0 < abs(known) < TINY and (places is None or places > MOST):
         return ("+" if sign and known > 0 else "") + power(known, 3)
     text = f"{abs(known):,.{min(decimals([known], 4), 9) if places is None else places}f}"

@@ -118,10 +118,12 @@ export function tornado(width, rows) {
   const middle = names + (up && down ? room / 2 : down ? room : 4);
   const half = (up && down ? room / 2 : room - 4) - side;
   const svg = node("svg", { viewBox: `0 0 ${width} ${rows.length * line + 4}`, height: rows.length * line + 4, role: "img", "aria-label": "Effect of moving each input" });
-  svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: 0, y2: rows.length * line }));
+  const zero = (top, bottom) => svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: top, y2: bottom }));
+  if (!over) zero(0, rows.length * line);
   const letters = Math.floor((over ? width : names) / 6.1);
   rows.forEach((row, i) => {
     const y = i * line + 4 + drop, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
+    if (over) zero(y - 1, y + 16); // not through the names
     const fits = [row.name, row.short].find((each) => each.length <= letters);
     const name = fits ?? row.short.slice(0, letters - 1) + "…";
     const text = node("text", { x: 0, y: over ? y - 4 : y + 12 }, name);
