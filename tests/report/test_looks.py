@@ -28,7 +28,7 @@ from snapo.report.quantity import (
 from snapo.study.report import write_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
-RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b|\bundefined\b|\[object|&[a-z]+;|</?[a-z]+>"
+RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b(?! is kept)|\bundefined\b|\[object|&[a-z]+;|</?[a-z]+>"
 
 
 @pytest.mark.parametrize(
