@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shutil
 import signal
 import time
@@ -13,6 +14,7 @@ pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
 sync_api = pytest.importorskip("playwright.sync_api", reason="playwright drives the browser")
 
 from benchmarks import live_browser  # noqa: E402
+from tests.report import test_looks  # noqa: E402
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 pytestmark = [
@@ -250,8 +252,10 @@ def test_two_pages_move_apart(page, served, browser):
     home(page)
 
 
+@pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [1440, 1024, 390])
-def test_nothing_is_cut_at_any_width(page, width):
+def test_nothing_is_cut_at_any_width(page, width, scheme):
+    page.emulate_media(color_scheme=scheme)
     page.set_viewport_size({"width": width, "height": 900})
     page.evaluate(
         "() => document.querySelectorAll('details').forEach((each) => (each.open = true))"
@@ -265,6 +269,21 @@ def test_nothing_is_cut_at_any_width(page, width):
         }).map((each) => each.outerHTML.slice(0, 80))"""
     )
     assert wide == []
+    assert page.evaluate(test_looks.PALE) == []
+    assert re.findall(test_looks.RAW, page.inner_text("main")) == []
+
+
+def test_numbers_and_units_are_written_as_by_hand(page):
+    found = page.evaluate(
+        """() => import("./numbers.js").then((m) => [
+        m.shown(1.36e-8, 3), m.shown(-0.00006), m.shown(44600000000), m.field(44600000000),
+        m.unitWords("kg/m^3"), m.unitWords("Pa*s"), m.unitWords("EUR/t CO2"), m.unitWords("um/s"),
+        m.alike([15.999, 16.03, 15.98])(15.98), m.alike([1, 1e-9])(1)])"""
+    )
+    assert [each.replace("\u00a0", " ") for each in found] == [
+        "1.36 × 10⁻⁸", "−0.00006", "44,600,000,000", "4.46e10",
+        "kg/m³", "Pa·s", "EUR/t CO2", "µm/s", "15.980", "1",
+    ]  # fmt: skip
 
 
 def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):

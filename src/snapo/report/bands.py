@@ -9,9 +9,11 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import NullLocator
 
 from .axes import number_axis
-from .drawing import legend_above, unit_above
+from .drawing import WIDTH, legend_above, unit_above
 from .theme import LIGHT
 
+LETTER, LINE = 5.4, 11.5  # points: a letter and a line of text of 9 points
+GAP = 0.015  # between a bar and its number, as a share of the longest bar
 DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
 
 
@@ -125,17 +127,33 @@ def tornado(axes: Axes, swings: Sequence[Swing], unit: str) -> None:
             line = {"ecolor": LIGHT["ink"], "elinewidth": 1.1, "capsize": 3.0}
             axes.errorbar(each.value, row, xerr=each.half, fmt="none", **line)
         side = 1 if each.value >= 0 else -1
-        end = each.value + side * (each.half + 0.015 * reach)
+        end = each.value + side * (each.half + GAP * reach)
         axes.text(end, row, each.text, va="center", ha="left" if side > 0 else "right")
     axes.set_yticks(range(len(swings)), [each.name for each in swings])
     axes.tick_params(axis="y", length=0, labelcolor=LIGHT["ink"])
     axes.set_ylim(len(swings) - 0.45, -0.55)
-    axes.set_xlim(-1.35 * reach, 1.35 * reach)
+    axes.set_xlim(*_room(swings, reach))
     axes.xaxis.set_major_locator(NullLocator())
     axes.grid(False)
     axes.spines["bottom"].set_visible(False)
     axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
     unit_above(axes, unit)
+
+
+def _room(swings: Sequence[Swing], reach: float) -> tuple[float, float]:
+    """Limits of the horizontal axis that leave room for the numbers at the ends of the bars."""
+    names = max((len(each.name) for each in swings), default=0)
+    points = max(200.0, WIDTH - LETTER * names - 24.0)  # of the plot, beside the names
+    low, high = -0.04 * reach, 0.04 * reach
+    for _ in range(40):  # a wider axis has wider texts: their share of it is below a half
+        each_point = (high - low) / points
+        for each in swings:
+            end = abs(each.value) + each.half + GAP * reach + each_point * LETTER * len(each.text)
+            low, high = (low, max(high, end)) if each.value >= 0 else (min(low, -end), high)
+            # The whisker also reaches to the other side of zero.
+            back = each.half - abs(each.value)
+            low, high = (min(low, -back), high) if each.value >= 0 else (low, max(high, back))
+    return low, high
 
 
 @dataclass(frozen=True)
@@ -174,13 +192,48 @@ def stack(axes: Axes, years: np.ndarray, layers: Sequence[Layer], unit: str) -> 
 
 def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units) -> None:
     """Named points (name, x, y, strong) with their names beside them."""
-    for name, x, y, strong in points:
+    for _, x, y, strong in points:
         colour = LIGHT["main"] if strong else LIGHT["other"]
         axes.plot(x, y, "o", color=colour, markersize=9 if strong else 7)
-        weight = "bold" if strong else "normal"
-        axes.annotate(name, (x, y), (7, 4), textcoords="offset points", fontweight=weight)
-    axes.margins(x=0.25, y=0.25)
+    axes.margins(x=0.25, y=0.3)
     number_axis(axes.xaxis)
     number_axis(axes.yaxis)
     axes.set_xlabel(units[0])
     unit_above(axes, units[1])
+    layout = axes.get_figure(root=True).get_layout_engine()
+    if layout is not None:
+        layout.execute(axes.get_figure(root=True))  # the names need to know how large the plot is
+    for (name, x, y, strong), (left, up) in zip(points, _beside(axes, points), strict=True):
+        # A name that had to leave its point has a line to it.
+        line = {"arrowstyle": "-", "color": LIGHT["other"], "linewidth": 0.6}
+        axes.annotate(
+            name, (x, y), (left, up), textcoords="offset points", va="center",
+            fontweight="bold" if strong else "normal", arrowprops=line if abs(up) > LINE else None,
+        )  # fmt: skip
+
+
+def _beside(axes: Axes, points) -> list[tuple[float, float]]:
+    """Offsets of the names in points: the nearest place that no name or point is at yet.
+
+    The names are given their places from the top down.
+    """
+    width, height = axes.get_window_extent().size
+    (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()
+    at = [(width * (x - left) / (right - left), height * (y - low) / (high - low))
+          for _, x, y, _ in points]  # fmt: skip
+    taken = [(x - 5, x + 5, y) for x, y in at]
+    found = [(0.0, 0.0)] * len(at)
+    for i in sorted(range(len(at)), key=lambda i: -at[i][1]):
+        (x, y), long = at[i], LETTER * len(points[i][0])
+        places = [(9.0, LINE * k * side) for k in range(12) for side in (1, -1)]
+        free = (
+            each for each in places
+            if 0 < y + each[1] < height and not any(
+                x + each[0] < b and a < x + each[0] + long and abs(y + each[1] - level) < LINE
+                for k, (a, b, level) in enumerate(taken) if k != i
+            )
+        )  # fmt: skip
+        place = next(free, places[0])
+        taken.append((x + place[0], x + place[0] + long, y + place[1]))
+        found[i] = place
+    return found

@@ -176,7 +176,7 @@ def signed_bars(axes: Axes, labels, values, unit: str, *, names, half, moved, co
 def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
     """Shares of paths in bins; `marks` [(text, position)] as lines, the first one bold.
 
-    A mark whose text would lie over an earlier one is left out.
+    A mark whose text would lie over an earlier one is left out; a text stays within the axes.
     """
     share = counts / max(counts.sum(), 1.0) * 100
     axes.stairs(share, edges, fill=True, color=LIGHT["main-soft"])
@@ -188,16 +188,17 @@ def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
     drawn: list[tuple[float, float]] = []  # the areas that texts cover
     for text, position in marks:
         half = (len(text) + 1) * 0.0047 * width  # at 9 points on a chart of 720
-        span = (position - half, position + half)
-        if span[0] < edges[0] or span[1] > edges[-1]:
+        if not edges[0] <= position <= edges[-1]:
             continue
+        middle = min(max(position, edges[0] + half), edges[-1] - half)
+        span = (middle - half, middle + half)
         if any(span[0] < right and left < span[1] for left, right in drawn):
             continue
-        style = (1.6, "ink", "-") if not drawn else (0.9, "muted", (0, (3, 2)))
+        style = (1.6, "ink", "-") if text == marks[0][0] else (0.9, "muted", (0, (3, 2)))
         drawn.append(span)
         line = dict(zip(("linewidth", "color", "linestyle"), style, strict=True))
         axes.vlines(position, 0.0, top * 1.03, **{**line, "color": LIGHT[style[1]]})
-        axes.text(position, top * 1.05, text, ha="center", va="bottom")
+        axes.text(middle, top * 1.05, text, ha="center", va="bottom")
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 5)
     unit_above(axes, "% of paths")

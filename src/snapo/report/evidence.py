@@ -1,5 +1,6 @@
 """What every run with a trained policy shows as evidence: its training, its checks, its making."""
 
+import re
 from collections.abc import Callable
 from typing import Any
 
@@ -9,7 +10,7 @@ from . import charts
 from .drawing import draw
 from .folder import Folder
 from .page import Chart, Facts, Mark, Missing, Section, Table, Text
-from .quantity import finite, number, percent, power, seconds
+from .quantity import MINUS, finite, number, percent, power, seconds
 
 HISTORY = (
     ("objective", "Smooth objective, training paths", "other", 0.8),
@@ -62,7 +63,10 @@ def history(run: Folder, unit: str) -> Section:
 
 def notes(run: Folder) -> list[Text]:
     """Sentences on what a reader of the value must know: paths left out, ruin, unused controls."""
-    return [Text(str(each), caveat=True) for each in run.result.get("notes") or ()]
+    return [
+        Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(each)), caveat=True)
+        for each in run.result.get("notes") or ()
+    ]
 
 
 def gradient(run: Folder) -> list[tuple[str, str, str]]:

@@ -8,7 +8,10 @@ from typing import Any, ClassVar
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
+from .quantity import unit_words
 from .theme import DARK, LIGHT, variables
+
+LONG = 22  # letters of a cell above which its column is kept from growing narrow
 
 
 @dataclass(frozen=True)
@@ -126,7 +129,6 @@ class Section:
     title: str
     short: str
     blocks: Sequence[Block]
-    break_before: bool = False
 
 
 @dataclass(frozen=True)
@@ -142,9 +144,14 @@ class Page:
 def render(page: Page) -> str:
     """The page as HTML: styles, charts and scripts inside, nothing fetched, text escaped.
 
-    A section without blocks is left out.
+    A section without blocks is left out, and so is a column of a table that is empty throughout.
     """
-    page = replace(page, sections=[each for each in page.sections if each.blocks])
+    sections = [
+        replace(each, blocks=[_filled(b) if isinstance(b, Table) else b for b in each.blocks])
+        for each in page.sections
+        if each.blocks
+    ]
+    page = replace(page, sections=sections)
     environment = Environment(
         loader=PackageLoader("snapo.report"),
         autoescape=select_autoescape(default=True),
@@ -153,6 +160,8 @@ def render(page: Page) -> str:
         lstrip_blocks=True,
     )
     environment.filters["coded"] = coded
+    environment.filters["classes"] = classes
+    environment.filters["unit_words"] = unit_words
     template = environment.get_template("page.html")
     light, dark = Markup(variables(LIGHT)), Markup(variables(DARK))
     return template.render(page=page, light=light, dark=dark, moving=_moving(page))
@@ -161,6 +170,27 @@ def render(page: Page) -> str:
 def coded(text: str) -> Markup:
     """A text, escaped; what stands in it between backticks is set as code."""
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+
+
+def classes(cell: Any, right: bool) -> Markup:
+    """The classes of a cell as an attribute: numbers to the `right`; room for a long text."""
+    long = isinstance(cell, str) and len(cell) > LONG
+    found = [name for name, so in (("n", right), ("long", long)) if so]
+    return Markup(f' class="{" ".join(found)}"') if found else Markup("")
+
+
+def _filled(table: Table) -> Table:
+    """The table without columns that hold nothing, a header at most."""
+    wide = max(map(len, table.rows), default=0)
+    if not table.rows or any(
+        len(row) != wide for row in (*table.rows, table.head or table.rows[0])
+    ):
+        return table
+    kept = [i for i in range(wide) if i == 0 or any(row[i] != "" for row in table.rows)]
+    texts = sum(i < table.texts for i in kept)
+    rows = [tuple(row[i] for i in kept) for row in table.rows]
+    head = [table.head[i] for i in kept] if table.head else table.head
+    return replace(table, head=head, rows=rows, texts=texts)
 
 
 def _moving(page: Page) -> bool:

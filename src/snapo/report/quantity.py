@@ -2,6 +2,7 @@
 
 import datetime
 import math
+import re
 from collections.abc import Iterable
 from typing import Any
 
@@ -10,6 +11,11 @@ import numpy as np
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # stands where there is no number
 SPACE = "\N{NO-BREAK SPACE}"
+TINY, MOST = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
+# A power of a unit; a digit after other letters may belong to a name, as in CO2.
+POWER = re.compile(
+    r"((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])"
+)
 MONTHS = "January February March April May June July August September October November December"
 
 
@@ -34,10 +40,17 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
 
 
 def number(value: Any, places: int | None = None, sign: bool = False) -> str:
-    """`-1234.5` as "−1,234.5"; `places` decimals, or what four significant digits need."""
+    """`-1234.5` as "−1,234.5"; `places` decimals, or what four significant digits need.
+
+    A number that would be mostly noughts stands as a power of ten: "1.578 × 10⁻⁶".
+    """
     known = finite(value)
     if known is None:
         return NONE
+    if known == 0 and places is not None and places > MOST:
+        return "0"
+    if 0 < abs(known) < TINY and (places is None or places > MOST):
+        return ("+" if sign and known > 0 else "") + power(known, 3)
     text = f"{abs(known):,.{min(decimals([known], 4), 9) if places is None else places}f}"
     if places is None and "." in text:
         text = text.rstrip("0").rstrip(".")
@@ -51,7 +64,9 @@ def number(value: Any, places: int | None = None, sign: bool = False) -> str:
 def quantity(value: Any, unit: str, places: int | None = None, sign: bool = False) -> str:
     """A number with its unit behind it; the space between them does not break."""
     text = number(value, places, sign)
-    return text if text == NONE or not unit else f"{text}{SPACE}{unit}"
+    return (
+        text if text == NONE or not unit else f"{text}{SPACE}{unit_words(unit)}".replace(" ", SPACE)
+    )
 
 
 def money(value: Any, currency: str, places: int | None = None, sign: bool = False) -> str:
@@ -72,14 +87,40 @@ def percent(share: Any, places: int = 1) -> str:
     return NONE if known is None else f"{number(100 * known, places)}{SPACE}%"
 
 
-def power(value: Any) -> str:
+def part_of(share: Any, places: int = 2) -> str:
+    """A share in per cent that is not nothing where it only rounds to it: "less than 0.01 %"."""
+    known = finite(share)
+    least = 10.0 ** -(places + 2)
+    if known is None or known == 0 or abs(known) >= least / 2:
+        return percent(share, places)
+    return f"less than {percent(least, places)}"
+
+
+def unit_words(unit: str) -> str:
+    """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
+    text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
+    text = re.sub(r"\bsqrt\((\w+)\)", r"√\1", text)
+    return re.sub(r"\bum\b", "µm", text).replace("*", "·")
+
+
+def with_unit(name: str, unit: str) -> str:
+    """A name with its unit behind it: "Size, µm"; a number without a unit has none."""
+    return name if unit in ("", "1") else f"{name}, {unit_words(unit)}"
+
+
+def raised(text: str) -> str:
+    """Digits and minus signs, raised."""
+    return text.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
+
+
+def power(value: Any, places: int = 1) -> str:
     """A size of error, small or large as a power of ten: "3.1 × 10⁻⁹"."""
     known = finite(value)
     if known is None or known == 0 or 1e-3 <= abs(known) < 1e4:
         return number(known)
-    digits, exponent = f"{known:.1e}".split("e")
-    raised = str(int(exponent)).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-    return f"{digits.replace('-', MINUS)}{SPACE}×{SPACE}10{raised}"
+    digits, exponent = f"{known:.{places}e}".split("e")
+    digits = digits.rstrip("0").rstrip(".") if places > 1 else digits
+    return f"{digits.replace('-', MINUS)}{SPACE}×{SPACE}10{raised(str(int(exponent)))}"
 
 
 def long_date(day: Any) -> str:
@@ -101,10 +142,12 @@ def long_month(month: Any) -> str:
 
 
 def seconds(value: Any) -> str:
-    """A duration: "0.4 s", "83 s", "12 min 5 s"."""
+    """A duration: "0.02 s", "0.4 s", "83 s", "12 min 5 s"."""
     known = finite(value)
     if known is None:
         return NONE
+    if known < 0.1:
+        return f"{number(known, 2)}{SPACE}s" if known >= 0.005 else f"0{SPACE}s"
     if known < 120:
         return f"{number(known, 1 if known < 10 else 0)}{SPACE}s"
     return f"{int(known // 60)}{SPACE}min {int(known % 60)}{SPACE}s"

@@ -43,11 +43,12 @@ export function drawn(place, make) {
 
 // A frame with a vertical scale: { svg, x(i), y(v), left, right, top, bottom }.
 export function frame(width, height, low, high, label) {
-  const left = 54, right = width - 8, top = 10, bottom = height - 24;
+  const marks = ticks(low, high, 4), widest = Math.max(0, ...marks.map((tick) => shown(tick, 4).length));
+  const left = Math.max(54, 6.4 * widest + 10), right = width - 8, top = 10, bottom = height - 24;
   const span = high - low || 1;
   const y = (v) => bottom - ((v - low) / span) * (bottom - top);
   const svg = node("svg", { viewBox: `0 0 ${width} ${height}`, height, role: "img", "aria-label": label });
-  for (const tick of ticks(low, high, 4)) {
+  for (const tick of marks) {
     svg.append(node("line", { class: Math.abs(tick) < 1e-12 * span ? "zero" : "rule", x1: left, x2: right, y1: y(tick), y2: y(tick) }));
     svg.append(node("text", { x: left - 6, y: y(tick) + 4, "text-anchor": "end" }, shown(tick, 4)));
   }
@@ -109,22 +110,26 @@ export function bars(width, rows, before, label) {
 
 // Effects side by side: a horizontal bar for each, the largest first.
 export function tornado(width, rows) {
-  const line = 24, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
-  const names = width * 0.5, room = width - names - 8, side = 62; // beside a bar: its number
+  // Where a name would be cut off, names stand above their bars.
+  const over = rows.some((row) => row.short.length > Math.floor((width * 0.5) / 6.1));
+  const line = over ? 40 : 24, drop = over ? 16 : 0, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
+  const names = over ? 0 : width * 0.5, room = width - names - 8, side = Math.max(44, ...rows.map((row) => row.shown.length * 6.2 + 8)); // beside a bar: its number
   const up = rows.some((row) => row.effect > 0), down = rows.some((row) => row.effect < 0);
   const middle = names + (up && down ? room / 2 : down ? room : 4);
   const half = (up && down ? room / 2 : room - 4) - side;
   const svg = node("svg", { viewBox: `0 0 ${width} ${rows.length * line + 4}`, height: rows.length * line + 4, role: "img", "aria-label": "Effect of moving each input" });
-  svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: 0, y2: rows.length * line }));
-  const letters = Math.floor(names / 6.1);
+  const zero = (top, bottom) => svg.append(node("line", { class: "zero", x1: middle, x2: middle, y1: top, y2: bottom }));
+  if (!over) zero(0, rows.length * line);
+  const letters = Math.floor((over ? width : names) / 6.1);
   rows.forEach((row, i) => {
-    const y = i * line + 4, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
+    const y = i * line + 4 + drop, length = Math.max(0.5, (Math.abs(row.effect) / most) * Math.max(6, half));
+    if (over) zero(y - 1, y + 16); // not through the names
     const fits = [row.name, row.short].find((each) => each.length <= letters);
     const name = fits ?? row.short.slice(0, letters - 1) + "…";
-    const text = node("text", { x: 0, y: y + 12 }, name);
+    const text = node("text", { x: 0, y: over ? y - 4 : y + 12 }, name);
     text.append(node("title", {}, row.name));
     svg.append(text);
-    svg.append(node("rect", { class: "bar", x: row.effect < 0 ? middle - length : middle, width: length, y, height: line - 9 }));
+    svg.append(node("rect", { class: "bar", x: row.effect < 0 ? middle - length : middle, width: length, y, height: 15 }));
     const after = row.effect < 0 ? middle - length - 5 : middle + length + 5;
     svg.append(node("text", { x: after, y: y + 12, "text-anchor": row.effect < 0 ? "end" : "start" }, row.shown));
   });

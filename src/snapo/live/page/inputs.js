@@ -1,7 +1,7 @@
 // The controls: curves and tables by dragging and pasting, single numbers by field and slider.
 
 import { below, drawn, element, frame, node } from "./draw.js";
-import { column, field, parsed, shown } from "./numbers.js";
+import { column, field, parsed, shown, unitWords } from "./numbers.js";
 
 const MOVES = 20; // of its usual moves that a slider reaches to either side
 const SHARE = 0.01; // of a number that does not say its move
@@ -16,7 +16,7 @@ export function controls(place, inputs, moved) {
   const ordered = [...groups].sort(([a], [b]) => rank(a) - rank(b));
   for (const [k, [name, members]] of ordered.entries()) {
     const mark = element("span", { className: "moved" });
-    const box = element("details", { className: "group", open: groups.size < 4 || k === 0 }, element("summary", {}, groups.size === 1 && name === "other" ? "all inputs" : name, mark));
+    const box = element("details", { className: "group", open: groups.size < 4 || k === 0 }, element("summary", {}, groups.size === 1 && name === "other" ? "All inputs" : capital(name), mark));
     for (const input of members) {
       input.now = [...input.values];
       box.append(input.values.length > 1 ? table(input, moved) : single(input, moved));
@@ -36,10 +36,12 @@ export function controls(place, inputs, moved) {
 }
 
 export const changed = (input) => input.now.some((v, i) => v !== input.values[i]);
-export const unit = (input) => input.trade_unit || (input.unit === "1" ? "" : input.unit);
+export const unit = (input) => unitWords(input.trade_unit || (input.unit === "1" ? "" : input.unit));
+
+export const capital = (words) => words.replace(/^./, (c) => c.toUpperCase());
 
 export function label(input) {
-  return input.name.replaceAll(/[_.]/g, " ").replace(/^./, (c) => c.toUpperCase());
+  return capital(input.name.replaceAll(/[_.]/g, " "));
 }
 
 // The size of one usual move of a number, in the unit of the case.

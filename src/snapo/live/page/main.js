@@ -1,9 +1,9 @@
 // The page: what the server says is shown, and what the hand moves is sent.
 
-import { changed, controls, label, unit } from "./inputs.js";
+import { capital, changed, controls, label, unit } from "./inputs.js";
 import { menus } from "./menus.js";
 import { bars, drawn, element, fan, tornado } from "./draw.js";
-import { error, shown, signed } from "./numbers.js";
+import { alike, error, shown, signed, unitWords } from "./numbers.js";
 import { offer, scenarios } from "./scenarios.js";
 
 const at = (id) => document.getElementById(id);
@@ -171,6 +171,7 @@ function refused(message) {
   // The longest name that the message holds is the input that it is about.
   const named = page.inputs.filter((input) => words.includes(input.name)).sort((a, b) => b.name.length - a.name.length)[0];
   trouble(words);
+  if (page.base) facts(predicted(), null, "refused");
   if (named && changed(named)) named.refuse(words);
 }
 
@@ -210,12 +211,12 @@ function fact(name, value, note) {
   return element("div", {}, element("dt", {}, name), element("dd", {}, value, note ? element("span", { className: "quiet" }, ` ${note}`) : ""));
 }
 
-function facts(by, found) {
+function facts(by, found, none = "…") {
   const base = page.base.value, rows = [fact("the run's inputs", shown(base.value, 6), error(base.standard_error))];
   const any = anything();
   if (any) {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
-    rows.push(fact("change, revalued", found ? signed(found.change) : "…", found ? error(found.change_error) : ""));
+    rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
   } else rows.push(fact("paths", shown(page.paths, 6)));
   at("changes").replaceChildren(...rows);
 }
@@ -261,11 +262,15 @@ function bounded({ n, table }) {
 function today(found) {
   at("today").hidden = false;
   at("today-words").textContent = found.words;
-  at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(name, shown(number), unit)));
-  const head = element("tr", {}, ...found.columns.map(([name, unit]) => element("th", { scope: "col" }, unit ? `${name}, ${unit}` : name)));
-  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell) => element("td", {}, typeof cell === "string" ? cell : shown(cell)))));
+  at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
+  const head = element("tr", {}, ...found.columns.map(([name, unit]) => element("th", { scope: "col" }, headed(name, unit))));
+  const each = found.columns.map((_, i) => alike(found.rows.map((row) => row[i])));
+  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", {}, typeof cell === "string" ? cell : each[i](cell)))));
   at("today-table").replaceChildren(head, ...rows);
+  at("today-more").hidden = !rows.length;
 }
+
+const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : name);
 
 // The domain's own sections. A column of standard errors stands in the one before it.
 function sections(found) {
@@ -274,8 +279,7 @@ function sections(found) {
     const kept = columns.map((_, i) => i).filter((i) => !columns[i][0].startsWith("±"));
     const beside = (row, i) => (columns[i + 1]?.[0].startsWith("±") && row[i + 1] !== null ? element("span", { className: "quiet" }, ` ± ${shown(row[i + 1], 2)}`) : "");
     const kind = (row, i) => (typeof row?.[i] === "string" ? "text" : "");
-    const name = ([words, unit]) => (unit ? `${words}, ${unit}` : words);
-    const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, name(columns[i]))));
+    const head = element("tr", {}, ...kept.map((i) => element("th", { scope: "col", className: kind(rows[0], i) }, headed(...columns[i]))));
     const body = rows.map((row) => element("tr", {}, ...kept.map((i) => element("td", { className: kind(row, i) }, text(row[i]), beside(row, i)))));
     return element("section", { className: "card" }, element("h2", {}, title), words ? element("p", { className: "quiet" }, words) : "", element("div", { className: "scroll" }, element("table", {}, head, ...body)));
   }));
@@ -301,14 +305,16 @@ function deltas(found) {
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
   at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${input.believed === "smooth" ? " The run's own test believes the derivative through the policy's reaction for this input." : ""}`;
+  const number = alike([...rows, ...base].map((row) => row.value));
   const head = element("tr", {}, ...["", "now", "standard error", "the run's"].map((text) => element("th", { scope: "col" }, text)));
-  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), shown(row.value), shown(row.standard_error, 3), shown(base[i].value)].map((text) => element("td", {}, text)))));
+  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), number(row.value), shown(row.standard_error, 3), number(base[i].value)].map((text) => element("td", {}, text)))));
   const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
   drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, shown: signed(each.effect, 4) }))));
 }
 
-const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${unit(input)}`.trim());
+const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${one(unit(input), input.move * input.factor)}`.trim());
+const one = (words, amount) => (amount === 1 ? words.replace(/^points$/, "point") : words).replace(/^1\//, "per ");
 
 function fans(found) {
   at("fans").hidden = false;
@@ -316,7 +322,7 @@ function fans(found) {
   const base = found === page.base.fans ? null : page.base.fans.find((each) => each.name === name);
   const days = page.about.days, step = page.about.step;
   drawn(at("fan-chart"), (width) => fan(width, series, base, (i) => (days ? days[Math.min(i, days.length - 1)] : `${step} ${i}`)));
-  const unit = page.units[name];
+  const unit = unitWords(page.units[name] ?? "");
   at("fan-note").textContent = `${unit ? `${unit}; ` : ""}mean, and the bands that hold half and nine tenths of the paths${base ? "; dashed: the mean at the run's inputs" : ""}.`;
 }
 

@@ -10,13 +10,16 @@ function format(options) {
 
 // A number with a sensible number of digits; a dash where there is none.
 export function shown(x, digits = 5) {
-  return written(x, digits).replace("-", "−");
+  return written(x, digits).replace(/^-/, "−");
 }
 
 function written(x, digits) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "–";
   if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
-  if (x !== 0 && Math.abs(x) < 1e-6) return x.toExponential(2);
+  if (x !== 0 && (Math.abs(x) < 1e-5 || Math.abs(x) >= 10 ** (digits + 6))) {
+    const [mantissa, power] = x.toExponential(Math.min(digits, 4) - 1).split("e");
+    return `${Number(mantissa)}\u00a0×\u00a010${raised(String(Number(power)))}`;
+  }
   return format({ maximumSignificantDigits: digits }).format(x);
 }
 
@@ -27,7 +30,34 @@ export function signed(x, digits = 5) {
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");
 
 // A number in a field: short where rounding away binary noise loses nothing.
-export const field = (x) => String(Number(x.toPrecision(12)));
+export function field(x) {
+  const plain = Number(x.toPrecision(12));
+  return Math.abs(plain) >= 1e9 ? plain.toExponential().replace("e+", "e") : String(plain);
+}
+
+// How the numbers of a column are shown: with as many decimals as the largest needs, so that their
+// points stand under one another; each by itself where that would leave nothing of the small ones.
+export function alike(numbers, digits = 5) {
+  const sizes = numbers.filter((x) => typeof x === "number" && Number.isFinite(x) && x !== 0).map(Math.abs);
+  const most = Math.max(...sizes), least = Math.min(...sizes);
+  if (!sizes.length || least < 1e-3 * most || most >= 1e9 || most < 1e-3) return (x) => shown(x, digits);
+  const wanted = Math.max(0, digits - 1 - Math.floor(Math.log10(most)));
+  const needed = sizes.map((x) => String(Number(x.toPrecision(digits))).split(".")[1]?.length ?? 0);
+  const places = Math.min(wanted, Math.max(...needed));
+  const fixed = format({ minimumFractionDigits: places, maximumFractionDigits: places });
+  return (x) => (typeof x === "number" && Number.isFinite(x) ? fixed.format(x).replace("-", "−") : shown(x));
+}
+
+const RAISED = { "-": "⁻", 0: "⁰", 1: "¹", 2: "²", 3: "³", 4: "⁴", 5: "⁵", 6: "⁶", 7: "⁷", 8: "⁸", 9: "⁹" };
+
+const raised = (digits) => [...digits].map((each) => RAISED[each]).join("");
+
+// A unit as it is written by hand: "kg/m^3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s".
+export function unitWords(text) {
+  const power = /((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])/g;
+  const written = text.replace(power, (_, unit, digits) => unit + raised(digits));
+  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)/g, "√$1").replaceAll("*", "·");
+}
 
 // A number as it was typed or pasted: "1 234,5", "1,234.5", "16.61". NaN where it is none.
 export function parsed(text) {

@@ -26,7 +26,7 @@ export function scenarios(found, { load, keep, forget }) {
 }
 
 function row(each, load, forget) {
-  const value = each.value ?? {}, names = [...Object.keys(each.values), ...Object.keys(each.chosen ?? {})].map((name) => name.replaceAll("_", " "));
+  const value = each.value ?? {}, names = [...Object.keys(each.values), ...Object.keys(each.chosen ?? {})].map((name) => name.replaceAll(/[_.]/g, " "));
   const tools = element("td", {},
     element("button", { type: "button", onclick: () => load(each.values, each.chosen ?? {}), ariaLabel: `Show ${each.name}` }, "Show"), " ",
     element("a", { href: `scenario/${each.id}.csv`, download: "" }, "CSV"), " ",

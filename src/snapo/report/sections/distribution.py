@@ -6,7 +6,7 @@ from .. import charts
 from ..drawing import draw
 from ..folder import Folder
 from ..page import Block, Chart, Section, Table
-from ..quantity import array, decimals, finite, number, quantity
+from ..quantity import array, decimals, finite, number, quantity, unit_words
 from .lacking import lacking
 
 PICTURES = 4  # of outputs; all stand in the table
@@ -32,8 +32,8 @@ def distribution(run: Folder) -> Section:
 
 
 def words(name: str) -> str:
-    """A name of code as words: "cash_flow" as "Cash flow"."""
-    text = name.replace("_", " ")
+    """A name of code as words: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
+    text = name.replace("_", " ").replace(".", " ")
     return text[:1].upper() + text[1:]
 
 
@@ -44,7 +44,7 @@ def _picture(anchor: str, each: dict[str, Any]) -> Chart:
     marks = [("mean", each.get("mean")), ("5 %", quantiles.get("p05"))]
     marks.append(("95 %", quantiles.get("p95")))
     shown = [(text, position) for text, position in marks if finite(position) is not None]
-    name, unit = words(each["name"]), each.get("unit", "")
+    name, unit = words(each["name"]), unit_words(each.get("unit", ""))
     mean = quantity(each.get("mean"), unit)
     alt = f"Histogram of {name} over {number(each['paths'], 0)} paths; its mean is {mean}."
     label = f"{name}, {unit}" if unit else name
@@ -62,7 +62,11 @@ def _table(found: list[dict[str, Any]]) -> Table:
         numbers = [_entry(each, path) for _, path in COLUMNS]
         places = decimals(numbers, 5)
         rows.append(
-            (words(each["name"]), each.get("unit", ""), *(number(n, places) for n in numbers))
+            (
+                words(each["name"]),
+                unit_words(each.get("unit", "")),
+                *(number(n, places) for n in numbers),
+            )
         )
     head = [("Output", ""), ("Unit", ""), *((name, "") for name, _ in COLUMNS)]
     return Table(head, rows, "Totals of a path", 2)

@@ -8,7 +8,7 @@ from ..bands import quantile_fan
 from ..drawing import draw
 from ..folder import Folder
 from ..page import Block, Chart, Section, Text
-from ..quantity import array, number
+from ..quantity import array, number, unit_words
 from .distribution import words
 from .lacking import lacking
 
@@ -44,7 +44,7 @@ def _fan(run: Folder, anchor: str, each: dict[str, Any]) -> Chart | Text:
     when = np.arange(len(lines["mean"]))
     paths = number(run.get("profile.paths"), 0)
     alt = f"{name} over {len(when)} {step}s: mean, median and bands of quantiles of {paths} paths."
-    label = f"{name}, {each['unit']}" if each.get("unit") else name
+    label = f"{name}, {unit_words(each['unit'])}" if each.get("unit") else name
     svg = draw(
         anchor, alt, lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize()),
         230,

@@ -3,7 +3,7 @@
 from ..evidence import checks, gradient, notes
 from ..folder import Folder
 from ..page import Block, Facts, Headline, Mark, Section
-from ..quantity import SPACE, decimals, finite, number, percent, plus_minus
+from ..quantity import SPACE, decimals, finite, number, part_of, plus_minus
 from .lacking import lacking
 
 STATUS = {
@@ -46,6 +46,6 @@ def _facts(run: Folder, value: float, places: int) -> list[tuple[str, str, str]]
             facts.append((name.replace("_", " ").capitalize(), number(each, places), run.unit))
     gap = finite(run.result.get("smoothing_gap"))
     if gap is not None:
-        share = f"{percent(gap / abs(value), 2)} of the value; " if value else ""
+        share = f"{part_of(gap / abs(value))} of the value; " if value else ""
         facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))
     return [*facts, *gradient(run)]

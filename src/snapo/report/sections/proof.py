@@ -66,7 +66,7 @@ def certificate(run: Folder) -> Section:
     else:
         text = "The simulator declares no limits: its method `slack` names none."
         blocks.append(Missing(text))
-    return Section("certificate", title, short, blocks, break_before=True)
+    return Section("certificate", title, short, blocks)
 
 
 def making(run: Folder) -> Section:

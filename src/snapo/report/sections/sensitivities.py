@@ -7,7 +7,7 @@ from ..charts import BLOCK_INTERVAL
 from ..drawing import draw
 from ..folder import Folder, Sensitivity
 from ..page import Block, Chart, Missing, Section, Table, Text
-from ..quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity
+from ..quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity, unit_words
 from .distribution import words
 from .lacking import lacking
 
@@ -40,7 +40,7 @@ def amount(each: dict[str, Any]) -> str:
     """By how much an input moves, in words."""
     known = finite(each.get("amount"))
     if known is not None:
-        return f"+{quantity(known, each.get('unit', ''))}"
+        return f"+{quantity(known, _one(each.get('unit', ''), known))}"
     return f"+{percent(each.get('share', 0.01), 0)}"
 
 
@@ -110,11 +110,24 @@ def _table(run: Folder) -> Table:
     return Table(head, rows, caption, 3, folded=f"All {count} derivatives")
 
 
+def _one(unit: str, amount: float) -> str:
+    """The unit of an amount: "point" of one, "points" of others."""
+    return unit.removesuffix("s") if amount == 1 and unit == "points" else unit
+
+
+def _per(unit: str) -> str:
+    """One of a unit: "1 kg", "1 per week"."""
+    if not unit or unit == "1":
+        return "1"
+    words = unit_words(unit)
+    return f"1{SPACE}per{SPACE}{words[2:]}" if words.startswith("1/") else f"1{SPACE}{words}"
+
+
 def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
     numbers = [each.value, each.smooth]
     places = min(9, decimals(numbers, 4))
     return (
-        words(each.input), each.label, f"1{SPACE}{each.unit}" if each.unit else "1",
+        words(each.input), each.label, _per(each.unit),
         number(each.value, places), plus_minus(each.standard_error, places),
         number(each.smooth, places), plus_minus(each.smooth_error, places),
         number(each.moved, places), each.believed,

@@ -36,7 +36,7 @@ def plane(run: Folder) -> Section:
         )
     blocks: list[Block] = [Chart(svg, caption)]
     if any(found["turn"]):
-        blocks.append(Text("Angles are drawn between -pi and pi.", caveat=True))
+        blocks.append(Text("Angles are drawn between −π and π.", caveat=True))
     return Section("plane", TITLE, SHORT, blocks)
 
 

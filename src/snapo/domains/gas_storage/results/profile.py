@@ -7,6 +7,7 @@ import numpy as np
 from snapo.engine import COURSE
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
+from snapo.report.quantity import long_date, quantity
 from snapo.solver.solution import Solution
 from snapo.study.study import Part, Setup, StudyRun, Today
 
@@ -124,8 +125,8 @@ def today(setup: Setup, policy: StoragePolicy) -> Today:
         ("inject below", price), ("withdraw above", price),
     ]  # fmt: skip
     names = ("inventory", "action", "volume", "inject_below", "withdraw_above")
-    volume = f" {now['volume']:,.0f} {gas}" if now["volume"] else ""
-    words = f"{now['action']}{volume} on {case.days[0]}"
+    volume = f" {quantity(now['volume'], gas)}" if now["volume"] else ""
+    words = f"{now['action']}{volume} on {long_date(case.days[0])}"
     return Today(words, facts, columns, [[row[name] for name in names] for row in rows])
 
 

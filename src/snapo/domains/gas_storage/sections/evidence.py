@@ -26,7 +26,7 @@ def certificate(run: Run) -> Section:
         evidence.bump_table(run, run.currency, lambda name: run.said(name).title()),
         evidence.limit_table(run, run.volume, "Day", lambda step: _day(run, step)),
     ]
-    return Section("certificate", title, "Certificate", blocks, break_before=True)
+    return Section("certificate", title, "Certificate", blocks)
 
 
 def _facts(run: Run) -> list[tuple[str, str, str]]:

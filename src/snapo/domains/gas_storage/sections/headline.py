@@ -2,7 +2,16 @@
 
 from snapo.report.evidence import notes
 from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
-from snapo.report.quantity import decimals, finite, long_date, number, percent, plus_minus, quantity
+from snapo.report.quantity import (
+    decimals,
+    finite,
+    long_date,
+    number,
+    part_of,
+    percent,
+    plus_minus,
+    quantity,
+)
 from snapo.report.sections.lacking import lacking
 
 from .evidence import checks
@@ -44,7 +53,7 @@ def _error_note(value: float, error) -> str:
     text = "exact contract on fresh scenarios, present value"
     if known is None:
         return f"{text[0].upper()}{text[1:]}."
-    share = f" ({percent(known / abs(value), 2)} of the value)" if value else ""
+    share = f" ({part_of(known / abs(value))} of the value)" if value else ""
     return f"± one standard error{share}; {text}."
 
 

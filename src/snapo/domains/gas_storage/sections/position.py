@@ -52,7 +52,7 @@ def curve(run: Run) -> Section:
     blocks: list[Block] = [Chart(svg, caption)]
     if len(lines) == 1:
         blocks.append(Missing("The trigger prices by day are not in this run."))
-    return Section("curve", title, short, blocks, break_before=True)
+    return Section("curve", title, short, blocks)
 
 
 TRIGGERS = (
@@ -119,7 +119,7 @@ def monthly(run: Run) -> Section:
         " simulation. Hatched: how far the delta still moved in the last half of training."
     )
     table = _month_table(run, rows)
-    return Section("deltas", title, short, [Chart(svg, caption), table], break_before=True)
+    return Section("deltas", title, short, [Chart(svg, caption), table])
 
 
 def month_painter(run: Run, rows, values):

@@ -103,7 +103,9 @@ def _row(run: Run, members: list[Sensitivity]) -> tuple[str, ...]:
 
 
 def _move(said: Said) -> str:
-    """ "1 volatility point", "10 bp", "0.01 EUR/MWh"."""
+    """ "1 volatility point", "10 bp", "0.01 EUR/MWh", "1 per year"."""
+    if said.trade_unit.startswith("1/"):
+        return f"{said.trade_move:.6g} per {said.trade_unit[2:]}"
     return f"{said.trade_move:.6g} {said.trade_unit}"
 
 

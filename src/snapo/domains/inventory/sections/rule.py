@@ -23,7 +23,8 @@ def rule(run: Folder) -> Section:
         return Section("rule", title, short, [lacking(run, "order-up-to levels")])
     unit = str(run.get("item_unit", ""))
     placed = [np.asarray(each["orders"], float) for each in curves]
-    names = [f"{number(each['coming'], 1)} {unit}s on their way" for each in curves]
+    places = _places(run, stock)
+    names = [f"{number(each['coming'], places)} {unit}s on their way" for each in curves]
     lead = run.get("lead_time", 0)
     if len(curves) == 1:
         names = ["Order"]
@@ -52,17 +53,26 @@ def rule(run: Folder) -> Section:
     return Section("rule", title, short, blocks)
 
 
+def _places(run: Folder, stock: np.ndarray) -> int:
+    """Decimals of amounts: none where all of them are whole."""
+    amounts = [stock]
+    for each in run.get("levels.curves", []):
+        amounts += [array([each["coming"]]), array(each["orders"]), array(each["levels"])]
+    known = [each[np.isfinite(each)] for each in amounts if each is not None]
+    return 0 if all((each == np.round(each)).all() for each in known) else 1
+
+
 def _table(run: Folder, stock: np.ndarray) -> Table:
     curves, unit = run.get("levels.curves", []), str(run.get("item_unit", ""))
-    head = [("Stock", unit)]
+    head, places = [("Stock", unit)], _places(run, stock)
     for each in curves:
-        coming = f" ({number(each['coming'], 1)} on their way)" if len(curves) > 1 else ""
+        coming = f" ({number(each['coming'], places)} on their way)" if len(curves) > 1 else ""
         head += [(f"Order{coming}", unit), ("Up to", unit)]
     chosen = np.unique(np.linspace(0, len(stock) - 1, min(LINES, len(stock))).round().astype(int))
     rows = []
     for i in chosen:
-        cells = [number(stock[i], 1)]
+        cells = [number(stock[i], places)]
         for each in curves:
-            cells += [number(each["orders"][i], 1), number(each["levels"][i], 1)]
+            cells += [number(each["orders"][i], places), number(each["levels"][i], places)]
         rows.append(cells)
     return Table(head, rows, "Orders and the level up to which they go", 0, folded="All numbers")

@@ -95,7 +95,7 @@ def policy(run: PensionRun) -> Section:
         blocks.append(Chart(svg, caption))
     if (mix := _mix(run)) is not None:
         blocks.append(mix)
-    return Section("policy", title, short, blocks, break_before=True)
+    return Section("policy", title, short, blocks)
 
 
 def _rows(count: int) -> list[int]:

@@ -26,7 +26,7 @@ def frontier(run: PensionRun) -> Section:
     title, short = f"Efficient frontier ({run.measure})", "Frontier"
     rows = run.get("frontier.points", [])
     if not rows:
-        text = "The case asks for no efficient frontier ([frontier])."
+        text = "The case asks for no efficient frontier (`[frontier]`)."
         return Section("frontier", title, short, [Missing(text)])
     learned = run.get("frontier.learned")
     every = [*rows, *([learned] if learned else [])]

@@ -5,7 +5,7 @@ import numpy as np
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, plus_minus, power
+from snapo.report.quantity import decimals, finite, number, percent, plus_minus, power
 
 from .evidence import checks
 from .funding import funding
@@ -198,7 +198,7 @@ def stress(run: PensionRun) -> Section:
     title, short = "Stress table", "Stress"
     rows = run.get("stresses", [])
     if not rows:
-        text = "The case names no file of shocks ([stress] file)."
+        text = "The case names no file of shocks (`[stress] file`)."
         return Section("stress", title, short, [Missing(text)])
     now = finite(run.get("funding")) or 0.0
     scale, unit = run.size(run.get("assets"), run.get("liability"))
@@ -222,4 +222,5 @@ def stress(run: PensionRun) -> Section:
 
 def _balance(assets, liability, scale: float) -> tuple[str, str, str]:
     a, b = finite(assets) or 0.0, finite(liability) or 0.0
-    return number(a / scale, 1), number(b / scale, 1), number((a - b) / scale, 1)
+    places = decimals([a / scale, b / scale], 4)  # a surplus is small beside what it is left of
+    return number(a / scale, places), number(b / scale, places), number((a - b) / scale, places)

@@ -48,7 +48,7 @@ def sensitivities(run: PensionRun) -> Section:
     if others:
         blocks.append(_others(others, scale, unit))
     blocks += [Text(HELD, caveat=True), _definitions(moves)]
-    return Section("sensitivities", title, short, blocks, break_before=True)
+    return Section("sensitivities", title, short, blocks)
 
 
 def _tornado(families: list[dict], scale: float, unit: str) -> Chart:

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from snapo.report.folder import Folder
-from snapo.report.quantity import NONE, SPACE, finite, money, number, percent
+from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
 SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))
 
@@ -32,12 +32,13 @@ class PensionRun(Folder):
         scale, letters = next((pair for pair in SIZES if largest >= pair[0]), (1.0, ""))
         return scale, f"{self.currency}{SPACE}{letters}".strip()
 
-    def large(self, value: Any, places: int = 1, sign: bool = False) -> str:
-        """An amount of money in millions or billions: "EUR m 262.0"."""
+    def large(self, value: Any, places: int | None = None, sign: bool = False) -> str:
+        """An amount of money in millions or billions, three digits at least: "EUR m 26.2"."""
         known = finite(value)
         if known is None:
             return NONE
         scale, unit = self.size(known)
+        places = max(1, decimals([known / scale], 3)) if places is None else places
         return money(known / scale, unit, places, sign)
 
 

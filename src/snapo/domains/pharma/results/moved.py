@@ -12,6 +12,7 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.inputs import Input
+from snapo.report.quantity import unit_words
 from snapo.study.study import Shown
 
 from ..derivatives.jacobian import matrix
@@ -111,8 +112,8 @@ def _with(process: Process, case: PharmaCase) -> Process:
 
 
 def limits(low: float | None, high: float | None, unit: str) -> str:
-    """As "at least 75 %", "70 to 100 um"."""
-    own = "" if unit in ("", "1") else f" {unit}"
+    """As "at least 75 %", "70 to 100 µm"."""
+    own = "" if unit in ("", "1") else f"\u00a0{unit_words(unit)}".replace(" ", "\u00a0")
     if low is not None and high is not None:
         return f"{low:.6g} to {high:.6g}{own}"
     if low is not None:

@@ -19,7 +19,7 @@ def profiles(run: Run) -> Section:
         text = "No unit has a temperature profile of several nodes, or it was not differentiated."
         return Section("profiles", title, short, [Missing(text)])
     blocks: list[Block] = [_profile(run, each) for each in found]
-    return Section("profiles", title, short, blocks, break_before=True)
+    return Section("profiles", title, short, blocks)
 
 
 def _profile(run: Run, found: dict[str, Any]) -> Chart:

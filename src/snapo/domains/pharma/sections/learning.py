@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, power
+from snapo.report.quantity import finite, number, percent, power, with_unit
 from snapo.report.theme import LIGHT
 
 from . import pictures
@@ -67,7 +67,7 @@ def _agreement(found) -> Chart:
             at = units == unit
             states = dict.fromkeys(s for s, here in zip(found["state"], at) if here)
             said = ", ".join(states) if len(states) <= 2 else f"{len(states)} states"
-            own = "" if unit == "1" else f", {unit}"
+            own = with_unit("", unit)
             pictures.agreement(axes, measured[at], fitted[at], f"{said}{own}")
 
     svg = draw("agreement", "Fitted over measured values.", paint, 60 + 220 * len(every),
@@ -132,7 +132,7 @@ def _course(found: dict[str, Any]) -> Chart:
         band = (np.asarray(found[key], float) for key in ("policy_low", "policy_high"))
         axes.fill_between(minutes, *band, color=LIGHT["inject-soft"], linewidth=0)
         each = [(name, np.asarray(values, float)) for name, values in lines.items()]
-        pictures.curves(axes, minutes, each, f"{found['input']}, {found['unit']}")
+        pictures.curves(axes, minutes, each, with_unit(found["input"], found["unit"]))
         axes.set_xlabel("Time at the end of each decision, min")
 
     svg = draw(f"course-{found['input']}", "A control over time: the policy's median and its band "
@@ -148,7 +148,7 @@ def _once(rows: list[dict[str, Any]]) -> Table:
     for each in rows:
         low, high = number(each["policy_low"][0]), number(each["policy_high"][0])
         three = (number(each[key][0]) for key in ("policy", "values", "given"))
-        body.append((f"{each['input']}, {each['unit']}", *three, f"{low} – {high}"))
+        body.append((with_unit(each["input"], each["unit"]), *three, f"{low} – {high}"))
     names = ("Decided once", "Policy, median", "Best fixed recipe", "As given", "Policy, 10–90 %")
     return Table([(name, "") for name in names], body, "Decisions of one number")
 

@@ -1,6 +1,7 @@
 """Purpose, model and numbers, as a reader who must judge them needs them."""
 
 from snapo.report.page import Block, Missing, Section, Table, Text
+from snapo.report.quantity import unit_words
 
 from .run import Run
 
@@ -39,7 +40,7 @@ def given(value: float, unit: str = "") -> str:
         mantissa, _, power = f"{value:.9e}".partition("e")
         shown = str(int(power)).translate(POWERS)
         text = f"{mantissa.rstrip('0').rstrip('.')} × 10{shown}".replace("-", "−")
-    return f"{text}\u00a0{unit}" if unit and unit != "1" else text
+    return f"{text}\u00a0{unit_words(unit)}" if unit and unit != "1" else text
 
 
 def _reactions(run: Run) -> Table | Text:

@@ -10,7 +10,7 @@ from matplotlib.ticker import NullLocator
 
 from snapo.report.axes import number_axis
 from snapo.report.drawing import legend_above, unit_above
-from snapo.report.quantity import number
+from snapo.report.quantity import number, with_unit
 from snapo.report.theme import LIGHT
 
 CURVES = ("inject", "withdraw", "good", "limit", "main", "other")
@@ -120,18 +120,30 @@ def space(
         if inside:
             drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
                                  linewidths=0.9)  # fmt: skip
-            axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8)
+            _levels(axes, drawn)
     for end in band:
         if end.min() < found["required"] < end.max():
             axes.contour(x, y, end.T, levels=[found["required"]], colors=LIGHT["good"],
                          linestyles="dotted", linewidths=1.6)  # fmt: skip
     _boxes(axes, found)
-    axes.set_xlabel(f"{names[0]}, {found['units'][0]}")
+    axes.set_xlabel(with_unit(names[0], found["units"][0]))
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 8)
     axes.grid(False)
-    unit_above(axes, f"{names[1]}, {found['units'][1]}")
+    unit_above(axes, with_unit(names[1], found["units"][1]))
     legend_above(axes)
+
+
+def _levels(axes: Axes, drawn) -> None:
+    """The number of every contour on its line, one after another from the left."""
+    left, right = axes.get_xlim()
+    behind = {"facecolor": LIGHT["paper"], "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
+    for k, (level, pieces) in enumerate(zip(drawn.levels, drawn.allsegs, strict=True)):
+        points = np.concatenate([np.zeros((0, 2)), *pieces])
+        if len(points):
+            wanted = left + (0.05 + 0.09 * k) * (right - left)
+            at = points[np.argmin(np.abs(points[:, 0] - wanted))]
+            axes.text(at[0], at[1], f"{level:g}", fontsize=8, ha="center", va="center", bbox=behind)
 
 
 def _boxes(axes: Axes, found: dict[str, Any]) -> None:
@@ -160,12 +172,12 @@ def binding(axes: Axes, found: dict[str, Any], which: np.ndarray, names, attribu
             continue
         style: Any = {"color": LIGHT[CURVES[int(i) % len(CURVES)]], "linestyle": "none"}
         axes.plot(x[row], y[column], marker=marks[int(i) % len(marks)], label=attributes[int(i)],
-                  markersize=5, **style)  # fmt: skip
-    axes.set_xlabel(f"{names[0]}, {found['units'][0]}")
+                  markersize=5, clip_on=False, **style)  # fmt: skip
+    axes.set_xlabel(with_unit(names[0], found["units"][0]))
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 8)
     axes.grid(False)
-    unit_above(axes, f"{names[1]}, {found['units'][1]}")
+    unit_above(axes, with_unit(names[1], found["units"][1]))
     legend_above(axes)
 
 
@@ -182,8 +194,8 @@ def agreement(axes: Axes, measured: np.ndarray, fitted: np.ndarray, unit: str) -
     ends = [min(measured.min(), fitted.min()), max(measured.max(), fitted.max())]
     axes.plot(ends, ends, color=LIGHT["other"], linewidth=0.9, label="Agreement")
     axes.plot(measured, fitted, "o", color=LIGHT["main"], markersize=4, label="Measurements")
-    axes.set_xlabel(f"Measured, {unit}")
+    axes.set_xlabel(with_unit("Measured", unit))
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 6)
-    unit_above(axes, f"Fitted, {unit}")
+    unit_above(axes, with_unit("Fitted", unit))
     legend_above(axes)

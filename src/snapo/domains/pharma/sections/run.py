@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from snapo.report.folder import Folder
-from snapo.report.quantity import quantity
+from snapo.report.quantity import quantity, unit_words
 
 
 @dataclass(frozen=True)
@@ -15,11 +15,11 @@ class Run(Folder):
 
     @property
     def attributes(self) -> list[dict[str, Any]]:
-        return list(self.get("attributes", []))
+        return [_written(each) for each in self.get("attributes", [])]
 
     @property
     def parameters(self) -> list[dict[str, Any]]:
-        return list(self.get("parameters", []))
+        return [_written(each) for each in self.get("parameters", [])]
 
     @property
     def names(self) -> tuple[list[str], list[str]]:
@@ -38,7 +38,7 @@ class Run(Folder):
             return "it is not among the [report] parts"
         if part in self.get("planned", []):
             return "the run has not come to it"
-        return f"the case has no [{table}]" if table else "it is no part of this run"
+        return f"the case has no `[{table}]`" if table else "it is no part of this run"
 
     def table(self, path: str) -> np.ndarray | None:
         """A table of numbers of a part as float64; its nulls are NaN."""
@@ -47,6 +47,11 @@ class Run(Folder):
             return None
         array = np.array(found, dtype=object)
         return np.where(array == None, np.nan, array).astype(np.float64)  # noqa: E711
+
+
+def _written(each: dict[str, Any]) -> dict[str, Any]:
+    """An attribute or a parameter with its unit as it is written by hand."""
+    return {**each, "unit": unit_words(str(each["unit"]))} if "unit" in each else each
 
 
 def limits(attribute: dict[str, Any]) -> str:

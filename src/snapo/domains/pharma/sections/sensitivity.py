@@ -4,7 +4,7 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
-from snapo.report.quantity import number, percent
+from snapo.report.quantity import number, percent, with_unit
 
 from . import pictures
 from .run import Run
@@ -24,7 +24,7 @@ def sensitivity(run: Run) -> Section:
         _criticality(run),
         _tornados(run, scaled),
     ]
-    return Section("sensitivity", title, short, blocks, break_before=True)
+    return Section("sensitivity", title, short, blocks)
 
 
 def _heat(run: Run, scaled: np.ndarray, share: np.ndarray) -> Chart:
@@ -137,7 +137,7 @@ def _tornados(run: Run, scaled: np.ndarray) -> Chart:
     def paint(*axes):
         for q, each in enumerate(axes):
             unit = run.attributes[q]["unit"]
-            pictures.tornado(each, parameters, scaled[q], f"{names[q]}, {unit}")
+            pictures.tornado(each, parameters, scaled[q], with_unit(names[q], unit))
 
     svg = draw("tornado", "Change of every attribute over half the normal range of every "
                "parameter.", paint, 24 + 110 * len(names), heights)  # fmt: skip
@@ -172,7 +172,7 @@ def _by_unit(run: Run) -> Table:
     rows = []
     for q, name in enumerate(names):
         cells = [number(value.get((unit, name), 0.0)) for unit in units]
-        rows.append((f"{name}, {run.attributes[q]['unit']}", *cells))
+        rows.append((with_unit(name, run.attributes[q]["unit"]), *cells))
     head = [("Attribute", ""), *((unit, "") for unit in units)]
     caption = (
         "Which unit's parameters move which attribute: root of the summed squares over half their "

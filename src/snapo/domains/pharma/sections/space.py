@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, quantity
+from snapo.report.quantity import finite, number, percent, quantity, with_unit
 
 from ..quality.interval import draws_for
 from . import pictures
@@ -30,7 +30,7 @@ def design_space(run: Run) -> Section:
         high = np.asarray(found["high"], float)[place]
         blocks.append(_map(run, found, probability[place], binding[place], words, (low, high)))
     blocks += boundary(run, found)
-    return Section("space", title, short, blocks, break_before=True)
+    return Section("space", title, short, blocks)
 
 
 def _slices(found: dict[str, Any], probability: np.ndarray) -> list[tuple[Any, str]]:
@@ -113,7 +113,7 @@ def ranges(run: Run) -> Section:
         sure = bool(each["probable"].get("sure_normal"))
         body.append(
             (
-                f"{each['parameter']}, {each['unit']}",
+                with_unit(each["parameter"], each["unit"]),
                 _edges(each["nominal"]),
                 _edges(each["probable"]),
                 Mark(inside and sure, _verdict(inside, sure)),
@@ -177,7 +177,7 @@ def capability(run: Run) -> Section:
     linear = run.get("spread.total") or [None] * len(names)
     rows = [
         (
-            f"{name}, {run.attributes[q]['unit']}",
+            with_unit(name, run.attributes[q]["unit"]),
             number(found["mean"][q]),
             number(found["deviation"][q]),
             number(linear[q]),

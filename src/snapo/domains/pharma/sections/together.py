@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 from snapo.report.page import Block, Mark, Missing, Section, Table
-from snapo.report.quantity import finite, number, percent, quantity
+from snapo.report.quantity import finite, number, percent, quantity, with_unit
 
 from .run import Run
 
@@ -37,7 +37,7 @@ def boundary(run: Run, found: dict[str, Any]) -> list[Block]:
         span = sorted((finite(end["inner"]), finite(end["outer"])), key=lambda x: (x is None, x))
         rows.append(
             (
-                f"{found['axes'][axis]}, {found['units'][axis]}",
+                with_unit(found["axes"][axis], found["units"][axis]),
                 ", ".join(fixed),
                 "above" if end["side"] > 0 else "below",
                 number(end["place"]),

@@ -6,7 +6,7 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table
-from snapo.report.quantity import number
+from snapo.report.quantity import number, unit_words
 
 from . import pictures
 from .run import Run
@@ -31,7 +31,12 @@ def units(run: Run) -> Section:
 def _measures(run: Run) -> Table | Missing:
     found = run.get("run.measures", {})
     rows = [
-        (each["name"], measure, unit, number(found.get(f"{each['name']}.{measure}")))
+        (
+            each["name"],
+            measure,
+            "" if unit == "1" else unit_words(unit),
+            number(found.get(f"{each['name']}.{measure}")),
+        )
         for each in run.get("units", [])
         for measure, unit in each.get("measures", {}).items()
     ]
@@ -52,7 +57,9 @@ def _course(name: str, states: dict[str, str], course: dict[str, Any]) -> Chart:
     def paint(*axes):
         for each, (unit, lines) in zip(axes, panels.items()):
             words = lines[0][0] if len(lines) == 1 else ""
-            pictures.curves(each, minutes, lines, ", ".join(filter(None, (words, unit))))
+            pictures.curves(
+                each, minutes, lines, ", ".join(filter(None, (words, unit_words(unit))))
+            )
         axes[-1].set_xlabel("Time, min")
 
     svg = draw(f"unit-{name}", f"States of {name} over time.", paint, 120 + 105 * len(panels),

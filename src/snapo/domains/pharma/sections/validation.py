@@ -19,7 +19,7 @@ def validation(run: Run) -> Section:
     if not found:
         text = (
             "No batch was held out of a fit: `held_out = true` of an experiment under "
-            "[[estimation.experiments]] keeps it for this."
+            "`[[estimation.experiments]]` keeps it for this."
         )
         return Section("validation", title, short, [Missing(text)])
     level = percent(run.get("estimation.level"), 0)

@@ -1,5 +1,7 @@
 """Why to believe the numbers: balances, convergence in time, adjoint against differences."""
 
+from typing import Any
+
 from snapo.report.page import Block, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, power
 
@@ -18,7 +20,7 @@ def verification(run: Run) -> Section:
                 f"with those of the whole to {power(closure)} of the largest in their row."
             )
         )
-    return Section("verification", "Verification", "Verification", blocks, break_before=True)
+    return Section("verification", "Verification", "Verification", blocks)
 
 
 def _balances(run: Run) -> Table | Missing:
@@ -31,7 +33,7 @@ def _balances(run: Run) -> Table | Missing:
             each["quantity"],
             Mark(closed(each), "closes" if closed(each) else "open"),
             number(each["inflow"]),
-            number(each["made"]) if each["made"] else "0",
+            number(_made(each)),
             number(each["outflow"]),
             number(each["accumulation"]),
             power(abs(each["relative"])),
@@ -45,6 +47,12 @@ def _balances(run: Run) -> Table | Missing:
         "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
     )
     return Table(head, body, caption, 3)
+
+
+def _made(each: dict[str, Any]) -> float:
+    """What was made; what rounding alone leaves of it is nothing."""
+    through = max(abs(each["inflow"]), abs(each["outflow"]))
+    return each["made"] if abs(each["made"] or 0.0) > 1e-12 * through else 0.0
 
 
 def _loops(run: Run) -> list[Block]:
