@@ -6,10 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from examples import american_put
 
 import snapo
 from snapo.problem.smooth import Exact
 from snapo.solver.learning.features import Scale, fixed, scale_of
+from snapo.solver.learning.following import fitted
 
 HORIZON, LEVEL, SPREAD = 12, 60.0, 15.0
 
@@ -113,3 +115,15 @@ class One(Store):
 def test_where_few_numbers_are_decided_there_is_no_scale():
     of = problem(One)
     assert scale_of(snapo.MLP().for_problem(of.interface, jax.random.key(0)), of) is None
+
+
+def test_where_the_decision_is_when_to_stop_price_and_time_are_scaled():
+    put = american_put.Put()  # pyright: ignore[reportCallIssue]
+    of = snapo.Problem(put, american_put.inputs, snapo.Mean("cash"))
+    found = scale_of(snapo.MLP().for_problem(of.interface, jax.random.key(0)), of)
+    assert found is not None
+    # The time left is 1, .98, ..., .02 on every path.
+    left = 1 - np.arange(50) / 50
+    assert found.mean[1] == pytest.approx(left.mean(), rel=1e-5)
+    assert found.deviation[1] == pytest.approx(left.std(), rel=1e-5)
+    assert fitted(snapo.Training(), of, snapo.MLP()).learning_rate == 0.01

@@ -8,8 +8,14 @@ decision moves are left as they are: an untrained policy does not bring them whe
 does.
 
 So it is where many numbers are decided, each of which has to tell states apart: a battery of 24
-powers a day earns 95 % of its bound in place of 84 %. With few, other settings are known to do: an
-American put ended at 4.444 in place of 4.466 with scaled features and another rate.
+powers a day earns 95 % of its bound in place of 84 %. With few, a regulator, a pendulum
+and a cart train well without.
+
+And so it is where the decision is when to stop. Stopping without regard to the state is worse than
+waiting, so the first steps lower the hazard everywhere. Where features are small, it vanishes
+before the network tells states apart, and training never comes back: a max-call of five shares
+ended at its European value, 23.10 for 26.14, with one seed of three, and at 26.14 with scaled
+features.
 """
 
 from typing import Any, NamedTuple
@@ -20,6 +26,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Bound, Xla
+from snapo.problem.actions import Stop
 from snapo.problem.policy import MLP, Policy, Residual
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at
@@ -90,10 +97,10 @@ def scaled(weights, bias, mean, deviation) -> tuple[Any, Any]:
 
 def scale_of(policy: Policy, problem: Problem) -> Scale | None:
     """The scale of the features that no decision moves; None where there is none to be seen, for
-    a policy that is no `MLP` or `Residual`, and where few numbers are decided."""
+    a policy that is no `MLP` or `Residual`, and where few numbers are decided, none a `Stop`."""
     if not isinstance(policy, MLP | Residual) or policy.network is None:
         return None
-    if problem.action.size <= MANY:
+    if problem.action.size <= MANY and not isinstance(problem.action, Stop):
         return None
     return fixed(problem)
 
