@@ -162,7 +162,7 @@ def test_engines_agree_and_every_derivative_is_that_of_central_differences():
         found, size = ours[entry.name][0].ravel(), entry.input.value.size
         assert native[entry.name][0].ravel() == pytest.approx(found, rel=1e-8, abs=1e-12)
         for place in rng.choice(size, min(size, 2), replace=False):
-            h = 1e-4 * max(abs(entry.input.value.ravel()[place]), 0.01)
+            h = 1e-4 * max(abs(float(entry.input.value.ravel()[place])), 0.01)
             central = (value(i, place, h) - value(i, place, -h)) / (2 * h)
             assert found[place] == pytest.approx(central, rel=1e-6, abs=3e-14 / h), entry.name
     # The exact fund too, on both engines.
