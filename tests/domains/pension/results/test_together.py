@@ -45,12 +45,9 @@ INDEXATION = {
     "personal pots": 'kind = "none"\n',
     "borrowed cash": 'kind = "none"\n',
 }
-# Bonds up to 120 % of the assets, on cash borrowed at 20 bp over the short rate.
+# Bonds up to 120 % of the assets, on borrowed cash.
 BORROWED = (
-    (
-        "band,risk\nCash,cash,,,0.02,0,0.3,,,,0,,,,1,,,",
-        "band,risk,fee\nCash,cash,,,-0.2,-0.4,0.3,,,,0,,,,1,,,,0.002",
-    ),
+    ("Cash,cash,,,0.02,0,0.3", "Cash,cash,,,-0.2,-0.4,0.3"),
     ("0.25,0,0.7,Matching,0.2,0.9", "0.47,0,1.2,Matching,0.2,1.4"),
 )
 POTS = """[pots]

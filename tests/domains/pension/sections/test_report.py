@@ -455,7 +455,7 @@ def test_layers_are_stacked_away_from_zero_on_either_side():
     axes = Figure().subplots()
     values = [np.array([1.2, 0.9]), np.array([-0.4, 0.1]), np.array([0.2, 0.0])]
     stack(axes, np.arange(2.0), [Layer(str(i), v, "main") for i, v in enumerate(values)], "%")
-    corners = [each.get_paths()[0].vertices for each in axes.collections]
+    corners = [np.asarray(each.get_paths()[0].vertices) for each in axes.collections]
     ends = [(c[:, 1].min(), c[:, 1].max()) for c in corners]
     # The second layer is on either side in turn: above 0.9 by 0.1, below 0 by 0.4.
     assert ends == [(0, 1.2), (0.9, 1.2), (-0.4, 0), (1.0, 1.4)]
