@@ -9,6 +9,7 @@ import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows, full, given
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
+from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.policies.present_mix import PresentMix
 from snapo.domains.pension.records.inputs import pension_inputs
@@ -16,12 +17,13 @@ from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
 from snapo.problem.inputs import named, values
 from snapo.problem.inputs import replace as with_values
-from snapo.problem.objective import Mean
+from snapo.problem.objective import CRRA, ExpectedUtility, Mean
 from snapo.problem.prepare import prepare
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sobol
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import float64, pull_back, value_and_gradient
+from snapo.solver.train import Training, begin, train
 
 STEPS, RATE, DRIFT = 24, 0.02, 0.05
 ENGINES = {"xla": Xla("float64"), "native": Native("float64")}
@@ -95,6 +97,26 @@ def test_mean_log_growth_and_its_derivatives_of_a_levered_mix():
         found = gradient.inputs["asset_mean"][0] * np.exp(DRIFT)
         assert found == pytest.approx(by_drift, rel=2e-3)
         assert gradient.inputs["zero_rate"].sum() == pytest.approx(by_rate, rel=4e-3)
+
+
+@pytest.mark.study
+def test_training_finds_the_levered_weight_of_a_logarithm():
+    """Merton's 0.03 / 0.156^2, 123 % in shares, from a start at 50 % and from one at 190 %.
+
+    300 steps of 2,048 paths tell a mean return to 0.156 / (2 years x 600,000)^.5, a weight to 0.005.
+    """
+    logarithm, best = ExpectedUtility("assets", CRRA(1.0)), (DRIFT - RATE) / 0.156**2
+    for start in (0.5, 1.9):
+        one = borrowing(start, volatility=0.156)
+        simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
+        problem = Problem(simulator, inputs, logarithm)
+        training = Training(steps=300, paths=2048, learning_rate=0.05, validation_every=100)
+        policy = ConstantMix(one, np.array([1 - start, start]))
+        engine = Native("float32")
+        found = train(problem, begin(policy, training), training, engine).best
+        weight = np.asarray(found(jnp.zeros(1), Exact()))
+        assert weight[1] == pytest.approx(best, abs=0.03)
+        assert weight.sum() == pytest.approx(1, abs=1e-6)
 
 
 @pytest.mark.prove

@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case
+from tests.domains.pension.market_cases import given as given_
 
 from snapo.domains.pension.fund.observation import FEATURES
 from snapo.domains.pension.fund.simulator import PensionSimulator
@@ -18,7 +19,7 @@ from snapo.domains.pension.policies.classical import ConstantMix, followers
 from snapo.domains.pension.policies.limits import Limits
 from snapo.domains.pension.policies.network import new_policy
 from snapo.domains.pension.policies.present_mix import PresentMix
-from snapo.domains.pension.records.assets import Group
+from snapo.domains.pension.records.assets import Group, Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.prepare import prepare
 from snapo.problem.smooth import Exact, Smooth
@@ -148,3 +149,20 @@ def test_all_rules_start_at_the_levered_mix_and_stay_within_its_bounds(one):
             assert action.sum() == pytest.approx(1, abs=1e-6)
     held = PresentMix(one, 1)(jnp.zeros(size), Exact())
     assert np.asarray(held).tolist() == pytest.approx(one.assets.weight.used().tolist())
+
+
+def test_borrowed_cash_backs_no_swaps():
+    """Shares on borrowed cash leave no collateral: notionals are zero, and slopes finite."""
+    swap = Overlay(
+        maturity=np.array([240]), notional=given_("overlay_notional", [0.0]), low=np.zeros(1),
+        high=np.array([2.0]), unit="assets", leverage=given_("overlay_leverage", 2.0),
+        cost=given_("overlay_cost", [0.0]),
+        collateral_stress=given_("overlay_collateral_stress", 0.035),
+    )  # fmt: skip
+    limits = Limits(replace(BORROWED, overlay=swap))
+    with jax.enable_x64(True):
+        weights, logit = jnp.asarray([-0.3, 1.3, 0.0, 0.0]), jnp.asarray([0.5])
+        assert limits.action(weights, logit, Exact())[4] == 0
+        smooth = Smooth(jnp.asarray(0.3))
+        slopes = jax.jacrev(lambda w: limits.action(w, logit, smooth))(weights)
+    assert np.isfinite(slopes).all()
