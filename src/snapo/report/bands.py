@@ -167,21 +167,27 @@ class Layer:
 
 
 def stack(axes: Axes, years: np.ndarray, layers: Sequence[Layer], unit: str) -> None:
-    """Layers on top of one another, each held for its year."""
+    """Layers on top of one another, each held for its year; negative ones hang below zero."""
     edges = np.append(years, years[-1] + (years[1] - years[0] if len(years) > 1 else 1.0))
-    below = np.zeros(len(years))
+    above, below = np.zeros(len(years)), np.zeros(len(years))
     for each in layers:
-        above = below + each.values
         style = {"color": LIGHT[each.colour], "alpha": each.alpha, "linewidth": 0}
-        axes.fill_between(
-            edges,
-            np.append(below, below[-1]),
-            np.append(above, above[-1]),
-            step="post",
-            label=each.label,
-            **style,
-        )
-        below = above
+        over, under = above + np.maximum(each.values, 0.0), below + np.minimum(each.values, 0.0)
+        # One part where the layer is on one side of zero all the time.
+        parts = [(above, over)] if np.any(over > above) or not np.any(under < below) else []
+        parts += [(below, under)] if np.any(under < below) else []
+        for i, (first, last) in enumerate(parts):
+            axes.fill_between(
+                edges,
+                np.append(first, first[-1]),
+                np.append(last, last[-1]),
+                step="post",
+                label=each.label if i == 0 else None,
+                **style,
+            )
+        above, below = over, under
+    if np.any(below < 0):
+        axes.axhline(0.0, color=LIGHT["ink"], linewidth=0.8)
     axes.set_xlim(edges[0], edges[-1])
     axes.set_xlabel("Year")
     number_axis(axes.xaxis, 10)

@@ -44,3 +44,23 @@ def test_as_a_linear_program(low, high, worth, group_low, group_high):
         with jax.enable_x64(True):
             found = best_mix(limits, np.array(worth), np.array([0.02, -0.01]))
         np.testing.assert_allclose(found, exact + 0.25 * 0.02 + 0.1 * 0.01, atol=1e-9)
+
+
+@settings(max_examples=60, deadline=None)
+@given(SHARES, SHARES, SHARES, st.floats(-0.6, 0.4), st.floats(0.6, 1.6))
+def test_as_a_linear_program_where_classes_may_be_short(low, width, worth, group_low, group_high):
+    low = np.array(low) - 0.6
+    limits = Limits(
+        low,
+        low + 2 * np.array(width),
+        np.array([0, 0, 1, 1, 2]),
+        np.array([group_low, -0.5, low[4]]),
+        np.array([group_high, 1.4, low[4] + 2 * width[4]]),
+        np.zeros(0),
+        np.zeros(0),
+    )
+    exact = program(limits, np.array(worth))
+    if np.isfinite(exact):
+        with jax.enable_x64(True):
+            found = best_mix(limits, np.array(worth), np.zeros(0))
+        np.testing.assert_allclose(found, exact, atol=1e-9)

@@ -56,6 +56,24 @@ def test_wrong_prices_are_wide_and_never_wrong(merton):
         relaxation.price = kept
 
 
+@pytest.mark.prove
+def test_the_levered_mix_of_a_logarithm_is_certified_too():
+    """Relative risk aversion 1: Merton's weight is 0.04 / 0.18^2, 123 % of the assets in shares,
+    and the mean log growth 0.02 + 0.04^2 / (2 0.18^2) a year less what monthly steps lose."""
+    one, logarithm = fund(), ExpectedUtility("assets", CRRA(1.0))
+    weight = 0.04 / 0.18**2
+    held = replace(one.assets, low=np.array([-1.0, 0.0]), high=np.array([1.0, 2.0]))
+    simulator = PensionSimulator(replace(one, assets=held))  # pyright: ignore
+    problem = Problem(simulator, pension_inputs(one), logarithm, Sources.of(Pseudo(3)))
+    policy = Constant(np.array([1 - weight, weight]))
+    found = bound(problem, policy, FundRelaxation(problem, policy, 512), 512)
+    best = np.exp(10 * (0.02 + 0.04**2 / (2 * 0.18**2)))
+    lower, upper = found.sure
+    assert lower < upper < 1.002 * lower
+    assert problem.objective.sure(found.upper.high) >= best * (1 - 1e-3)
+    assert lower == pytest.approx(best, rel=0.01)
+
+
 @pytest.mark.study
 def test_a_fund_whose_rules_respond_is_bounded_path_by_path():
     """Indexation and contributions at their extremes: hindsight never earns less than a policy."""

@@ -139,6 +139,31 @@ MISTAKES = {
         ["assets.file", "add up to 1.1", "must add up to 1"],
     ),
     "negative weight": ("assets.csv", ",0.35,", ",-0.35,", ["assets.csv", "weight", "'-0.35'"]),
+    "weight above one, nothing short": ("assets.csv", ",0.35,", ",1.35,", ["weight", "'1.35'"]),
+    "more than all, nothing short": (
+        "assets.csv", "0.25,0,0.7", "0.25,0,1.7",
+        ["assets.csv", "high", "'1.7'", "at most 1", "low below 0"],
+    ),
+    "bound in per cent": (
+        "assets.csv", "0.02,0,0.3", "0.02,-40,0.3",
+        ["assets.csv", "low", "'-40'", "from -10 to 10"],
+    ),
+    "weight below its negative bound": (
+        "assets.csv", "0.02,0,0.3", "-0.3,-0.2,0.3",
+        ["assets.csv", "weight", "'-0.3'", "from -0.2 to 1"],
+    ),
+    "short, and sold by shares of the holding": (
+        "assets.csv", None,
+        "name,kind,weight,low,high,maturity,max_sale\nCash,cash,0.2,0,1,,\n"
+        "Bonds,bond,0.8,-0.1,1.1,10,0.5\n",
+        ["assets.csv", "max_sale", "'0.5'", "low below 0"],
+    ),
+    "short bounds that leave too much": (
+        "assets.csv", None,
+        "name,kind,weight,low,high,maturity\nCash,cash,-0.4,-0.4,-0.3,\n"
+        "Bonds,bond,1,0,1.2,10\nLong,bond,0.4,0,0,20\n",
+        ["assets.file", "add up to -0.4 to 0.9", "lower bounds to no more, upper to no less"],
+    ),
     "bounds that cannot sum to one": (
         "assets.csv", "0,0.3,,,,0,,,,1\nBonds 10y,bond,,,0.25,0,0.7,Matching,0.2,0.9",
         "0,0.05,,,,0,,,,1\nBonds 10y,bond,,,0.25,0,0.7,Matching,0,0.1",

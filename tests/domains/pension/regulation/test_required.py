@@ -96,3 +96,10 @@ def test_mistakes_are_named(keys, named):
 def test_before_the_law_there_is_none():
     with pytest.raises(CaseError, match="no version holds on 2014-12-31"):
         read(datetime.date(2014, 12, 31))
+
+
+def test_shares_sold_short_lose_nothing_in_a_fall_and_offset_nothing():
+    """A fall of developed shares costs its own part of the long ones alone."""
+    fall = RULES.falls["developed"]
+    assert equity_loss(RULES, {"developed": 100.0, "emerging": -40.0}) == pytest.approx(100 * fall)
+    assert equity_loss(RULES, {"developed": -100.0}) == 0

@@ -43,7 +43,13 @@ INDEXATION = {
     "limited increases": 'kind = "capped"\nmonth = 1\ncap = 0.04\nfloor = 0.0\n',
     "fixed increases": 'kind = "fixed"\nrate = 0.02\nmonth = 1\n',
     "personal pots": 'kind = "none"\n',
+    "borrowed cash": 'kind = "none"\n',
 }
+# Bonds up to 120 % of the assets, on borrowed cash.
+BORROWED = (
+    ("Cash,cash,,,0.02,0,0.3", "Cash,cash,,,-0.2,-0.4,0.3"),
+    ("0.25,0,0.7,Matching,0.2,0.9", "0.47,0,1.2,Matching,0.2,1.4"),
+)
 POTS = """[pots]
 rules = "dutch-wtp"
 allocation = "allocation.csv"
@@ -75,7 +81,11 @@ def edited(text: str, kind: str) -> str:
 @pytest.mark.parametrize("kind", INDEXATION)
 def test_every_part_is_done_and_nothing_is_left_out(kind, tmp_path):
     folder = short_case(tmp_path / "case")
-    (folder / "assets.csv").write_text(ASSETS)
+    assets = ASSETS
+    for old, new in BORROWED if kind == "borrowed cash" else ():
+        assert old in assets
+        assets = assets.replace(old, new)
+    (folder / "assets.csv").write_text(assets)
     (folder / "overlay.csv").write_text(OVERLAY)
     (folder / "recovery.csv").write_text(RECOVERY)
     (folder / "allocation.csv").write_text(ALLOCATION)
@@ -88,5 +98,5 @@ def test_every_part_is_done_and_nothing_is_left_out(kind, tmp_path):
     assert "present_mix_yearly" in result["references"]
     report = (folder / "run" / "report.html").read_text()
     assert 'class="missing"' not in report
-    told = {"personal pots": "Solidarity reserve"}
+    told = {"personal pots": "Solidarity reserve", "borrowed cash": "Below zero: sold short"}
     assert told.get(kind, "Required own funds") in report

@@ -8,13 +8,16 @@ from typing import Any
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 
 from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.sections import risk
 from snapo.domains.pension.sections.outputs import outputs as outputs_section
 from snapo.domains.pension.sections.page import SECTIONS
 from snapo.domains.pension.sections.run import PensionRun
+from snapo.report.bands import Layer, stack
 from snapo.report.page import Table
+from snapo.report.quantity import number
 from snapo.study import report
 from snapo.study.run_folder import plain_json
 
@@ -425,3 +428,34 @@ def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
     told = html[html.index('id="pots"') :]
     for text in ("Pensioners", "100.1", "12,117", "13.7", "Rules from 2023-07-01: the law."):
         assert text in told.replace("\u2009", ",").replace("\u202f", ",")
+
+
+@pytest.mark.prove
+def test_increases_without_a_choice_are_told_in_a_sentence(folder):
+    """Fixed ones, and none at all: nothing is missing."""
+    details, years = deepcopy(sample()), np.arange(1, YEARS + 1)
+    for rate, words in ((0.02, "Pensions rise by 2.00 % every year"), (0.0, "grants no increases")):
+        details["by_year"]["indexation"] = fan(0 * years + rate, 0.0)
+        details["by_year"]["cumulated"] = fan((1 + rate) ** years, 0.0)
+        html = written(folder, details).replace("\N{NO-BREAK SPACE}", " ")
+        assert words in html and 'class="missing"' not in html
+
+
+def test_borrowed_cash_hangs_below_zero(folder):
+    """Of the mix: bonds reach 140 %, cash -40 %, and the axis shows both."""
+    details = deepcopy(sample())
+    mix = np.array([-0.4, 1.2, 0.1, 0.05, 0.03, 0.02])
+    details["mix"]["weights"] = np.repeat(mix[:, None], YEARS, 1)
+    html = written(folder, details)
+    assert "Below zero: sold short, or borrowed." in html and 'class="missing"' not in html
+    assert f"Cash {number(-40, 0)} % now" in html
+
+
+def test_layers_are_stacked_away_from_zero_on_either_side():
+    axes = Figure().subplots()
+    values = [np.array([1.2, 0.9]), np.array([-0.4, 0.1]), np.array([0.2, 0.0])]
+    stack(axes, np.arange(2.0), [Layer(str(i), v, "main") for i, v in enumerate(values)], "%")
+    corners = [np.asarray(each.get_paths()[0].vertices) for each in axes.collections]
+    ends = [(c[:, 1].min(), c[:, 1].max()) for c in corners]
+    # The second layer is on either side in turn: above 0.9 by 0.1, below 0 by 0.4.
+    assert ends == [(0, 1.2), (0.9, 1.2), (-0.4, 0), (1.0, 1.4)]

@@ -34,8 +34,8 @@ def limits(case: PensionCase) -> Limits:
         group_high.append(float(each.high))
     for alone in np.flatnonzero(group < 0):
         group[alone] = len(group_low)
-        group_low.append(0.0)
-        group_high.append(1.0)
+        group_low.append(float(low[alone]))
+        group_high.append(float(high[alone]))
     none = np.zeros(0)
     if overlay is None:
         least = most = none

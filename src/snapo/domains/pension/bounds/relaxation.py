@@ -9,6 +9,7 @@ swaps. Then D A earns nothing on average under any policy, so
 for every y > 0 and p (Haugh, Kogan and Wang, Operations Research 54, 2006). The liability L is the
 least and the money received the most that any decision can bring about: exact where indexation and
 contributions do not depend on decisions, wide where they do. Costs of trading count as nothing.
+Assets are above zero: a debt, which leverage or payments can leave, earns more than nothing.
 """
 
 from typing import Any, NamedTuple

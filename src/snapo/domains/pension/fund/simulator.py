@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Box
@@ -24,7 +25,7 @@ from .books import LEAST, Balance, State, balance, opening
 from .observation import observe
 from .plan import contribution, indexation
 from .schedule import Period, Terms, make_schedule
-from .trading import Holdings, trade
+from .trading import Holdings, drifted, trade
 
 # Of the last step or the end of the horizon: ratio F, ln(F / F now), A - L, min(F - 1, 0) …
 AT_END = (
@@ -101,7 +102,11 @@ class PensionSimulator(Simulator):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(len(self.case.assets.classes) + self.case.buckets, 0.0, 1.0)
+        assets, swaps = self.case.assets, np.zeros(self.case.buckets)
+        if not assets.short:
+            return Box(len(assets.classes) + self.case.buckets, 0.0, 1.0)
+        low = np.concatenate([np.minimum(assets.low, 0.0), swaps])
+        return Box(len(low), low, np.concatenate([np.maximum(assets.high, 1.0), swaps + 1]))
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -171,7 +176,7 @@ class PensionSimulator(Simulator):
             least = LEAST * constants.assets
             rolled = held.notional * jnp.exp(moved.cash + moved.swaps)
             overlay = rolled / jnp.where(assets > least, assets, constants.assets)
-        weights = held.weights * moved.gross / growth
+        weights = drifted(self.case.assets, held.weights * moved.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)
 
     def _outputs(self, constants: Terms, state: State, done: Happened, smooth):

@@ -2,6 +2,10 @@
 
 The action is n weights, then for each swap bucket where in its range the notional lies. Cash takes
 the remainder of the other weights, so that any policy finances itself.
+
+Where weights may be negative, a fund can lose more than it has. One without assets holds no
+investments and no swaps: it owes its debt in cash, at the short rate, without costs, until
+contributions exceed it. Investments fade out with the assets, so that money moves without a jump.
 """
 
 from typing import NamedTuple
@@ -14,6 +18,7 @@ from ..records.assets import Assets
 from ..records.case import PensionCase
 from .dealing import dealt
 
+LEFT = 1e-3  # of the assets at the start of a step: with less at its end, they are gone
 SHARE = 0.01  # width over which the cost of a trade is rounded while training
 
 
@@ -39,7 +44,12 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
     if case.assets.dealing:
         weights = dealt(case.assets, case.step, wanted, state.weights, smooth)
     traded = jnp.sum(terms.cost * smooth.absolute(weights - state.weights, SHARE))
-    cost = assets * (traded + jnp.sum(terms.fee * weights))
+    size = weights
+    if case.assets.short:
+        # A fee is paid on what is held, on either side of zero.
+        either = smooth.absolute(weights, SHARE)
+        size = jnp.where(np.asarray(case.assets.low) < 0, either, weights)
+    cost = assets * (traded + jnp.sum(terms.fee * size))
     notional, short = None, jnp.zeros_like(assets)
     swaps = terms.swaps
     if swaps is not None:
@@ -50,9 +60,35 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
         required = jnp.sum(notional * swaps.duration) * swaps.stress
         eligible = np.array([each.eligible for each in case.assets.classes])
-        gap = required - assets * jnp.sum(eligible * weights)
+        there = jnp.sum(eligible * weights)
+        if case.assets.short:
+            there = jnp.maximum(there, 0.0)
+        gap = required - assets * there
         short = smooth.positive_part(gap, SHARE * terms.assets)
-    return Holdings(weights, notional, cost, excess(case.assets, wanted), short)
+    held = Holdings(weights, notional, cost, excess(case.assets, wanted), short)
+    return _while_solvent(case.assets, held, assets) if case.assets.short else held
+
+
+def _while_solvent(classes: Assets, held: Holdings, assets: Array) -> Holdings:
+    """The holdings, or cash alone where there are no `assets` left, but debt."""
+    left = assets > 0
+    alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, held.weights.dtype)
+    return held._replace(
+        weights=jnp.where(left, held.weights, alone),
+        notional=None if held.notional is None else jnp.where(left, held.notional, 0.0),
+        cost=jnp.where(left, held.cost, 0.0),
+        collateral_shortfall=jnp.where(left, held.collateral_shortfall, 0.0),
+    )
+
+
+def drifted(classes: Assets, grown: Array, growth: Array) -> Float[Array, " n"]:
+    """The weights after a step from `grown` [n], the holdings per unit of the assets before it, and
+    their sum `growth`; all in cash where a fund with debts has lost everything."""
+    if not classes.short:
+        return grown / growth
+    left = growth > LEFT
+    alone = jnp.asarray(np.arange(len(classes.classes)) == classes.cash, grown.dtype)
+    return jnp.where(left, grown / jnp.where(left, growth, 1.0), alone)
 
 
 def _notional(case: PensionCase, swaps, action, assets, buckets, smooth) -> Float[Array, " b"]:

@@ -8,13 +8,14 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.problem.inputs import Frozen
 from snapo.problem.policy import Policy
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.smooth import Exact
 
 from ..fund.observation import RATIO, slots
 from ..records.case import PensionCase
-from .limits import Limits, present
+from .limits import Limits, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 LEAST = 1e-3  # a class of less weight is tuned from this one, where it can still learn
@@ -31,8 +32,7 @@ class ConstantMix(Policy):
         self.limits = Limits(case)
         start = present(case)
         if weights is not None:
-            inside = np.clip(weights, 1e-3, 1 - 1e-3)
-            start[: len(weights)] = np.log(inside / (1 - inside))
+            start[: len(weights)] = logits_of(case, weights)
         self.logits = jnp.asarray(start, jnp.float32)
 
     def __call__(self, observation, smooth):
@@ -71,6 +71,8 @@ class LiabilityDriven(Policy):
 
     The growth share is growth[0] + growth[1] (F - 1), within 0 and 1, `growth` in `UNIT`; `mix` [n]
     are the logits of the classes within the two portfolios and `hedge` [b] of the swaps' places.
+    Where weights may be negative, the growth share lies within `reach`, and within its portfolio a
+    class weighs floor + (1 - sum of floors) softmax(mix), `floor` [n] being zero elsewhere.
     It starts at a constant `mix`.
     """
 
@@ -78,6 +80,8 @@ class LiabilityDriven(Policy):
     growth: Array
     mix: Array
     hedge: Array | None
+    floor: Frozen
+    reach: tuple[float, float] = eqx.field(static=True)
     own: tuple[bool, ...] = eqx.field(static=True)
     place: int = eqx.field(static=True)
 
@@ -86,8 +90,14 @@ class LiabilityDriven(Policy):
         self.limits, self.place = mix.limits, _ratio_slot(case)
         self.own = tuple(bool(i in case.assets.shocks) for i in range(count))
         held = np.asarray(_held(mix.limits, mix.logits[:count]))
-        self.growth = jnp.asarray([held[np.array(self.own)].sum() / UNIT, 0.0], jnp.float32)
-        self.mix = jnp.asarray(np.log(np.maximum(held, LEAST)), jnp.float32)
+        grown = held[np.array(self.own)].sum()
+        floor, self.reach = np.zeros(count), (0.0, 1.0)
+        if case.assets.short:
+            floor, self.reach = _floor(case, np.array(self.own), float(grown))
+        whole = _whole(np.array(self.own), float(grown))
+        self.floor = Frozen(floor)
+        self.growth = jnp.asarray([grown / UNIT, 0.0], jnp.float32)
+        self.mix = jnp.asarray(np.log(np.maximum(np.abs(held - floor * whole), LEAST)), jnp.float32)
         self.hedge = mix.logits[count:] if case.buckets else None
 
     def __call__(self, observation, smooth):
@@ -95,13 +105,30 @@ class LiabilityDriven(Policy):
         own = np.array(self.own)
         growth = UNIT * self.growth.astype(kind)
         ratio = jnp.exp(RATIO * observation[self.place])
-        share = smooth.clip(growth[0] + growth[1] * (ratio - 1), 0.0, 1.0, WIDTH)
+        share = smooth.clip(growth[0] + growth[1] * (ratio - 1), *self.reach, WIDTH)
         size = jnp.exp(self.mix.astype(kind) - jax.lax.stop_gradient(jnp.max(self.mix)))
         grown = jnp.where(own, size, 0.0)
         safe = jnp.where(own, 0.0, size)
-        weights = share * grown / jnp.maximum(jnp.sum(grown), 1e-9)
-        weights = weights + (1 - share) * safe / jnp.sum(safe)
+        floor = jnp.asarray(self.floor.array, kind)
+        above = 1 - jnp.sum(jnp.where(own, floor, 0.0)), 1 - jnp.sum(jnp.where(own, 0.0, floor))
+        weights = share * above[0] * grown / jnp.maximum(jnp.sum(grown), 1e-9)
+        weights = weights + (1 - share) * above[1] * safe / jnp.sum(safe)
+        weights = weights + jnp.where(own, share, 1 - share) * floor
         return self.limits.action(self.limits.nearest(weights, smooth), self.hedge, smooth)
+
+
+def _whole(own: np.ndarray, grown: float) -> np.ndarray:
+    """[n] what the portfolio of each class weighs together, off zero."""
+    whole = np.where(own, grown, 1 - grown)
+    return np.where(np.abs(whole) < LEAST, LEAST, whole)
+
+
+def _floor(case: PensionCase, own: np.ndarray, grown: float):
+    """[n] the least that each class weighs in its portfolio, and the range of the growth share."""
+    low, high, whole = case.assets.low, case.assets.high, _whole(own, grown)
+    # A portfolio that is borrowed as a whole turns bounds round.
+    floor = np.minimum(np.minimum(low / whole, high / whole), 0.0)
+    return floor, (min(0.0, float(low[own].sum())), max(1.0, float(high[own].sum())))
 
 
 @compiled_sooner

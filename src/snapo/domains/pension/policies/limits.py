@@ -19,7 +19,8 @@ MARGIN = 0.02  # of a range: a start nearer to a bound than this is moved inside
 class Limits(Policy):
     """Turns real numbers, one per class and swap bucket, into an action within all limits.
 
-    Weights are `smooth.simplex` of the first n numbers, places of the notionals in their ranges a
+    Weights are `smooth.simplex` of the first n numbers, which reaches every mix inside the bounds,
+    negative and levered ones where the bounds allow them; places of the notionals in their ranges a
     logistic curve of the rest. Where these ranges are shares of the assets, swaps are scaled down
     together to the collateral behind the weights; where they are shares of the liability, a
     policy does not see enough for that, and the simulator counts the shortfall.
@@ -92,7 +93,8 @@ class Cover(eqx.Module):
         given = (self.low, self.width, self.need, self.eligible)
         low, width, need, eligible = (jnp.asarray(x.array, places.dtype) for x in given)
         share = low + places * width
-        there = jnp.sum(eligible * weights)
+        # Borrowed cash can outweigh what counts; there is no collateral then.
+        there = jnp.maximum(jnp.sum(eligible * weights), 0.0)
         needed = smooth.maximum(jnp.sum(need * share), there, SHARE)
         backed = share * there / jnp.where(needed > 0, needed, 1.0)
         # Swaps that have to be held stay, covered or not.
@@ -109,6 +111,12 @@ def present(case: PensionCase) -> np.ndarray:
         place.append(_place(share, overlay.low, overlay.high))
     inside = np.clip(np.concatenate(place), MARGIN, 1 - MARGIN)
     return np.log(inside / (1 - inside)).astype(np.float32)
+
+
+def logits_of(case: PensionCase, weights: np.ndarray) -> np.ndarray:
+    """[n] the numbers from which `Limits` makes these weights, where no group limits them."""
+    inside = np.clip(_place(weights, case.assets.low, case.assets.high), 1e-3, 1 - 1e-3)
+    return np.log(inside / (1 - inside))
 
 
 def _place(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

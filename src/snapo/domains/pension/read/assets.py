@@ -49,6 +49,7 @@ OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
 COST = rate("the cost of trading as a share of the trade", "assets", "1")
 FEE = rate("the fee per year, as a share of the holding", "assets")
 WEIGHT = share("a weight held today, before the first trade", "assets")
+FARTHEST = 10.0  # a bound beyond 1,000 % of the assets is a percentage that was not divided by 100
 AMOUNT = "the market value of all assets today"
 
 
@@ -68,10 +69,10 @@ def read_assets(
     for column_name in ("max_sale", "band"):
         if rows[_cash(classes)].cells.get(column_name):
             raise rows[_cash(classes)].error(column_name, "cash takes what the others leave")
-    low = np.array([number(row, "low", 0.0, 0.0, 1.0) for row in rows])
-    high = np.array([number(row, "high", 1.0, 0.0, 1.0) for row in rows])
-    groups = _groups(rows, classes)
-    _check_bounds(section, rows, low, high, groups)
+    low, high = _bounds(rows)
+    groups = _groups(rows, classes, low, high)
+    _check_bounds(section, low, high, groups)
+    ends = [(min(least, 0.0), max(most, 1.0)) for least, most in zip(low, high)]
     smoothing = [rows[i].number("smoothing", 0.0, 1.0) for i in smoothed]
     return Assets(
         classes=classes,
@@ -83,7 +84,7 @@ def read_assets(
         smoothed=np.array(smoothed, np.int64),
         cost=column("asset_cost", rows, "cost", labels, COST),
         fee=column("asset_fee", rows, "fee", labels, FEE),
-        weight=listed("asset_weight", _weights(section, table.file, rows), labels, WEIGHT),
+        weight=listed("asset_weight", _weights(section, table.file, rows, ends), labels, WEIGHT),
         low=low,
         high=high,
         groups=groups,
@@ -150,24 +151,54 @@ def _volatility(section: Section, row: Row, grid: Grid) -> Pieces:
     return pieces(row.number("volatility", 0.0, 5.0), list, grid, 0.0)
 
 
-def _weights(section: Section, file: str, rows: Sequence[Row]) -> list[float]:
-    weights = [row.number("weight", 0.0, 1.0) for row in rows]
-    total = math.fsum(weights)
+def _bounds(rows: Sequence[Row]) -> tuple[np.ndarray, np.ndarray]:
+    """[n] low and [n] high, 0 and 1 where they are left out."""
+    low = np.array([number(row, "low", 0.0, -FARTHEST, FARTHEST) for row in rows])
+    high = np.array([number(row, "high", 1.0, -FARTHEST, FARTHEST) for row in rows])
+    for row, least, most in zip(rows, low, high):
+        if least > most:
+            row.cells.setdefault("low", "")
+            raise row.error("low", f"the lower bound must not exceed the upper one, {most:g}")
+        for name, bound in (("low", least), ("high", most)):
+            if bound > 1 and not (low < 0).any():
+                what = "allowed is at most 1, unless a low below 0 lets some class be sold short"
+                raise row.error(name, what)
+        if least < 0 and row.cells.get("max_sale"):
+            what = "a class with a low below 0 is sold beyond its holding: it has no largest sale"
+            raise row.error("max_sale", what)
+    return low, high
+
+
+def _weights(
+    section: Section, file: str, rows: Sequence[Row], ends: Sequence[tuple[float, float]]
+) -> list[float]:
+    """Of today, between their `ends`: 0 and 1, or beyond as far as the bounds of the class go."""
+    found = [row.number("weight", *each) for row, each in zip(rows, ends)]
+    total = math.fsum(found)
     if abs(total - 1) > WHOLE:
         got = Unquoted(f"weights that add up to {total:.6g}")
         raise section.error("file", got, f"the weights in {file} must add up to 1")
-    return weights
+    return found
 
 
-def _groups(rows: Sequence[Row], classes: Sequence[AssetClass]) -> tuple[Group, ...]:
-    """Groups in the order in which they appear; limits may stand in any of a group's rows."""
-    found = []
+def _groups(
+    rows: Sequence[Row], classes: Sequence[AssetClass], low: np.ndarray, high: np.ndarray
+) -> tuple[Group, ...]:
+    """Groups in the order in which they appear; limits may stand in any of a group's rows.
+
+    Without limits of its own a group weighs 0 to 1, or where a class may be short, what its classes
+    may weigh.
+    """
+    short, found = bool((low < 0).any()), []
+    least, most = (-FARTHEST, FARTHEST) if short else (0.0, 1.0)
     for name in dict.fromkeys(each.group for each in classes if each.group):
         members = tuple(i for i, each in enumerate(classes) if each.group == name)
+        of = list(members)
+        silent = (float(low[of].sum()), float(high[of].sum())) if short else (0.0, 1.0)
         limits = []
-        for limit, default in (("group_low", 0.0), ("group_high", 1.0)):
+        for limit, default in zip(("group_low", "group_high"), silent):
             given = [rows[i] for i in members if rows[i].cells.get(limit)]
-            values = [row.number(limit, 0.0, 1.0) for row in given]
+            values = [row.number(limit, least, most) for row in given]
             for row, value in zip(given, values):
                 if value != values[0]:
                     raise row.error(limit, f"the group {name} has {values[0]:g} further up")
@@ -176,12 +207,10 @@ def _groups(rows: Sequence[Row], classes: Sequence[AssetClass]) -> tuple[Group, 
     return tuple(found)
 
 
-def _check_bounds(section: Section, rows, low, high, groups: Sequence[Group]) -> None:
+def _check_bounds(
+    section: Section, low: np.ndarray, high: np.ndarray, groups: Sequence[Group]
+) -> None:
     """There must be weights within all bounds that add up to one."""
-    for row, least, most in zip(rows, low, high):
-        if least > most:
-            row.cells.setdefault("low", "")
-            raise row.error("low", f"the lower bound must not exceed the upper one, {most:g}")
     least, most = float(low.sum()), float(high.sum())
     for group in groups:
         members = list(group.members)
@@ -195,5 +224,5 @@ def _check_bounds(section: Section, rows, low, high, groups: Sequence[Group]) ->
         most += upper - inside[1]
     if least > 1 + WHOLE or most < 1 - WHOLE:
         got = Unquoted(f"bounds between which the weights add up to {least:g} to {most:g}")
-        what = "within the bounds, the weights must be able to add up to 1"
+        what = "the weights must be able to add up to 1: lower bounds to no more, upper to no less"
         raise section.error("file", got, what)

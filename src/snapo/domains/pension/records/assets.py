@@ -34,7 +34,8 @@ class Assets:
       1; `smoothed`: [q] positions of the appraised classes ("property"), often none.
     - `cost`: index [n], share of the trade; `fee`: index [n], share of assets per year.
     - `weight`: index [n], weights now, adding up to one.
-    - `low`, `high`: [n] bounds between 0 and 1; `groups`: disjoint.
+    - `low`, `high`: [n] bounds of the weights; `groups`: disjoint. A class whose `low` is below 0
+      may be sold short, or, as cash, be borrowed; others may then weigh more than 1.
     - `amount`: market value of all assets now, index [].
     - `max_sale`: [n] share of a holding that may be sold per year, infinite without a limit;
       `band`: [n] distance from the wanted weight within which a class is not traded; `turnover`:
@@ -65,6 +66,11 @@ class Assets:
     def dealing(self) -> bool:
         """Whether trading has limits of its own."""
         return any(each is not None for each in (self.max_sale, self.band, self.turnover))
+
+    @property
+    def short(self) -> bool:
+        """Whether a weight may be negative, so that the assets may be lost more than once."""
+        return bool((np.asarray(self.low) < 0).any())
 
     @property
     def cash(self) -> int:

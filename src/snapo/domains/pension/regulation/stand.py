@@ -86,7 +86,7 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
         rates=max(*rates, 0.0),
         equity=equity_loss(rules, groups),
         currencies=currency_loss(rules, _unhedged(case, held), case.currencies.emerging),
-        commodities=rules.falls["commodity"] * groups.get("commodity", 0.0),
+        commodities=rules.falls["commodity"] * max(groups.get("commodity", 0.0), 0.0),
         credit=_credit(case, held),
         insurance=regulation.insurance_risk * liability,
         active=regulation.active_risk * assets,
@@ -142,7 +142,7 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
             rise = rules.spreads.get(name, rules.spreads["other"])
             years = getattr(one, "maturity", 0) * case.step
             lost += float(each) * -np.expm1(-rise * years)
-    return lost
+    return max(lost, 0.0)
 
 
 def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> dict[str, Any]:

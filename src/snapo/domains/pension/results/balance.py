@@ -124,7 +124,8 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> di
     if case.overlay is None:
         return None
     amount = float(case.assets.amount.used())
-    eligible = amount * sum(w * each.eligible for w, each in zip(weights, case.assets.classes))
+    counted = sum(w * each.eligible for w, each in zip(weights, case.assets.classes))
+    eligible = amount * max(counted, 0.0)
     years = case.overlay.maturity * case.step
     exposure, rates = float(np.sum(notional * years)), case.buckets - case.overlay.inflation
     stress = float(case.overlay.collateral_stress.used())

@@ -123,7 +123,7 @@ def _mix(run: PensionRun) -> Chart | None:
     if not weights or years is None:
         return None
     mean = np.array(weights, np.float64)
-    order = np.argsort(-mean.mean(1), kind="stable")
+    order = np.argsort(-np.abs(mean.mean(1)), kind="stable")
     kept, rest = order[:5], order[5:]
     layers = [
         Layer(names[i], 100 * mean[i], colour, 0.8) for i, colour in zip(kept, LAYERS, strict=False)
@@ -134,7 +134,10 @@ def _mix(run: PensionRun) -> Chart | None:
         f"{each.label} {number(each.values[0], 0)} % now" for each in layers
     )
     svg = draw("mix", alt, lambda axes: stack(axes, years, layers, "%"), 240)
-    return Chart(svg, "Mean weights at the start of each year, over all paths.")
+    text = "Mean weights at the start of each year, over all paths."
+    if mean.min() < 0:
+        text += " Below zero: sold short, or borrowed."
+    return Chart(svg, text)
 
 
 def rivals(run: PensionRun) -> Section:

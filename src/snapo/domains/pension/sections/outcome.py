@@ -163,9 +163,10 @@ def indexation(run: PensionRun) -> Section:
     """Indexation granted, by year and cumulated."""
     title, short = f"Indexation by year ({run.measure})", "Indexation"
     fan, total = _fan(run, "indexation"), _fan(run, "cumulated")
-    if fan is None or total is None or not np.any(fan["p99"] != fan["p01"]):
-        text = "The plan grants no indexation that would vary."
-        return Section("indexation", title, short, [Missing(text)])
+    if fan is None or total is None:
+        return Section("indexation", title, short, [Missing("Indexation is not in this run.")])
+    if not np.any(fan["p99"] != fan["p01"]):
+        return Section("indexation", title, short, [Text(_certain(fan["p50"], total["p50"]))])
     years = np.arange(1, len(fan["p50"]) + 1)
     scaled = {key: 100 * row for key, row in total.items()}
     alt = f"Pensions by year in per cent of today's; the median ends at {share(total['p50'][-1])}."
@@ -174,6 +175,18 @@ def indexation(run: PensionRun) -> Section:
     text = "Increases less cuts, granted in each year"
     blocks: list[Block] = [Chart(svg, caption), _table(fan, 0.01, "%", text)]
     return Section("indexation", title, short, blocks)
+
+
+def _certain(each: np.ndarray, total: np.ndarray) -> str:
+    """Increases of each year that are the same on all paths, and cumulated, in words."""
+    if not np.any(each):
+        return "The plan grants no increases."
+    low, high = float(each.min()), float(each.max())
+    size = share(low, 2) if high - low < 1e-12 else f"{share(low, 2)} to {share(high, 2)}"
+    return (
+        f"Pensions rise by {size} every year, on all paths alike: after {number(len(each), 0)} "
+        f"years to {share(total[-1])} of today's."
+    )
 
 
 def _table(fan: dict[str, np.ndarray], scale: float, unit: str, caption: str) -> Table:

@@ -120,7 +120,7 @@ def space(
         if inside:
             drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
                                  linewidths=0.9)  # fmt: skip
-            _levels(axes, drawn)
+            _labels(axes, drawn)
     for end in band:
         if end.min() < found["required"] < end.max():
             axes.contour(x, y, end.T, levels=[found["required"]], colors=LIGHT["good"],
@@ -134,16 +134,27 @@ def space(
     legend_above(axes)
 
 
-def _levels(axes: Axes, drawn) -> None:
-    """The number of every contour on its line, one after another from the left."""
-    left, right = axes.get_xlim()
-    behind = {"facecolor": LIGHT["paper"], "edgecolor": "none", "alpha": 0.8, "pad": 0.8}
-    for k, (level, pieces) in enumerate(zip(drawn.levels, drawn.allsegs, strict=True)):
-        points = np.concatenate([np.zeros((0, 2)), *pieces])
-        if len(points):
-            wanted = left + (0.05 + 0.09 * k) * (right - left)
-            at = points[np.argmin(np.abs(points[:, 0] - wanted))]
-            axes.text(at[0], at[1], f"{level:g}", fontsize=8, ha="center", va="center", bbox=behind)
+def _labels(axes: Axes, drawn: Any) -> None:
+    """The level of each contour where the other labels are farthest away, off the edges."""
+    x, y = (np.array(ends) for ends in (axes.get_xlim(), axes.get_ylim()))
+    corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
+    taken: list[np.ndarray] = []
+    for lines in drawn.allsegs:
+        points = np.concatenate([_along((each - corner) / size) for each in lines])
+        inner = points[((points > 0.06) & (points < 0.94)).all(1)]
+        points = inner if len(inner) else points
+        others = np.array(taken or [[0.5, 0.5]])
+        away = np.linalg.norm(points[:, None] - others, axis=-1).min(1)
+        taken.append(points[int(away.argmax() if taken else away.argmin())])
+    axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8,
+                manual=[tuple(corner + each * size) for each in taken])  # fmt: skip
+
+
+def _along(line: np.ndarray, parts: int = 8) -> np.ndarray:
+    """Points on a broken line [n, 2], some between every two of its corners."""
+    share = np.arange(parts)[:, None] / parts
+    between = line[:-1, None] + share * (line[1:] - line[:-1])[:, None]
+    return np.concatenate([between.reshape(-1, 2), line[-1:]])
 
 
 def _boxes(axes: Axes, found: dict[str, Any]) -> None:
@@ -168,7 +179,8 @@ def binding(axes: Axes, found: dict[str, Any], which: np.ndarray, names, attribu
     for i in np.unique(which):
         row, column = np.nonzero(which == i)
         if i < 0:
-            axes.plot(x[row], y[column], ".", color=LIGHT["other"], label="None", markersize=3)
+            axes.plot(x[row], y[column], ".", color=LIGHT["other"], label="None", markersize=3,
+                      clip_on=False)  # fmt: skip
             continue
         style: Any = {"color": LIGHT[CURVES[int(i) % len(CURVES)]], "linestyle": "none"}
         axes.plot(x[row], y[column], marker=marks[int(i) % len(marks)], label=attributes[int(i)],
@@ -176,6 +188,7 @@ def binding(axes: Axes, found: dict[str, Any], which: np.ndarray, names, attribu
     axes.set_xlabel(with_unit(names[0], found["units"][0]))
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 8)
+    axes.tick_params(axis="y", pad=7)  # off the marks on the edge
     axes.grid(False)
     unit_above(axes, with_unit(names[1], found["units"][1]))
     legend_above(axes)

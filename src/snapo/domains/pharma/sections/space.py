@@ -52,12 +52,13 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
         f"{percent(_surely(found), 0)} of the points this is so even at the lower end of the 95 % "
         "interval, within the dotted line of the map."
     )
-    for level in found["levels"]:
-        if found["samples"] < draws_for(level):
-            text += (
-                f" So many draws cannot make a contour of {level:g} sure anywhere: it takes "
-                f"{number(draws_for(level), 0)} at a point, all of them good."
-            )
+    few = [level for level in found["levels"] if found["samples"] < draws_for(level)]
+    if few:
+        needed = " and ".join(f"{number(draws_for(level), 0)} for {level:g}" for level in few)
+        text += (
+            f" So few draws cannot make every contour sure: it takes {needed} at a point, all of "
+            "them good."
+        )
     if found.get("box") is None:
         return Text(text + " No box around the set point keeps the required probability.")
     box = found["box"]

@@ -4,57 +4,70 @@ from typing import Any
 
 import numpy as np
 
-from snapo.report.page import Block, Mark, Missing, Section, Table
+from snapo.report.page import Block, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity, with_unit
 
 from .run import Run
 
+FILE = "design_space_boundary.csv"
 SHOWN = 15  # pairs in the report, those with the least room first
 
 
 def boundary(run: Run, found: dict[str, Any]) -> list[Block]:
     """The ends of the space along the lines of the map that are nearest to the set point."""
     ends = found.get("ends")
-    if not ends:
+    if ends is None:
         return []
-    names, _ = run.names
     near = [
         int(np.abs(np.asarray(grid) - here).argmin())
         for grid, here in zip(found["grid"], found["nominal"])
     ]
-    rows = []
-    for end in ends:
-        if any(i >= 0 and i != k for i, k in zip(end["at"], near)):
-            continue
-        axis = end["axis"]
-        fixed = [
-            f"{name} {quantity(grid[k], unit)}"
-            for j, (name, unit, grid, k) in enumerate(
-                zip(found["axes"], found["units"], found["grid"], near)
-            )
-            if j != axis
-        ]
-        span = sorted((finite(end["inner"]), finite(end["outer"])), key=lambda x: (x is None, x))
-        rows.append(
-            (
-                with_unit(found["axes"][axis], found["units"][axis]),
-                ", ".join(fixed),
-                "above" if end["side"] > 0 else "below",
-                number(end["place"]),
-                " – ".join("beyond" if each is None else number(each) for each in span),
-                names[end["binding"]],
-            )
+    names, _ = run.names
+    rows = [
+        _end(found, end, near, names)
+        for end in ends
+        if all(i in (-1, k) for i, k in zip(end["at"], near))
+    ]
+    required = number(found["required"])
+    if not rows:
+        words = (
+            f"On the lines of the map next to the set point the probability crosses {required} "
+            "nowhere: there the space does not end within the studied ranges, or does not begin."
         )
-    head = [("Along", ""), ("At", ""), ("Ends", ""), ("Boundary", ""), ("95 % interval", ""),
-            ("Limit beyond it", "")]  # fmt: skip
-    caption = (
-        f"Where the probability falls below {number(found['required'])} along the lines of the map "
-        "next to the set point, with the interval in which that place lies at 95 % for the "
+        return [Text(words + f" {FILE} has the other lines." * bool(ends))]
+    head = [("Along", ""), ("At", ""), ("Ends", ""), ("Limit beyond it", ""), ("Boundary", ""),
+            ("95 % interval", "")]  # fmt: skip
+    words = (
+        f"Where the probability falls below {required} along the lines of the map next to the set "
+        "point, with the interval in which that place lies at 95 % for the "
         f"{number(found['samples'], 0)} batches per point (Wilson's interval of the share, "
         "inverted); “beyond” where so many batches do not tell, or the line ends. "
-        "design_space_boundary.csv has all lines."
+        f"{FILE} has all lines."
     )
-    return [Table(head, rows, caption)] if rows else []
+    return [Table(head, rows, "Where the design space ends", 4), Text(words, True)]
+
+
+def _end(found: dict[str, Any], end: dict[str, Any], near: list[int], names: list[str]) -> tuple:
+    """One row: an end of the space along a line through the grid point `near` the set point."""
+    axis, low, high = end["axis"], "inner", "outer"
+    fixed = [
+        f"{name} {quantity(grid[k], unit)}"
+        for j, (name, unit, grid, k) in enumerate(
+            zip(found["axes"], found["units"], found["grid"], near)
+        )
+        if j != axis
+    ]
+    if end["side"] < 0:
+        low, high = high, low
+    span = [finite(end[low]), finite(end[high])]
+    return (
+        with_unit(found["axes"][axis], found["units"][axis]),
+        ", ".join(fixed),
+        "above" if end["side"] > 0 else "below",
+        names[end["binding"]],
+        number(end["place"]),
+        " – ".join("beyond" if each is None else number(each) for each in span),
+    )
 
 
 def together(run: Run) -> Section:

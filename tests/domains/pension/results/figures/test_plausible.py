@@ -84,6 +84,21 @@ def test_check_shows_the_figures_of_a_human(tmp_path):
 
 
 @pytest.mark.prove
+def test_check_says_what_is_borrowed(tmp_path):
+    """Cash of -20 %, in bonds of 43 % in place of 25 % and 4 % more of the longer ones."""
+    levered = [
+        ("assets.csv", "Cash,cash,,,0.02,0,0.3", "Cash,cash,,,-0.2,-0.4,0.3"),
+        ("assets.csv", "Bonds 10y,bond,,,0.25", "Bonds 10y,bond,,,0.43"),
+        ("assets.csv", "Bonds 20y,bond,,,0.15", "Bonds 20y,bond,,,0.19"),
+        ("assets.csv", "Matching,0.2,0.9", "Matching,0.2,1.4"),
+    ]
+    text = "\n".join(DOMAIN.check(read_case(short_case(tmp_path / "case", levered))))
+    assert "holdings of 120% of the assets, short or borrowed: Cash -20% (down to -40%)" in text
+    # 18 % more in bonds of ten years and 4 % more in those of twenty: 6.4 + 1.8 + 0.8 years.
+    assert "assets 9.0 years" in text
+
+
+@pytest.mark.prove
 def test_check_remarks_on_slips(tmp_path):
     slips = [
         ("case.toml", "assets = 325000000.0", "assets = 325.0"),

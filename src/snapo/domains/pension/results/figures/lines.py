@@ -54,6 +54,7 @@ def lines(case: PensionCase) -> list[str]:
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
         *_human(case, found.human),
+        *_leverage(case),
         *_regulation(case),
         *_funding(case),
         *_pots(case, found.human),
@@ -81,6 +82,18 @@ def _human(case: PensionCase, found: Human) -> list[str]:
     grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())
     told.append(f"returns a year, without shocks: {grown}")
     return told
+
+
+def _leverage(case: PensionCase) -> list[str]:
+    """What is sold short or borrowed today, and may be; nothing where weights are not negative."""
+    assets = case.assets
+    if not assets.short:
+        return []
+    now, named = assets.weight.used(), [each.name for each in assets.classes]
+    owed = [f"{named[i]} {now[i]:.0%} (down to {assets.low[i]:.0%})"
+            for i in range(len(now)) if assets.low[i] < 0]  # fmt: skip
+    return [f"holdings of {now[now > 0].sum():.0%} of the assets, short or borrowed: "
+            f"{', '.join(owed)}"]  # fmt: skip
 
 
 def _regulation(case: PensionCase) -> list[str]:
