@@ -58,7 +58,7 @@ def test_progress_is_told_some_seconds_apart(monkeypatch):
 @pytest.mark.parametrize(
     ("details", "parts", "words"),
     [
-        ({}, {}, "the case has no [design_space]"),
+        ({}, {}, "the case has no `[design_space]`"),
         ({"planned": ["design space"]}, {}, "the run has not come to it"),
         ({"left_out": ["design space"]}, {}, "it is not among the [report] parts"),
         ({}, {"design space": {"state": "failed", "note": "a stone"}}, "its part failed (a stone)"),
