@@ -206,9 +206,10 @@ def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units)
     number_axis(axes.yaxis)
     axes.set_xlabel(units[0])
     unit_above(axes, units[1])
-    layout = axes.get_figure(root=True).get_layout_engine()
-    if layout is not None:
-        layout.execute(axes.get_figure(root=True))  # the names need to know how large the plot is
+    figure = axes.get_figure(root=True)
+    layout = None if figure is None else figure.get_layout_engine()
+    if figure is not None and layout is not None:
+        layout.execute(figure)  # the names need to know how large the plot is
     for (name, x, y, strong), (left, up) in zip(points, _beside(axes, points), strict=True):
         # A name that had to leave its point has a line to it.
         line = {"arrowstyle": "-", "color": LIGHT["other"], "linewidth": 0.6}

@@ -12,7 +12,7 @@ from ..policy import Policy
 from ..smooth import Exact
 from .graph import Graph, Tensor
 from .moves import MOVES, moved
-from .rules import RULES, unrolled
+from .rules import RULES, unrolled, unstacked
 from .save import features as features_of
 
 INLINED = {
@@ -99,6 +99,8 @@ def _operation(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]
         return _written(graph, getattr(inner, "jaxpr", inner), getattr(inner, "consts", ()), given)
     if name == "scan":
         return unrolled(graph, settings, given, _written)
+    if name == "unstack":
+        return unstacked(graph, equation, given)
     if name in MOVES:
         return moved(graph, equation, given)
     if name not in RULES:

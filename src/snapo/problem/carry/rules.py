@@ -196,6 +196,18 @@ def _slice(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
     return graph.node("Slice", given, *_out(equation))
 
 
+def unstacked(graph: Graph, equation: Any, given: list[Tensor]) -> list[Tensor]:
+    """The entries along an axis, each as an array of its own."""
+    (x,), axis = given, equation.params["axis"]
+    shape, dtype = _out(equation)
+    parts = []
+    for i in range(len(equation.outvars)):
+        where = [x, *map(graph.whole, ((i,), (i + 1,), (axis + x.batched,), (1,)))]
+        part = graph.node("Slice", where, (*shape[:axis], 1, *shape[axis:]), dtype)
+        parts.append(graph.reshaped(part, shape))
+    return parts
+
+
 def _transpose(graph: Graph, equation: Any, given: list[Tensor]) -> Tensor:
     (x,) = given
     moved = [axis + x.batched for axis in equation.params["permutation"]]
