@@ -138,7 +138,7 @@ def test_a_process_without_a_policy_is_calculated_as_solve_does(solved, tmp_path
         for each in row["rows"]:
             assert each["value"] == slopes[row["of"], row["input"], each["label"]]
     section = found["sections"][0]
-    assert section["rows"][0][:2] == ["product", "at least 0.11 mol/L"]
+    assert section["rows"][0][:2] == ["product", "at least 0.11\u00a0mol/L"]
     assert valuation.settings() == {} and valuation.units()["unit"] == ""
 
 
