@@ -13,6 +13,8 @@ from .derivatives import locate
 from .findings import Notes
 from .rollout import ENGINE, Run
 
+ROUNDING = 1e-14  # of the largest total
+
 
 def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
     """The components of the action that change an output in any of the runs.
@@ -71,10 +73,15 @@ def _matters(simulator: Simulator, runs: list[Run], change, which) -> bool:
     """Whether a change of one component, or of a group, changes an output of any run."""
     for run in runs:
         after = run.values(simulator, **change(run, which))
-        same = (np.array_equal(run.totals[name], after[name], equal_nan=True) for name in after)
-        if not all(same):
+        if not all(_same(run.totals[name], found) for name, found in after.items()):
             return True
     return False
+
+
+def _same(one: np.ndarray, other: np.ndarray) -> bool:
+    """Whether two totals are equal but for rounding: they come from two compiled programs."""
+    size = np.max(np.abs(one), where=np.isfinite(one), initial=0.0)
+    return np.allclose(one, other, rtol=0, atol=ROUNDING * size, equal_nan=True)
 
 
 def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[int]) -> None:
