@@ -37,7 +37,7 @@ bench: $(READY)
 	$(BIN)/python -m benchmarks
 
 study: $(READY)
-	$(PYTEST) -m study
+	$(PYTEST) -m study -o faulthandler_timeout=0
 
 $(READY): pyproject.toml constraints.txt
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)

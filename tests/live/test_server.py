@@ -12,6 +12,7 @@ import pytest
 
 aiohttp = pytest.importorskip("aiohttp", reason="the page needs the extra `live`")
 
+from snapo.live.crew import Crew  # noqa: E402
 from snapo.live.server import Server  # noqa: E402
 
 FAKE = Path(__file__).with_name("fake_worker.py")
@@ -188,6 +189,25 @@ def test_a_killed_worker_starts_again_and_answers_what_was_asked(tmp_path):
             await heard(socket, "ready")
             assert (await heard(socket, "done"))["n"] == 2
             assert [each["name"] for each in server.scenarios.all()] == ["before"]
+
+    run(work())
+
+
+@pytest.mark.parametrize("turns", range(12))
+def test_a_server_that_ends_while_its_worker_begins_ends(turns):
+    """At each turn of the event loop another part of the beginning is awaited."""
+
+    async def hear(message):
+        pass
+
+    async def work():
+        crew = Crew([sys.executable, "-S", str(FAKE), "died"], hear)
+        crew.start()
+        for _ in range(turns):
+            await asyncio.sleep(0)
+        async with asyncio.timeout(20):
+            await crew.close()
+        assert crew.process is None or crew.process.returncode is not None
 
     run(work())
 

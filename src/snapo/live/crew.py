@@ -30,11 +30,14 @@ class Crew:
     async def close(self) -> None:
         """Ends the worker."""
         self._closed = True
+        self._kill()
+        if self._task is not None:
+            await self._task
+
+    def _kill(self) -> None:
         if self.process is not None and self.process.returncode is None:
             with suppress(ProcessLookupError):
                 self.process.kill()
-        if self._task is not None:
-            await self._task
 
     async def ask(self, order: dict[str, Any]) -> None:
         """Hands an order over, now or when the worker is there."""
@@ -76,6 +79,8 @@ class Crew:
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LONGEST_LINE,
             start_new_session=True,  # Ctrl-C is for the server, which ends this one
         )  # fmt: skip
+        if self._closed:  # while the process began, so that nobody could kill it
+            self._kill()
         assert self.process.stdout is not None
         async for line in self.process.stdout:
             message = json.loads(line)
