@@ -221,20 +221,29 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step = loop.training, progress.step
     exploded = clipping.exploded(norms, progress.since)
-    doubtful = exploded or (step == horizon.FIRST and horizon.erratic(norms, training.paths))
+    # Where the whole horizon has taught something, a leap is no reason to leave it.
+    gained = progress.stale < step // training.validation_every
+    doubtful = (exploded and not gained) or (
+        step == horizon.FIRST and horizon.erratic(norms, training.paths)
+    )
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
     may_window = may_window and not progress.dual.prices
     again = progress.clip is not None and step % clipping.EVERY == 0
     may_clip = training.clip == "auto" and (exploded or again)
     if not may_window and not may_clip:
         return progress
-    measured = clipping.measured(loop.problem, progress.policy, smooth, step)
-    if may_window or progress.growth is None:
+    if may_window:
+        # Of the best rule so far, mostly the one that training began with: the last steps may have
+        # led to a rule whose paths are tame, a pendulum at its top speed, or wild.
+        measured = clipping.measured(loop.problem, progress.best, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
-    if may_window and (length := horizon.window(measured.whole)):
-        return _windowed(loop, progress, length)
+        if length := horizon.window(measured.whole):
+            return _windowed(loop, progress, length)
     if not may_clip:
         return progress
+    measured = clipping.measured(loop.problem, progress.policy, smooth, step)
+    if progress.growth is None:
+        progress = replace(progress, growth=Growth.of(measured, step))
     progress = replace(progress, clip=clipping.bound(measured.whole) or progress.clip)
     if not exploded:
         return progress

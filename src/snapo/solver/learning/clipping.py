@@ -22,7 +22,7 @@ from snapo.problem.smooth import Smooth
 FIRST = 20  # steps after a beginning in which a fall of the norm counts
 APART = 100.0  # times that a norm falls or leaps: more than a trained policy's first steps do
 EVERY = 10  # steps between two measurements
-PATHS = 64  # of a measurement
+PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 ROOM = 3.0
 
 

@@ -25,7 +25,8 @@ PATHS = (16, 512)  # at least, at most
 STEPS = (240, 3840)
 USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
 WIDTH = 32  # of hidden layers at which it is
-LONG = 48_000  # steps of the simulator that all steps of training go through, on one path
+LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
+RATED = 48_000  # the same with the steps that the rate follows: with more, all get more sure
 
 
 def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
@@ -38,9 +39,9 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     if follows(steps):
         # The gradient of fewer paths is noisier, which more steps average out.
         noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] else 1.0
-        usual = _within(STEPS, LONG // horizon)
-        steps = round(noisy * usual)
+        steps = round(noisy * _within(STEPS, LONG // horizon))
         if follows(rate) and not isinstance(problem.action, Stop):
+            usual = _within(STEPS, RATED // horizon)
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)
             rate *= math.sqrt(min(1.0, WIDTH / _width(policy)))

@@ -15,8 +15,9 @@ import numpy as np
 FIRST = 20  # steps of training after which the norms are judged
 ERRATIC = 0.3  # typical change of a norm's logarithm: below .15 on tame problems, above .4 in chaos
 GROWTH = 100.0  # times that the adjoint grows from the last step to where it is largest
-TAILS = 12.0  # largest path to the usual one at a typical step: 6 on regulators, above 20 in chaos
-APART = 10.0  # the same at the first step of a window
+TAILS = 9.0  # largest of 256 paths to the usual one at a typical step: to 7 where tame, from 10 up
+APART = 10.0  # the same at the step up to which paths agree
+LONGER = 1.5  # a window over that: a Pendulum of six ended at -765 at 1, none of five at 1.5
 SHORTEST = 5
 MANY = 64  # paths whose gradient has little noise
 
@@ -49,5 +50,5 @@ def _agreeing(norms: np.ndarray) -> int | None:
     back = norms[::-1]
     usual = np.maximum(np.median(back, axis=1), np.finfo(float).tiny)
     apart = np.flatnonzero(back.max(1) > APART * usual)
-    length = max(SHORTEST, int(apart[0]) if apart.size else len(back))
+    length = max(SHORTEST, int(LONGER * apart[0]) if apart.size else len(back))
     return length if 2 * length <= len(back) else None
