@@ -20,7 +20,7 @@ def headline(run: PensionRun) -> Section:
     value = finite(run.result.get("value"))
     if value is None and run.left_out("training"):
         text = "This run trained no policy: training is not among the `[report] parts`."
-        return Section("headline", "Result", "", [Text(text), Facts(_facts(run))])
+        return Section("headline", "Result", "", [Text(text), *_facts(run)])
     if value is None:
         status = run.result.get("status") or "unknown"
         text = f"There is no value in result.json (status: {status})."
@@ -49,8 +49,7 @@ def headline(run: PensionRun) -> Section:
         when="Today's decision",
         marks=marks,
     )
-    blocks: list[Block] = [block, Facts(_facts(run))]
-    return Section("headline", "Result", "", blocks)
+    return Section("headline", "Result", "", [block, *_facts(run)])
 
 
 def _moves(run: PensionRun) -> list[dict]:
@@ -77,7 +76,8 @@ def _sentence(run: PensionRun) -> str:
     return f"{text} Swaps: {run.large(whole)} receiver notional." if swaps else text
 
 
-def _facts(run: PensionRun) -> list[tuple[str, str, str]]:
+def _facts(run: PensionRun) -> list[Facts]:
+    """Today's balance and the risk at the horizon; none of a part that was not asked for."""
     last = run.get("by_year", {})
     under = (last.get("underfunded") or [None])[-1]
     short = (last.get("shortfall") or [None])[-1]
@@ -92,7 +92,8 @@ def _facts(run: PensionRun) -> list[tuple[str, str, str]]:
             ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, if below 0"),
         ],
     }
-    return [each for part, facts in found.items() if not run.left_out(part) for each in facts]
+    facts = [each for part, rows in found.items() if not run.left_out(part) for each in rows]
+    return [Facts(facts)] if facts else []
 
 
 def reconciliation(run: PensionRun) -> Section:
