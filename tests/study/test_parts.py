@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from tests.study.fake import parts
 
 from snapo.problem.inputs import Input
 from snapo.report.folder import Folder
@@ -11,8 +12,10 @@ from snapo.report.page import Missing, Page, render
 from snapo.report.sections.distribution import distribution
 from snapo.report.sections.fans import fans
 from snapo.report.sections.headline import headline
+from snapo.report.sections.lacking import not_asked, unless_left_out
 from snapo.report.sections.proof import certificate, history, making
 from snapo.report.sections.sensitivities import amount, sensitivities
+from snapo.study.parts import choice
 from snapo.study.parts import distribution as totals
 from snapo.study.parts.moves import direction
 from snapo.study.parts.profile import bands
@@ -80,6 +83,37 @@ def test_sections_of_a_run_without_anything_say_so(tmp_path):
     page = render(Page("A run", [], [section(run) for section in SECTIONS]))
     assert "The part “training” failed: ZeroDivisionError: by zero." in page
     assert "This run stopped before its part “profile”." in page
+
+
+def test_parts_are_chosen_with_all_that_they_need():
+    given = parts([1.0])
+    assert choice.chosen(given, []) == given
+    doubled = choice.chosen(given, ["doubled", "not of this case"])
+    assert [part.name for part in doubled] == ["first sum", "doubled"]
+    assert choice.told(given, doubled) == {
+        "planned": ["first sum", "doubled"], "left_out": ["alone"]
+    }  # fmt: skip
+
+
+def test_a_part_that_was_not_asked_for_is_no_part_that_is_missing(tmp_path):
+    run = write(tmp_path, {}, {}, {"moves": {"state": "done", "note": ""}})
+    run.details["left_out"] = ["profile", "moves", "bound"]
+    asked = unless_left_out(fans, "profile")
+    assert asked.__name__ == "fans" and asked(run).blocks == []
+    words = "The part “profile” is not among the `[report] parts`."
+    assert fans(run).blocks == [Missing(words)]
+    # One of an earlier run is told, and so is a section of which one part is there.
+    for names in (("moves",), ("profile", "moves"), ("distribution",)):
+        assert unless_left_out(fans, *names)(run).blocks != []
+    (sentence,) = not_asked(run)
+    assert sentence.text.endswith("(`[report] parts`): profile, bound.")
+    assert not_asked(Folder({}, {}, {}, (), {}, {})) == []
+
+
+def test_a_run_without_a_policy_says_why(tmp_path):
+    assert "--resume" in str(choice.no_policy(tmp_path, {}))
+    record = {"about": {"left_out": ["training"]}}
+    assert "`[report] parts` leave out the training" in str(choice.no_policy(tmp_path, record))
 
 
 def test_sections_of_a_whole_run(tmp_path):

@@ -11,6 +11,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.study import run_folder
 from snapo.study.commands import domain_of_run
+from snapo.study.parts.choice import no_policy
 
 Tell = Callable[[str], None]
 
@@ -27,8 +28,7 @@ def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, 
     trains = "training" in parts or not parts
     lacks = trains and not (run / run_folder.POLICY).is_file()
     if lacks or result.get("value") is None:
-        what = "this run has no trained policy: solve its case again, or go on with --resume"
-        raise CaseError(str(run), "", None, what)
+        raise no_policy(run, record)
     about = record.get("about", {})
     step = about.get("step")
     keys = ("value", "standard_error", "status", "bound", "paths")

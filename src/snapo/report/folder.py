@@ -12,6 +12,7 @@ from .quantity import array, finite, money, plus_minus
 from .whole import changed_files
 
 RESULT = "result.json"
+PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in what is known of a run
 SENSITIVITIES = (
     "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved", "believed",
 )  # fmt: skip
@@ -110,6 +111,25 @@ class Folder:
         """A column of numbers of `profile`, `history` or `adjoints`; an empty cell is NaN."""
         cells = getattr(self, table).get(name)
         return None if cells is None else array([_number(cell) for cell in cells])
+
+    def why_not(self, part: str, table: str = "") -> str:
+        """Why a part left no table, as a clause; `table`: that of the case which asks for it."""
+        state = self.parts.get(part)
+        if state is not None and state.get("note"):
+            word = "failed" if state["state"] == "failed" else "was skipped"
+            return f"its part {word} ({state['note']})"
+        if state is not None:
+            return "its file is not in the run folder"
+        if self.left_out(part):
+            return "it is not among the [report] parts"
+        if part in self.get(PLANNED, []):
+            return "the run has not come to it"
+        return f"the case has no `[{table}]`" if table else "it is no part of this run"
+
+    def left_out(self, *parts: str) -> bool:
+        """Whether none of these parts was asked for, nor is there from an earlier run."""
+        missing = self.get(LEFT_OUT, [])
+        return all(each in missing and each not in self.parts for each in parts)
 
     @property
     def currency(self) -> str:

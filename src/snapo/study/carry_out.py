@@ -15,6 +15,7 @@ from snapo.solver.solution import POLICY, SOLUTION
 from . import run_folder
 from .domain import GOOD, Domain
 from .parts.bound import BOUND, bounded
+from .parts.choice import no_policy
 from .report import write_report
 from .study import Part, Study, StudyRun, Tell
 from .training import TRAINING
@@ -67,8 +68,7 @@ def certify(
         raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")
     record = run_folder.read(out)
     if record["parts"].get(TRAINING.name, {}).get("state") != DONE:
-        what = "this run has no trained policy: solve its case again, or go on with --resume"
-        raise CaseError(str(out), "", None, what)
+        raise no_policy(out, record)
     run_folder.check_whole(out, record, (POLICY, SOLUTION))
     run = StudyRun(study, out, tell, True, mark=run_folder.mark(record["decides"]))
     run.found |= record["about"]

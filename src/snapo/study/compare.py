@@ -79,7 +79,7 @@ class Comparison:
     def _values(self) -> Iterator[str]:
         yield f"{self.kind}: {self.runs[0]} and {self.runs[1]}"
         for name, value, error in zip(("first", "second"), self.values, self.errors):
-            yield f"{name:<12}{_figure(value):>16} {_error(error)}".rstrip()
+            yield f"{name:<12}{_figure(value) or 'no value':>16} {_error(error)}".rstrip()
         if self.difference is not None:
             yield f"{'difference':<12}{_figure(self.difference):>16} {_error(self.standard_error)}"
         yield self.why

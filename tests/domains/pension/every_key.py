@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.domains.pension.fund.observation import FEATURES
+from snapo.domains.pension.records.parts import PARTS
 
 # Every kind of class, with every column that its kind has.
 ASSETS = (
@@ -166,6 +167,7 @@ CASES: dict[str, dict[str, Any]] = {
         | {"insurance_risk": 0.03, "active_risk": 0.01},
         "stress": {"file": "stress.csv"},
         "frontier": {"points": 2, "steps": 1, "level": 0.9},
+        "report": {"parts": [name for name in PARTS if name != "pots"]},
     },
     "index-linked": MARKET
     | {

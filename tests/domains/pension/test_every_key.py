@@ -47,6 +47,7 @@ TABLES = {
     "pots": tables.PotsTable,
     "stress": tables.StressTable,
     "frontier": tables.FrontierTable,
+    "report": tables.ReportTable,
     "training": TrainingTable,
     "evaluation": EvaluationTable,
 }

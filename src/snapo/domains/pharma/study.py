@@ -9,6 +9,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.solver.versions import versions
 from snapo.study.domain import Options
+from snapo.study.parts import choice
 from snapo.study.run_folder import case_files
 from snapo.study.study import Part, Study, StudyRun
 
@@ -47,31 +48,13 @@ def study(case: PharmaCase, options: Options) -> Study:
         hooks = {"setup": loop.setup, "moved": loop.moved, "shown": kept_limits}
     else:
         hooks = {"recalculated": lambda: Recipe(case)}
-    kept = chosen(parts, case.parts)
-    known = about(case) | {
-        "planned": [part.name for part in kept],
-        "left_out": [part.name for part in parts if part not in kept],
-    }
-    told, said = [_told(part) for part in kept], partial(result, case)
-    return Study(case.kind, known, told, said, inputs=pharma_inputs, **hooks)
+    kept = choice.chosen(parts, case.parts)
+    known = about(case) | choice.told(parts, kept)
+    telling, said = [_telling(part) for part in kept], partial(result, case)
+    return Study(case.kind, known, telling, said, inputs=pharma_inputs, **hooks)
 
 
-def chosen(parts: Sequence[Part], wanted: Sequence[str]) -> list[Part]:
-    """The parts with these names, and all that they need; all where none is named."""
-    if not wanted:
-        return list(parts)
-    by_name = {part.name: part for part in parts}
-    kept: set[str] = set()
-    left = [name for name in wanted if name in by_name]
-    while left:
-        name = left.pop()
-        if name not in kept:
-            kept.add(name)
-            left += by_name[name].needs
-    return [part for part in parts if part.name in kept]
-
-
-def _told(part: Part) -> Part:
+def _telling(part: Part) -> Part:
     """The part, with lines of progress while it lasts."""
 
     def work(run: StudyRun) -> Mapping[str, Any]:

@@ -1,14 +1,44 @@
 """The sentence that stands in a report for numbers that are not there."""
 
-from ..folder import Folder
-from ..page import Missing
+from collections.abc import Callable
+from functools import wraps
+from typing import TypeVar
+
+from ..folder import LEFT_OUT, Folder
+from ..page import Missing, Section, Text
+
+AnyFolder = TypeVar("AnyFolder", bound=Folder)
+Told = Callable[[AnyFolder], Section]
 
 
 def lacking(run: Folder, part: str) -> Missing:
     """Why the numbers of a part are not in this run."""
     state = run.parts.get(part)
+    if state is None and run.left_out(part):
+        return Missing(f"The part “{part}” is not among the `[report] parts`.")
     if state is None:
         return Missing(f"This run stopped before its part “{part}”.")
     if state.get("note"):
         return Missing(f"The part “{part}” {state.get('state', 'failed')}: {state['note']}.")
     return Missing(f"The part “{part}” has nothing to show.")
+
+
+def unless_left_out(section: Told, *parts: str) -> Told:
+    """The section; nothing where none of the parts that it tells was asked for."""
+
+    @wraps(section)
+    def told(run) -> Section:
+        if run.left_out(*parts):
+            return Section(section.__name__, "", "", [])
+        return section(run)
+
+    return told
+
+
+def not_asked(run: Folder) -> list[Text]:
+    """A sentence that names the parts that were not asked for; none where all were."""
+    names = [each for each in run.get(LEFT_OUT, []) if run.left_out(each)]
+    if not names:
+        return []
+    listed = ", ".join(names)
+    return [Text(f"Parts that this run was not asked for (`[report] parts`): {listed}.")]

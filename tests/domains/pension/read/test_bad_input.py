@@ -112,6 +112,18 @@ MISTAKES = {
     "too few points of the frontier": (
         "case.toml", "points = 5", "points = 1", ["frontier.points", "1", "from 2 to 20"]
     ),
+    "unknown part": (
+        "case.toml", "[training]\n", '[report]\nparts = ["today", "fronteer"]\n[training]\n',
+        ["report.parts[1]", "'fronteer'", "the nearest known part is frontier"],
+    ),
+    "part of another fund": (
+        "case.toml", "[training]\n", '[report]\nparts = ["pots"]\n[training]\n',
+        ["report.parts[0]", "'pots'", "the case has no [pots]"],
+    ),
+    "parts without a list": (
+        "case.toml", "[training]\n", '[report]\nparts = "today"\n[training]\n',
+        ["report.parts", "'today'", 'names of parts such as ["sensitivities"]'],
+    ),
     "unknown stress": ("stress.csv", "price,equity", "price,equities", ["stress.csv", "equities"]),
     # Curves.
     "tenors out of order": (

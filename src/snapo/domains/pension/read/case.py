@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from snapo.case.error import CaseError
 from snapo.case.given import Given
+from snapo.case.parts import known_parts
 from snapo.case.settings import check_window, read_evaluation, read_training
 from snapo.case.table import Table, load, parse
 
@@ -17,6 +18,7 @@ from ..pots.outputs import POT_OUTPUTS, pensions
 from ..pots.read import check_pots, read_pots
 from ..records.case import PensionCase
 from ..records.inputs import every_given
+from ..records.parts import PARTS, lacking
 from ..records.plan import Plan
 from ..regulation.bases import read_funding
 from ..regulation.read import read_regulation
@@ -134,6 +136,12 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         observation=usual_observation(case) if seen is None else tuple(seen),
         held=_held(reader, case),
         notes=tuple(reader.notes),
+        parts=known_parts(
+            file,
+            reader.table(tables.ReportTable, "report").parts,
+            PARTS,
+            lacking(case, stress=top.stress is not None),
+        ),
     )
     kinds = [term.objective.kind for term in case.objective]
     check_window(case.training, [*kinds, *(["cvar"] if case.frontier else [])], str(file))

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
+from snapo.case.parts import Names, names_of_parts
 from snapo.case.table import TITLE, Table, Title
 
 
@@ -187,6 +188,12 @@ class StressTable(Table):
     file: Name = csv("scenario,input,label,kind,size")
 
 
+class ReportTable(Table):
+    """`[report]`: the parts of a run that are wanted."""
+
+    parts: Names = names_of_parts("sensitivities")
+
+
 class RegulationTable(Table):
     """`[regulation]`: a regulator's rules, and what they ask for beside the balance sheet."""
 
@@ -251,5 +258,6 @@ class PensionTable(Table):
     regulation: dict | None = Field(None, description="the table [regulation]")
     funding: dict | None = Field(None, description="the table [funding]")
     pots: dict | None = Field(None, description="the table [pots]")
+    report: dict = Field({}, description="the table [report]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")

@@ -55,6 +55,7 @@ class PensionCase:
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots in place of promised rights; None where these are promised.
     - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
+    - `parts`: names of those parts of a run that are wanted, () for all.
     """
 
     file: Path
@@ -92,6 +93,7 @@ class PensionCase:
     pots: Pots | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    parts: tuple[str, ...] = ()
 
     @property
     def risk_neutral(self) -> bool:

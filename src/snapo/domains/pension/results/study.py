@@ -4,7 +4,9 @@ from collections.abc import Mapping
 from functools import cache
 from typing import Any
 
+from snapo.solver.versions import versions
 from snapo.study.domain import Options
+from snapo.study.parts import choice
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -12,6 +14,7 @@ from ..bounds.conjugate import conjugate
 from ..bounds.relaxation import FundRelaxation
 from ..pots import outcome
 from ..records.case import PensionCase
+from ..records.parts import OF_RIGHTS
 from . import (
     attribution,
     certificate,
@@ -30,12 +33,12 @@ from .figures import table as reconciliation
 from .figures.lines import examine
 from .setup import make_setup, moved_setup, objective_of
 
-TRAINED = (TRAINING.name,)
+TRAINED, OBJECTIVE = (TRAINING.name,), "objective"
 PARTS = (
     Part("reconciliation", reconciliation.work),
-    Part("stress", stress.work),
+    Part("stress", stress.work, ("reconciliation",)),
     TRAINING,
-    Part("objective", objective.work, TRAINED),
+    Part(OBJECTIVE, objective.work, TRAINED),
     Part("paths", paths.work, TRAINED),
     Part("today", today.work, ("paths",)),
     Part("sensitivities", effects.work, TRAINED),
@@ -47,8 +50,6 @@ PARTS = (
     Part("classical policies", compare.work, TRAINED),
     Part("frontier", frontier.work, TRAINED),
 )
-# What is worked out of promised rights alone; a fund of pots has its own part.
-OF_RIGHTS = ("attribution", "variance by source", "market consistency", "frontier")
 POTS = Part("pots", outcome.work, TRAINED)
 MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 
@@ -72,8 +73,12 @@ def pension_study(case: PensionCase, options: Options) -> Study:
     def relaxation() -> FundRelaxation:
         return FundRelaxation(setup().problem, setup().policy)
 
+    every, kept = parts(case), wanted(case)
+    known = about(case) | choice.told(every, kept)
+    if TRAINING not in kept:  # which says them
+        known |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
-    return Study("pension", about(case), parts(case), result, setup, bounded, moved, checks)
+    return Study("pension", known, kept, result, setup, bounded, moved, checks)
 
 
 def parts(case: PensionCase) -> tuple[Part, ...]:
@@ -81,6 +86,16 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
     if case.pots is None:
         return PARTS
     return (*(each for each in PARTS if each.name not in OF_RIGHTS), POTS)
+
+
+def wanted(case: PensionCase) -> list[Part]:
+    """The parts that the case asks for and those that they need; with a policy also the words for
+    its value, which every report begins with."""
+    every = parts(case)
+    kept = choice.chosen(every, case.parts)
+    if case.parts and TRAINING in kept:
+        kept = choice.chosen(every, (*case.parts, OBJECTIVE))
+    return kept
 
 
 def about(case: PensionCase) -> dict[str, Any]:

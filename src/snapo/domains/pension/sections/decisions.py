@@ -227,7 +227,7 @@ def limits(run: PensionRun) -> Section:
             note = f"probability in any month, {run.measure}"
             facts.append((words, share(broken[name]["ever"], 2), note))
     blocks: list[Block] = [Facts(facts)]
-    if not now:
+    if not now and not run.left_out("today"):
         blocks.append(Text("The case has no swaps, and needs no collateral."))
     for name, words in BREACHES:
         months = run.numbers(f"limits.{name}.share")

@@ -3,6 +3,7 @@
 from snapo.report import evidence
 from snapo.report.page import Block, Facts, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number
+from snapo.report.sections.lacking import not_asked
 
 from .run import PensionRun
 from .words import name_of
@@ -47,7 +48,7 @@ def _step(step) -> str:
 def assumptions(run: PensionRun) -> Section:
     """Model, notes, kinds of assets, inputs held fixed, engine, seed and versions."""
     texts = [run.get("model"), *run.get("notes", [])]
-    blocks: list[Block] = [Text(str(each)) for each in texts if each]
+    blocks: list[Block] = [*(Text(str(each)) for each in texts if each), *not_asked(run)]
     if kinds := run.get("kinds", {}):
         rows = [(name.capitalize(), str(words)) for name, words in kinds.items()]
         blocks.append(Table([("Kind", ""), ("Meaning", "")], rows, "Kinds of assets", 2))

@@ -2,6 +2,7 @@
 
 from snapo.report.quantity import long_date, number
 from snapo.report.sections.bound import bound
+from snapo.report.sections.lacking import unless_left_out
 from snapo.study.domain import Report
 
 from . import decisions, evidence, frontier, ladder, outcome, outputs, reconciliation, risk
@@ -10,25 +11,25 @@ from .run import PensionRun
 
 SECTIONS = (
     reconciliation.headline,
-    reconciliation.reconciliation,
-    decisions.trades,
-    outcome.funding,
-    pots,
-    of_rights(outcome.attribution),
-    of_rights(outcome.variance),
-    outcome.money,
-    outcome.indexation,
-    decisions.rivals,
-    of_rights(frontier.frontier),
-    decisions.policy,
-    outputs.outputs,
-    risk.sensitivities,
-    ladder.ladder,
-    decisions.limits,
-    reconciliation.stress,
-    evidence.history,
-    bound,
-    evidence.certificate,
+    unless_left_out(reconciliation.reconciliation, "reconciliation"),
+    unless_left_out(decisions.trades, "today"),
+    unless_left_out(outcome.funding, "paths"),
+    unless_left_out(pots, "pots"),
+    unless_left_out(of_rights(outcome.attribution), "attribution"),
+    unless_left_out(of_rights(outcome.variance), "variance by source"),
+    unless_left_out(outcome.money, "paths"),
+    unless_left_out(outcome.indexation, "paths"),
+    unless_left_out(decisions.rivals, "classical policies"),
+    unless_left_out(of_rights(frontier.frontier), "frontier"),
+    unless_left_out(decisions.policy, "paths"),
+    unless_left_out(outputs.outputs, "outputs"),
+    unless_left_out(risk.sensitivities, "sensitivities"),
+    unless_left_out(ladder.ladder, "today"),
+    unless_left_out(decisions.limits, "paths"),
+    unless_left_out(reconciliation.stress, "stress"),
+    unless_left_out(evidence.history, "training"),
+    unless_left_out(bound, "training"),
+    unless_left_out(evidence.certificate, "certificate"),
     evidence.assumptions,
 )
 MEASURES = {

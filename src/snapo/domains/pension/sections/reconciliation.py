@@ -18,6 +18,9 @@ NAMES = {"liability": "Liability today", "duration": "Duration of the liability"
 def headline(run: PensionRun) -> Section:
     """The value of the policy, and its trades today."""
     value = finite(run.result.get("value"))
+    if value is None and run.left_out("training"):
+        text = "This run trained no policy: training is not among the `[report] parts`."
+        return Section("headline", "Result", "", [Text(text), *_facts(run)])
     if value is None:
         status = run.result.get("status") or "unknown"
         text = f"There is no value in result.json (status: {status})."
@@ -46,8 +49,7 @@ def headline(run: PensionRun) -> Section:
         when="Today's decision",
         marks=marks,
     )
-    blocks: list[Block] = [block, Facts(_facts(run))]
-    return Section("headline", "Result", "", blocks)
+    return Section("headline", "Result", "", [block, *_facts(run)])
 
 
 def _moves(run: PensionRun) -> list[dict]:
@@ -58,7 +60,9 @@ def _moves(run: PensionRun) -> list[dict]:
 def _action(run: PensionRun) -> str:
     moved = sum(abs(finite(each.get("trade")) or 0.0) for each in _moves(run)) / 2
     assets = finite(run.get("assets"))
-    return f"Turn over {share(moved / assets)} of the assets" if assets else ""
+    if not assets or run.left_out("today"):
+        return ""
+    return f"Turn over {share(moved / assets)} of the assets"
 
 
 def _sentence(run: PensionRun) -> str:
@@ -72,17 +76,24 @@ def _sentence(run: PensionRun) -> str:
     return f"{text} Swaps: {run.large(whole)} receiver notional." if swaps else text
 
 
-def _facts(run: PensionRun) -> list[tuple[str, str, str]]:
+def _facts(run: PensionRun) -> list[Facts]:
+    """Today's balance and the risk at the horizon; none of a part that was not asked for."""
     last = run.get("by_year", {})
     under = (last.get("underfunded") or [None])[-1]
     short = (last.get("shortfall") or [None])[-1]
-    return [
-        ("Funding ratio today", share(run.get("funding")), "assets over liability"),
-        ("Assets", run.large(run.get("assets")), "market value today"),
-        ("Liability", run.large(run.get("liability")), "on the case's basis"),
-        ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
-        ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, if below 0"),
-    ]
+    found = {
+        "reconciliation": [
+            ("Funding ratio today", share(run.get("funding")), "assets over liability"),
+            ("Assets", run.large(run.get("assets")), "market value today"),
+            ("Liability", run.large(run.get("liability")), "on the case's basis"),
+        ],
+        "paths": [
+            ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
+            ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, if below 0"),
+        ],
+    }
+    facts = [each for part, rows in found.items() if not run.left_out(part) for each in rows]
+    return [Facts(facts)] if facts else []
 
 
 def reconciliation(run: PensionRun) -> Section:

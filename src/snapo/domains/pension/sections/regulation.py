@@ -17,8 +17,11 @@ RISKS = (
 CAVEAT = (
     "The standard model with the present mix, on invested assets equal to the liability plus the"
     " required own funds; bonds that are not of kind credit bear no spread risk. S6 and S10 are the"
-    " case's own shares. Recovery: the trained policy's paths with contributions, indexation and"
-    " cuts by the plan's rules, against the required ratio of today."
+    " case's own shares."
+)
+RECOVERY = (
+    "Recovery: the trained policy's paths with contributions, indexation and cuts by the plan's"
+    " rules, against the required ratio of today."
 )
 
 
@@ -40,10 +43,12 @@ def regulation(run: PensionRun) -> list[Block]:
         ("Minimum", share(least), run.large(found.get("minimum")) + " own funds"),
     ]
     blocks: list[Block] = [Facts(facts), _losses(run, found)]
+    caveat = CAVEAT
     if (table := _recovery(run)) is not None:
         blocks.append(table)
+        caveat = f"{CAVEAT} {RECOVERY}"
     source = f"Rules from {found.get('since')}: {found.get('source')}."
-    return [*blocks, Text(CAVEAT, caveat=True), Text(source, caveat=True)]
+    return [*blocks, Text(caveat, caveat=True), Text(source, caveat=True)]
 
 
 def _losses(run: PensionRun, found: dict) -> Table:

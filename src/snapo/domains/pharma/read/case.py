@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Literal
 
 from snapo.case.error import CaseError
+from snapo.case.parts import known_parts
 from snapo.case.settings import read_evaluation, read_training
 from snapo.case.table import Section, load, parse
 
@@ -20,7 +21,6 @@ from .fitted import read_fitted
 from .goal import read_design_space, read_goal
 from .loops.control import read_control
 from .network import read_feeds, read_network
-from .numbers import suggest
 from .optimise import read_optimise
 from .plausible.checks import check_amounts, check_decided, check_moved, check_varied_once
 from .plausible.physics import check_moved_solubility, check_physics
@@ -96,7 +96,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
         evaluation=read_evaluation({**EVALUATION, **top.evaluation}, str(file)),
         assumptions=tuple(top.assumptions),
         notes=tuple(notes),
-        parts=_read_parts(file, top.report),
+        parts=known_parts(file, parse(ReportTable, top.report, str(file), "report").parts, PARTS),
         optimise=read_optimise(file, top.optimise, numbers, every_measure(network, units), notes),
     )
     spans = [(each.input, each.low, each.high) for each in parameters]
@@ -128,16 +128,6 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
                 what = f"parameter {each.name} is one of these numbers, and needs a sensitivity"
                 raise CaseError(str(file), "held", name, what)
     return frozenset(raw)
-
-
-def _read_parts(file, raw: dict) -> tuple[str, ...]:
-    """`[report]`: the parts of a run that are wanted; none named is all."""
-    table = parse(ReportTable, raw, str(file), "report")
-    for i, name in enumerate(table.parts):
-        if name not in PARTS:
-            what = f"there is no such part; {suggest(name, PARTS, 'part')}"
-            raise CaseError(str(file), f"report.parts[{i}]", name, what)
-    return tuple(table.parts)
 
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
+from snapo.case.parts import Names, names_of_parts
 from snapo.case.table import TITLE, Table, Title
 
 from .fields import Text, quantity, word
@@ -229,9 +230,7 @@ class NumericsTable(Table):
 class ReportTable(Table):
     """`[report]`"""
 
-    parts: list[Text] = Field(
-        [], description='names of parts such as ["capability"]; what they need is done too'
-    )
+    parts: Names = names_of_parts("capability")
 
 
 class PharmaTable(Table):

@@ -26,20 +26,6 @@ class Run(Folder):
         """Names of the attributes and of the parameters."""
         return [a["name"] for a in self.attributes], [p["name"] for p in self.parameters]
 
-    def why_not(self, part: str, table: str = "") -> str:
-        """Why a part left no table, as a clause; `table`: that of the case which asks for it."""
-        state = self.parts.get(part)
-        if state is not None and state.get("note"):
-            word = "failed" if state["state"] == "failed" else "was skipped"
-            return f"its part {word} ({state['note']})"
-        if state is not None:
-            return "its file is not in the run folder"
-        if part in self.get("left_out", []):
-            return "it is not among the [report] parts"
-        if part in self.get("planned", []):
-            return "the run has not come to it"
-        return f"the case has no `[{table}]`" if table else "it is no part of this run"
-
     def table(self, path: str) -> np.ndarray | None:
         """A table of numbers of a part as float64; its nulls are NaN."""
         found = self.get(path)

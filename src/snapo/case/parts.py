@@ -1,0 +1,41 @@
+"""`[report] parts`: cases whose runs can be made of some parts alone."""
+
+from collections.abc import Collection, Mapping, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+from pydantic import Field
+
+from .error import CaseError, nearest
+
+Names = list[Annotated[str, Field(min_length=1)]]
+
+
+def names_of_parts(example: str) -> Any:
+    """The field `parts: Names` of a domain's table `[report]`."""
+    what = f'names of parts such as ["{example}"]; what they need is done too'
+    return Field([], description=what)
+
+
+def known_parts(
+    file: Path,
+    wanted: Sequence[str],
+    known: Collection[str],
+    lacking: Mapping[str, str] | None = None,
+) -> tuple[str, ...]:
+    """The parts of a run that are wanted, by name; () where none is named, which means all.
+
+    - `known`: all parts of the domain; `lacking`: {one of them: why a run of this case has it not,
+      in a clause}.
+
+    **Raises:** `CaseError` for a name that is not known, or of a part that is lacking.
+    """
+    for i, name in enumerate(wanted):
+        what = ""
+        if name not in known:
+            what = f"there is no such part; {nearest(name, known, 'part')}"
+        elif lacking and name in lacking:
+            what = f"a run of this case has no such part: {lacking[name]}"
+        if what:
+            raise CaseError(str(file), f"report.parts[{i}]", name, what)
+    return tuple(wanted)
