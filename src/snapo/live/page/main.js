@@ -87,6 +87,7 @@ function ready(message) {
     page.inputs = message.inputs;
     controls(at("groups"), page.inputs, moved);
     page.menus = menus(at("groups"), message.choices ?? [], moved);
+    if (page.kept) kept(page.kept); // now that choices have names
     remembered();
     choices();
   }
@@ -354,10 +355,12 @@ function remembered() {
 }
 
 function kept(message) {
+  page.kept = message;
   scenarios(message.scenarios, {
     load,
     keep: (name) => page.valued === page.n && send({ do: "keep", n: page.n, name }),
     forget: (id) => send({ do: "forget", id }),
+    called: (name) => page.menus.find((menu) => menu.name === name)?.title ?? name.replaceAll(/[_.]/g, " "),
   });
 }
 
