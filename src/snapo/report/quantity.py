@@ -76,9 +76,42 @@ def money(value: Any, currency: str, places: int | None = None, sign: bool = Fal
 
 
 def plus_minus(error: Any, places: int) -> str:
-    """A standard error, "± 41"; nothing where there is none."""
+    """A standard error, "± 41"; nothing where there is none.
+
+    One that `places` decimals would round to nothing keeps a digit: "± 0.00004".
+    """
     known = finite(error)
-    return "" if known is None else f"±{SPACE}{number(known, places)}"
+    if known is None:
+        return ""
+    return f"±{SPACE}{power(known, 0) if _tiny(known) else number(known, _reached(known, places))}"
+
+
+def measured(value: Any, error: Any, places: int, sign: bool = False) -> tuple[str, str]:
+    """A value and its standard error, ("+0.00018", "± 0.00004").
+
+    Both with `places` decimals, or with those of the first digit of a smaller error.
+    """
+    known = finite(error)
+    if known is not None and not _tiny(known):
+        places = _reached(known, places)
+    return number(value, places, sign), plus_minus(error, places)
+
+
+def rough(value: Any) -> str:
+    """A number of which the size alone matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
+    known = finite(value)
+    if known is None or known == 0:
+        return number(known, 0)
+    return power(known, 1) if _tiny(known) else number(known, decimals([known], 2))
+
+
+def _tiny(value: float) -> bool:
+    return 0 < abs(value) < TINY
+
+
+def _reached(error: float, places: int) -> int:
+    """So many decimals, or more where they would show an error as nothing."""
+    return max(places, decimals([error], 1)) if abs(error) < 0.5 * 10.0**-places else places
 
 
 def percent(share: Any, places: int = 1) -> str:

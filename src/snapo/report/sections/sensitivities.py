@@ -7,7 +7,18 @@ from ..charts import BLOCK_INTERVAL
 from ..drawing import draw
 from ..folder import Folder, Sensitivity
 from ..page import Block, Chart, Missing, Section, Table, Text
-from ..quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity, unit_words
+from ..quantity import (
+    SPACE,
+    decimals,
+    finite,
+    measured,
+    number,
+    percent,
+    plus_minus,
+    quantity,
+    rough,
+    unit_words,
+)
 from .distribution import words
 from .lacking import lacking
 
@@ -88,7 +99,7 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
 
 
 def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
-    return number(each.get(name), places), plus_minus(each.get(f"{name}_error"), places)
+    return measured(each.get(name), each.get(f"{name}_error"), places)
 
 
 def _tried(each: dict[str, Any], places: int) -> str:
@@ -128,7 +139,7 @@ def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
     places = min(9, decimals(numbers, 4))
     return (
         words(each.input), each.label, _per(each.unit),
-        number(each.value, places), plus_minus(each.standard_error, places),
-        number(each.smooth, places), plus_minus(each.smooth_error, places),
-        number(each.moved, places), each.believed,
+        *measured(each.value, each.standard_error, places),
+        *measured(each.smooth, each.smooth_error, places),
+        rough(each.moved), each.believed,
     )  # fmt: skip

@@ -45,7 +45,7 @@ def _facts(run: Folder) -> Facts:
     for name, (words, what) in SHARES.items():
         each = run.get(f"service.{name}", {})
         error = finite(each.get("standard_error"))
-        off = f" (± {number(100 * error, 2)})" if error is not None else ""
+        off = f" ({plus_minus(100 * error, 2)})" if error is not None else ""
         found.append((words, percent(each.get("value"), 2), f"{what}{off}"))
     for name, (words, what) in AMOUNTS.items():
         each = run.get(f"service.{name}")
