@@ -273,6 +273,30 @@ def test_nothing_is_cut_at_any_width(page, width, scheme):
     assert re.findall(test_looks.RAW, page.inner_text("main")) == []
 
 
+def test_choices_are_named_for_people(page):
+    rows = page.locator("[data-choice]")
+    names = {each.get_attribute("data-choice"): each.text_content() for each in rows.all()}
+    title = "Contract: injection cost settlement"
+    assert names["contract.injection_cost_settlement"].startswith(title)
+    assert page.locator(f'select[aria-label="{title}"]').count() == 1
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_shaded_edge_hints_at_more_of_a_table(page, scheme):
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.evaluate(
+        """() => {
+        document.querySelectorAll("#deltas details").forEach((each) => (each.open = true));
+        Object.assign(document.getElementById("delta-table").style, { width: "900px", opacity: 0 });
+        }"""
+    )
+    box = page.locator(".scroll", has=page.locator("#delta-table"))
+    assert test_looks.shaded(page, box) == (False, True)
+    box.evaluate("each => each.scrollTo({left: 9999, behavior: 'instant'})")
+    assert test_looks.shaded(page, box) == (True, False)
+
+
 def test_numbers_and_units_are_written_as_by_hand(page):
     found = page.evaluate(
         """() => import("./numbers.js").then((m) => [
