@@ -151,6 +151,7 @@ def test_what_the_case_refuses_is_said_beside_its_control(page):
     field.press("Enter")
     page.locator("#status", has_text="refused").wait_for()
     assert "limits allow" in page.inner_text("[data-input=inventory] .bad")
+    assert page.inner_text("#figure") == "–" and "refused" in page.inner_text("#changes")
     field.fill("many")
     field.press("Enter")
     assert "not a number" in page.inner_text("[data-input=inventory] .bad")
@@ -301,12 +302,12 @@ def test_numbers_and_units_are_written_as_by_hand(page):
     found = page.evaluate(
         """() => import("./numbers.js").then((m) => [
         m.shown(1.36e-8, 3), m.shown(-0.00006), m.shown(44600000000), m.field(44600000000),
-        m.unitWords("kg/m^3"), m.unitWords("Pa*s"), m.unitWords("EUR/t CO2"), m.unitWords("um/s"),
-        m.alike([15.999, 16.03, 15.98])(15.98), m.alike([1, 1e-9])(1)])"""
+        m.unitWords("kg/m^3"), m.unitWords("1/week^0.5"), m.unitWords("Pa*s"), m.unitWords("EUR/t CO2"), m.unitWords("um/s"),
+        m.alike([15.999, 16.03, 15.98])(15.98), m.alike([1, 1e-9])(1), m.signed(5.222e13, 4)])"""
     )
     assert [each.replace("\u00a0", " ") for each in found] == [
         "1.36 × 10⁻⁸", "−0.00006", "44,600,000,000", "4.46e10",
-        "kg/m³", "Pa·s", "EUR/t CO2", "µm/s", "15.980", "1",
+        "kg/m³", "1/√week", "Pa·s", "EUR/t CO2", "µm/s", "15.980", "1", "+5.222 × 10¹³",
     ]  # fmt: skip
 
 

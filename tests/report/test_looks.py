@@ -40,7 +40,7 @@ RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b(?! is kept)|\bundefined\b|\[object|&[a-z
     ("unit", "written"),
     [("kg/m^3", "kg/m³"), ("m3/kmol/s", "m³/kmol/s"), ("um", "µm"), ("Pa*s", "Pa·s"),
      ("1/(N m)2", "1/(N m)²"), ("s2/rad2", "s²/rad²"), ("hm3", "hm³"), ("EUR/MWh", "EUR/MWh"),
-     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("% w/w", "% w/w"), ("1", "1")],
+     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("1/week^0.5", "1/√week"), ("% w/w", "% w/w"), ("1", "1")],
 )  # fmt: skip
 def test_units_are_written_by_hand(unit, written):
     assert unit_words(unit) == written
@@ -71,11 +71,12 @@ def test_an_error_is_never_rounded_to_nothing(error, places, written):
 def test_a_value_has_the_digits_that_its_error_reaches():
     pairs = [
         measured(0.00018, 0.00004, 3, True), measured(0.1234, 0.002, 3), measured(-7.0, None, 1),
-        measured(0.5, 2e-9, 3), measured(None, 0.00004, 3),
+        measured(0.5, 2e-9, 3), measured(None, 0.00004, 3), measured(1.46e-6, 3e-10, 2, True),
+        measured(4995.0, 3e-10, 0),
     ]  # fmt: skip
     assert [[x.replace("\u00a0", " ") for x in pair] for pair in pairs] == [
         ["+0.00018", "± 0.00004"], ["0.123", "± 0.002"], ["−7.0", ""], ["0.500", "± 2 × 10⁻⁹"],
-        ["–", "± 0.00004"],
+        ["–", "± 0.00004"], ["+1.5 × 10⁻⁶", "± 3 × 10⁻¹⁰"], ["4,995", "± 0"],
     ]  # fmt: skip
     assert [rough(x).replace("\u00a0", " ") for x in (9.1365, -616.38, 1.9206e-8, 0, None)] == [
         "9.1", "−616", "1.9 × 10⁻⁸", "0", "–",

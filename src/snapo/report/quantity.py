@@ -11,6 +11,7 @@ import numpy as np
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # stands where there is no number
 SPACE = "\N{NO-BREAK SPACE}"
+ROUNDING = 1e-12  # relative, of sums in double precision
 TINY, MOST = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
 # A power of a unit; a digit after other letters may belong to a name, as in CO2.
 POWER = re.compile(
@@ -89,9 +90,14 @@ def plus_minus(error: Any, places: int) -> str:
 def measured(value: Any, error: Any, places: int, sign: bool = False) -> tuple[str, str]:
     """A value and its standard error, ("+0.00018", "± 0.00004").
 
-    Both with `places` decimals, or with those of the first digit of a smaller error.
+    Both with `places` decimals, or with those of the first digit of a smaller error; both as powers
+    of ten where they are tiny. An error that is the rounding of the value is none.
     """
-    known = finite(error)
+    known, worth = finite(error), finite(value)
+    if known is not None and worth is not None and abs(known) < ROUNDING * abs(worth):
+        error = known = 0.0
+    if known is not None and _tiny(known) and worth is not None and _tiny(worth):
+        return ("+" if sign and worth > 0 else "") + rough(worth), plus_minus(error, places)
     if known is not None and not _tiny(known):
         places = _reached(known, places)
     return number(value, places, sign), plus_minus(error, places)
@@ -132,7 +138,7 @@ def part_of(share: Any, places: int = 2) -> str:
 def unit_words(unit: str) -> str:
     """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
     text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
-    text = re.sub(r"\bsqrt\((\w+)\)", r"√\1", text)
+    text = re.sub(r"\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b", r"√\1\2", text)
     return re.sub(r"\bum\b", "µm", text).replace("*", "·")
 
 

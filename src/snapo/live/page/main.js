@@ -169,11 +169,20 @@ function refused(message) {
   if (message.n !== page.n && message.n !== -1) return;
   status("refused", "lost");
   const words = message.message;
-  // The longest name that the message holds is the input that it is about.
-  const named = page.inputs.filter((input) => words.includes(input.name)).sort((a, b) => b.name.length - a.name.length)[0];
+  // The longest name that the message holds is the input that it is about; as a key of the case it
+  // may have points.
+  const plain = (text) => text.replaceAll(/[_.]/g, " ");
+  const named = page.inputs.filter((input) => changed(input) && plain(words).includes(plain(input.name))).sort((a, b) => b.name.length - a.name.length)[0];
   trouble(words);
-  if (page.base) facts(predicted(), null, "refused");
-  if (named && changed(named)) named.refuse(words);
+  if (page.valued === page.n) { // a bound or a name was refused, and not the numbers
+    at("bound").disabled = false;
+    at("bounds").textContent = "";
+  } else if (page.base) {
+    at("figure").textContent = "–"; // not to first order either
+    at("error").textContent = "";
+    facts(null, null, "refused");
+  }
+  if (named) named.refuse(words);
 }
 
 function done(message) {

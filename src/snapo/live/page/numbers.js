@@ -15,11 +15,11 @@ export function shown(x, digits = 5) {
 
 function written(x, digits) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "–";
-  if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
   if (x !== 0 && (Math.abs(x) < 1e-5 || Math.abs(x) >= 10 ** (digits + 6))) {
     const [mantissa, power] = x.toExponential(Math.min(digits, 4) - 1).split("e");
     return `${Number(mantissa)}\u00a0×\u00a010${raised(String(Number(power)))}`;
   }
+  if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
   return format({ maximumSignificantDigits: digits }).format(x);
 }
 
@@ -56,7 +56,7 @@ const raised = (digits) => [...digits].map((each) => RAISED[each]).join("");
 export function unitWords(text) {
   const power = /((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])/g;
   const written = text.replace(power, (_, unit, digits) => unit + raised(digits));
-  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)/g, "√$1").replaceAll("*", "·");
+  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b/g, "√$1$2").replaceAll("*", "·");
 }
 
 // A number as it was typed or pasted: "1 234,5", "1,234.5", "16.61". NaN where it is none.

@@ -95,7 +95,7 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
     head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Held", run.unit), ("", ""),
             ("Smooth", run.unit), ("", ""), ("Tried", run.unit), ("", ""),
             ("Believed", "")]  # fmt: skip
-    return Table(head, rows, "Change of the value for a move of an input", 3)
+    return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 9}))
 
 
 def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
@@ -118,7 +118,8 @@ def _table(run: Folder) -> Table:
     caption = "Derivative of the value by every number, per one unit of it"
     if count > ROWS:
         caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
-    return Table(head, rows, caption, 3, folded=f"All {count} derivatives")
+    texts = frozenset({0, 1, 2, 8})
+    return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
 
 
 def _one(unit: str, amount: float) -> str:

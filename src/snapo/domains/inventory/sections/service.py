@@ -3,7 +3,7 @@
 from snapo.report.evidence import notes
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Facts, Headline, Section, Table
-from snapo.report.quantity import decimals, finite, number, percent, plus_minus, quantity
+from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
 from snapo.report.sections.headline import marks
 from snapo.report.sections.lacking import lacking
 
@@ -64,8 +64,7 @@ def _costs(run: Folder) -> Table:
     cells = [
         (
             str(each["name"]).capitalize(),
-            number(each["value"], places),
-            plus_minus(each.get("standard_error"), places),
+            *measured(each["value"], each.get("standard_error"), places),
             percent(float(each["value"]) / total),
         )
         for each in rows

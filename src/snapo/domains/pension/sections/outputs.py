@@ -54,7 +54,7 @@ def _largest(run: PensionRun, family: dict, every: list[dict]) -> float:
 
 def _name(family: dict) -> str:
     count = f", all {family['count']}" if family["count"] > 1 else ""
-    return f"{name_of(family['input'])}{count}: + {family['move']}"
+    return f"{name_of(family['input'])}{count}: +{SPACE}{family['move']}"
 
 
 def _summary(run: PensionRun, every: list[dict], families: list[dict]) -> Table:
