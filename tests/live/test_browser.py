@@ -274,6 +274,12 @@ def test_nothing_is_cut_at_any_width(page, width, scheme):
     assert re.findall(test_looks.RAW, page.inner_text("main")) == []
 
 
+def test_texts_between_numbers_stand_to_the_left(page):
+    page.locator("#today-more summary").click()
+    cell = page.locator("#today-table td.text").first
+    assert cell.evaluate("each => getComputedStyle(each).textAlign") == "left"
+
+
 def test_choices_are_named_for_people(page):
     rows = page.locator("[data-choice]")
     names = {each.get_attribute("data-choice"): each.text_content() for each in rows.all()}

@@ -273,9 +273,10 @@ function today(found) {
   at("today").hidden = false;
   at("today-words").textContent = found.words;
   at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
-  const head = element("tr", {}, ...found.columns.map(([name, unit]) => element("th", { scope: "col" }, headed(name, unit))));
+  const kind = (row, i) => (i && typeof row?.[i] === "string" ? "text" : "");
+  const head = element("tr", {}, ...found.columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(found.rows[0], i) }, headed(name, unit))));
   const each = found.columns.map((_, i) => alike(found.rows.map((row) => row[i])));
-  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", {}, typeof cell === "string" ? cell : each[i](cell)))));
+  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { className: kind(row, i) }, typeof cell === "string" ? cell : each[i](cell)))));
   at("today-table").replaceChildren(head, ...rows);
   at("today-more").hidden = !rows.length;
 }
