@@ -86,8 +86,7 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
             amount(each),
             *_with_error(each, "held", places),
             *_with_error(each, "smooth", places),
-            _tried(each, places),
-            plus_minus(each.get("tried_error"), places),
+            *_tried(each, places),
             each.get("believed") or "",
         )
         for each in moves
@@ -102,12 +101,13 @@ def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]
     return measured(each.get(name), each.get(f"{name}_error"), places)
 
 
-def _tried(each: dict[str, Any], places: int) -> str:
-    """The change at a move; of more and of less apart, where they differ."""
+def _tried(each: dict[str, Any], places: int) -> tuple[str, str]:
+    """The change at a move, and its error; of more and of less apart, where they differ."""
     more, less = each.get("more"), each.get("less")
     if more is None or less is None:
-        return number(each.get("tried"), places)
-    return f"{number(more, places)} more, {number(less, places)} less"
+        return _with_error(each, "tried", places)
+    text = f"{number(more, places)} more, {number(less, places)} less"
+    return text, plus_minus(each.get("tried_error"), places)
 
 
 def _table(run: Folder) -> Table:
