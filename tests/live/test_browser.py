@@ -317,6 +317,18 @@ def test_numbers_and_units_are_written_as_by_hand(page):
     ]  # fmt: skip
 
 
+def test_how_near_a_policy_is_to_its_best_in_words(page):
+    found = page.evaluate(
+        """() => import("./numbers.js").then((m) => [[1, 0.1, 1], [3, 0.1, 1], [0, 0.1, 0], [1, 0.1, 0],
+        [3, 2, 1]].map(([gradient, noise, at_training]) => m.nearness({ gradient, noise, at_training })))"""
+    )
+    assert [each["far"] for each in found] == [False, True, False, True, False]
+    assert "tells: 1 ± 0.1 times that where" in found[0]["words"]
+    assert "its gradient is 3 ± 0.1 times that" in found[1]["words"]
+    assert "tells: no more than noise, as where" in found[2]["words"]
+    assert "stands out of its noise" in found[3]["words"]
+
+
 def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):
     page.locator("[data-input=forward_curve] .handle").first.focus()
     page.keyboard.press("PageUp")

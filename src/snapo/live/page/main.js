@@ -3,7 +3,7 @@
 import { capital, changed, controls, label, unit } from "./inputs.js";
 import { menus } from "./menus.js";
 import { bars, drawn, element, fan, tornado } from "./draw.js";
-import { alike, error, shown, signed, unitWords } from "./numbers.js";
+import { alike, error, nearness, shown, signed, unitWords } from "./numbers.js";
 import { offer, scenarios } from "./scenarios.js";
 
 const at = (id) => document.getElementById(id);
@@ -251,14 +251,10 @@ function value(found) {
 
 function health(found) {
   at("best").classList.remove("pending");
-  const box = at("health"), ratio = found.gradient / (found.at_training || 1);
-  const far = ratio > 2 && found.gradient > 2 * found.noise;
-  box.hidden = false;
-  box.classList.toggle("far", far);
-  const noise = `± ${shown(found.noise / (found.at_training || 1), 2)}`;
-  box.textContent = far
-    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} ${noise} times that where it was trained. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
-    : `The policy is near its best here, as far as its gradient tells: ${shown(ratio, 2)} ${noise} times that where it was trained.`;
+  const { far, words } = nearness(found);
+  at("health").hidden = false;
+  at("health").classList.toggle("far", far);
+  at("health").textContent = words;
 }
 
 function bounded({ n, table }) {

@@ -29,6 +29,17 @@ export function signed(x, digits = 5) {
 
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");
 
+// How near a policy is to its best, by the norm of its gradient: against that where it was trained,
+// or, where that is nothing beyond its noise, against the noise.
+export function nearness({ gradient, noise, at_training: before }) {
+  const far = gradient > 2 * noise && gradient > 2 * before;
+  const times = before ? `${shown(gradient / before, 2)} ± ${shown(noise / before, 2)} times that where it was trained` : "";
+  const words = far
+    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "stands out of its noise, and did not where it was trained"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
+    : `The policy is near its best here, as far as its gradient tells: ${times || "no more than noise, as where it was trained"}.`;
+  return { far, words };
+}
+
 // A number in a field: short where rounding away binary noise loses nothing.
 export function field(x) {
   const plain = Number(x.toPrecision(12));
