@@ -151,6 +151,7 @@ def test_what_the_case_refuses_is_said_beside_its_control(page):
     field.press("Enter")
     page.locator("#status", has_text="refused").wait_for()
     assert "limits allow" in page.inner_text("[data-input=inventory] .bad")
+    assert page.inner_text("#figure") == "–" and "refused" in page.inner_text("#changes")
     field.fill("many")
     field.press("Enter")
     assert "not a number" in page.inner_text("[data-input=inventory] .bad")
@@ -273,17 +274,59 @@ def test_nothing_is_cut_at_any_width(page, width, scheme):
     assert re.findall(test_looks.RAW, page.inner_text("main")) == []
 
 
+def test_texts_between_numbers_stand_to_the_left(page):
+    page.locator("#today-more summary").click()
+    cell = page.locator("#today-table td.text").first
+    assert cell.evaluate("each => getComputedStyle(each).textAlign") == "left"
+
+
+def test_choices_are_named_for_people(page):
+    rows = page.locator("[data-choice]")
+    names = {each.get_attribute("data-choice"): each.text_content() for each in rows.all()}
+    title = "Contract: injection cost settlement"
+    assert names["contract.injection_cost_settlement"].startswith(title)
+    assert page.locator(f'select[aria-label="{title}"]').count() == 1
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_shaded_edge_hints_at_more_of_a_table(page, scheme):
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": 390, "height": 900})
+    page.evaluate(
+        """() => {
+        document.querySelectorAll("#deltas details").forEach((each) => (each.open = true));
+        Object.assign(document.getElementById("delta-table").style, { width: "900px", opacity: 0 });
+        }"""
+    )
+    box = page.locator(".scroll", has=page.locator("#delta-table"))
+    assert test_looks.shaded(page, box) == (False, True)
+    box.evaluate("each => each.scrollTo({left: 9999, behavior: 'instant'})")
+    assert test_looks.shaded(page, box) == (True, False)
+
+
 def test_numbers_and_units_are_written_as_by_hand(page):
     found = page.evaluate(
         """() => import("./numbers.js").then((m) => [
         m.shown(1.36e-8, 3), m.shown(-0.00006), m.shown(44600000000), m.field(44600000000),
-        m.unitWords("kg/m^3"), m.unitWords("Pa*s"), m.unitWords("EUR/t CO2"), m.unitWords("um/s"),
-        m.alike([15.999, 16.03, 15.98])(15.98), m.alike([1, 1e-9])(1)])"""
+        m.unitWords("kg/m^3"), m.unitWords("1/week^0.5"), m.unitWords("Pa*s"), m.unitWords("EUR/t CO2"), m.unitWords("um/s"),
+        m.alike([15.999, 16.03, 15.98])(15.98), m.alike([1, 1e-9])(1), m.signed(5.222e13, 4)])"""
     )
     assert [each.replace("\u00a0", " ") for each in found] == [
         "1.36 × 10⁻⁸", "−0.00006", "44,600,000,000", "4.46e10",
-        "kg/m³", "Pa·s", "EUR/t CO2", "µm/s", "15.980", "1",
+        "kg/m³", "1/√week", "Pa·s", "EUR/t CO2", "µm/s", "15.980", "1", "+5.222 × 10¹³",
     ]  # fmt: skip
+
+
+def test_how_near_a_policy_is_to_its_best_in_words(page):
+    found = page.evaluate(
+        """() => import("./numbers.js").then((m) => [[1, 0.1, 1], [3, 0.1, 1], [0, 0.1, 0], [1, 0.1, 0],
+        [3, 2, 1]].map(([gradient, noise, at_training]) => m.nearness({ gradient, noise, at_training })))"""
+    )
+    assert [each["far"] for each in found] == [False, True, False, True, False]
+    assert "tells: 1 ± 0.1 times that where" in found[0]["words"]
+    assert "its gradient is 3 ± 0.1 times that" in found[1]["words"]
+    assert "tells: no more than noise, as where" in found[2]["words"]
+    assert "stands out of its noise" in found[3]["words"]
 
 
 def test_what_is_shown_is_taken_away_and_the_best_is_bounded(page):

@@ -1,5 +1,6 @@
 """What a reader sees: numbers and units by hand, names that do not collide, pages that fit."""
 
+import io
 import json
 import re
 import shutil
@@ -10,6 +11,7 @@ import numpy as np
 import pytest
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.image import imread
 from matplotlib.text import Text
 
 from snapo.report.bands import Swing, scatter, tornado
@@ -17,10 +19,13 @@ from snapo.report.charts import histogram
 from snapo.report.drawing import STYLE, WIDTH
 from snapo.report.page import Page, Section, Table, render
 from snapo.report.quantity import (
+    measured,
     number,
     part_of,
     percent,
+    plus_minus,
     quantity,
+    rough,
     seconds,
     unit_words,
     with_unit,
@@ -35,7 +40,7 @@ RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b(?! is kept)|\bundefined\b|\[object|&[a-z
     ("unit", "written"),
     [("kg/m^3", "kg/m³"), ("m3/kmol/s", "m³/kmol/s"), ("um", "µm"), ("Pa*s", "Pa·s"),
      ("1/(N m)2", "1/(N m)²"), ("s2/rad2", "s²/rad²"), ("hm3", "hm³"), ("EUR/MWh", "EUR/MWh"),
-     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("% w/w", "% w/w"), ("1", "1")],
+     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("1/week^0.5", "1/√week"), ("% w/w", "% w/w"), ("1", "1")],
 )  # fmt: skip
 def test_units_are_written_by_hand(unit, written):
     assert unit_words(unit) == written
@@ -51,6 +56,38 @@ def test_numbers_that_would_be_noughts_are_powers_of_ten():
     assert [seconds(x)[:-2] for x in (0.001, 0.03, 0.4)] == ["0", "0.03", "0.4"]
     assert quantity(87.96, "um") == "87.96\u00a0µm"
     assert (with_unit("W", "1"), with_unit("Size", "um")) == ("W", "Size, µm")
+
+
+@pytest.mark.parametrize(
+    ("error", "places", "written"),
+    [(0.00004, 3, "± 0.00004"), (0.0004, 3, "± 0.0004"), (0.0006, 3, "± 0.001"),
+     (0.04, 3, "± 0.040"), (41.2, 0, "± 41"), (0.3, 0, "± 0.3"), (0.0, 3, "± 0.000"),
+     (3.46e-8, 3, "± 3 × 10⁻⁸"), (None, 3, "")],
+)  # fmt: skip
+def test_an_error_is_never_rounded_to_nothing(error, places, written):
+    assert plus_minus(error, places).replace("\u00a0", " ") == written
+
+
+def test_a_value_has_the_digits_that_its_error_reaches():
+    pairs = [
+        measured(0.00018, 0.00004, 3, True), measured(0.1234, 0.002, 3), measured(-7.0, None, 1),
+        measured(0.5, 2e-9, 3), measured(None, 0.00004, 3), measured(1.46e-6, 3e-10, 2, True),
+        measured(4995.0, 3e-10, 0),
+    ]  # fmt: skip
+    assert [[x.replace("\u00a0", " ") for x in pair] for pair in pairs] == [
+        ["+0.00018", "± 0.00004"], ["0.123", "± 0.002"], ["−7.0", ""], ["0.500", "± 2 × 10⁻⁹"],
+        ["–", "± 0.00004"], ["+1.5 × 10⁻⁶", "± 3 × 10⁻¹⁰"], ["4,995", "± 0"],
+    ]  # fmt: skip
+    assert [rough(x).replace("\u00a0", " ") for x in (9.1365, -616.38, 1.9206e-8, 0, None)] == [
+        "9.1", "−616", "1.9 × 10⁻⁸", "0", "–",
+    ]  # fmt: skip
+
+
+def test_texts_between_numbers_stand_to_the_left():
+    head, rows = [("Part", ""), ("Share", ""), ("", ""), ("Corner", "")], [("a", "1", "", "low")]
+    table = Table(head, rows, texts=frozenset({0, 2, 3}))
+    html = render(Page("t", [], [Section("s", "S", "S", [table])]))
+    assert re.findall(r'<t[hd][^>]*class="n"[^>]*>(.*?)<', html) == ["Share", "1"]
 
 
 def test_a_column_without_anything_is_left_out():
@@ -194,6 +231,32 @@ def test_a_report_fits_every_screen_and_can_be_read(kind, scheme, browser, tmp_p
     assert page.evaluate(PALE) == []
     text = page.inner_text("body")
     assert re.findall(RAW, text) == []
+    context.close()
+
+
+def shaded(page, box):
+    """Whether the left and the right edge of a box are shaded; its content is left out."""
+    picture = imread(io.BytesIO(box.screenshot()))[..., :3].mean(-1)
+    line = picture[len(picture) // 2]
+    return tuple(abs(float(line[i] - line[line.size // 2])) > 0.03 for i in (1, -2))
+
+
+@pytest.mark.prove
+@pytest.mark.skipif(CHROMIUM is None, reason="this machine has no Chromium")
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+def test_a_shaded_edge_hints_at_more(scheme, browser, tmp_path):
+    context = browser.new_context(color_scheme=scheme, viewport={"width": 390, "height": 900})
+    page = context.new_page()
+    page.goto(reported("store", tmp_path).as_uri())
+    page.add_style_tag(content=".drawing > * { visibility: hidden; }")
+    box = page.locator(".drawing").first
+    assert shaded(page, box) == (False, True)
+    box.evaluate("each => each.scrollTo({left: 60, behavior: 'instant'})")
+    assert shaded(page, box) == (True, True)
+    box.evaluate("each => each.scrollTo({left: 9999, behavior: 'instant'})")
+    assert shaded(page, box) == (True, False)
+    page.set_viewport_size({"width": 1440, "height": 900})
+    assert shaded(page, box) == (False, False)
     context.close()
 
 

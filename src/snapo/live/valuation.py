@@ -19,7 +19,8 @@ from snapo.problem.smooth import Smooth
 from snapo.solver import statistics
 from snapo.solver.bound import bound
 from snapo.solver.by_block.passes import Way
-from snapo.solver.evaluate import Value, estimate, worth_of_groups
+from snapo.solver.evaluate import Value, estimate, kept, worth_of_groups
+from snapo.solver.finite_paths import finite
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin, train
@@ -27,6 +28,7 @@ from snapo.study.parts.profile import KINDS, MOST_ENTRIES, bands, leaves
 from snapo.study.study import Measured, Setup, Study
 
 from .case.places import Places
+from .case.refusals import MOST, no_value
 from .counts import Counts
 from .moves import NONE, Anew, Chosen, Moves, Values
 from .rolled import Rolled, roll, totals_of
@@ -69,6 +71,8 @@ class Valuation(Moves):
         policy = self.solution.policy
         assert policy is not None
         rolled = roll(setup, policy, self.counts)
+        if (changed or chosen) and (bad := _too_many(setup, rolled.totals)):
+            raise self._no_value(changed, chosen, bad)
         yield "value", self._value(setup, rolled, changed, bool(changed or chosen))
         if study.shown is not None:
             source = setup.problem.sources.evaluation
@@ -156,6 +160,18 @@ class Valuation(Moves):
             self._variants[key] = study, study.setup()
         return self._variants[key]
 
+    def _no_value(self, changed: Values, chosen: Chosen, bad: int) -> CaseError:
+        """The refusal of numbers without a value; of several, those that have none alone."""
+        wrong, policy = dict(changed), self.solution.policy
+        assert policy is not None
+        if 1 < len(changed) <= MOST:
+            for name, new in changed.items():
+                setup = self._at({name: new}, chosen)[1]
+                if not _too_many(setup, totals_of(setup, policy, self.counts.value)):
+                    del wrong[name]
+        source = self.setup.problem.sources.evaluation
+        return no_value(wrong or changed, self.named, bad, source.available(self.counts.value))
+
     def _value(
         self, setup: Setup, rolled: Rolled, changed: Values, differs: bool
     ) -> dict[str, Any]:
@@ -233,6 +249,13 @@ def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
                 full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
                 found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
     return found
+
+
+def _too_many(setup: Setup, totals: Totals) -> int:
+    """The number of paths that are not finite, where that leaves no value; else 0."""
+    objective = setup.problem.objective
+    known = len(kept(objective, totals)[objective.outputs[0]])
+    return 0 if known else int(np.sum(~finite(totals, objective.outputs)))
 
 
 def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:

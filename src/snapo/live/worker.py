@@ -20,6 +20,7 @@ from typing import Any, TextIO
 from snapo.case.error import CaseError
 from snapo.study.run_folder import plain_json
 
+from .case.refusals import stopped
 from .counts import Counts
 from .moves import Moves
 from .reopen import open_run
@@ -74,8 +75,8 @@ class Desk:
         return self.newest.get(order["page"]) != order["n"]
 
 
-def serve(valuation: Moves, desk: Desk, post: Post) -> None:
-    """Answers until there are no more lines."""
+def serve(valuation: Moves, desk: Desk, post: Post, module: str | None = None) -> None:
+    """Answers until there are no more lines; `module`: of the user's own simulator."""
     while (order := desk.orders.get()) is not None:
         try:
             if order["do"] == "move":
@@ -91,7 +92,8 @@ def serve(valuation: Moves, desk: Desk, post: Post) -> None:
         except CaseError as error:
             post(page=order["page"], n=order["n"], stage="refused", message=in_words(error))
         except Exception as error:
-            words = f"{type(error).__name__}: {error}"[:500]
+            moved = [*order.get("values", {}), *(order.get("chosen") or {})]
+            words = stopped(error, moved, module)
             post(page=order["page"], n=order["n"], stage="refused", message=words)
 
 
@@ -193,7 +195,7 @@ def main(arguments: list[str] | None = None) -> int:
         "bounded": bounded,
     }
     post(stage="ready", **ready, **valuation.units())
-    serve(valuation, Desk(sys.stdin), post)
+    serve(valuation, Desk(sys.stdin), post, code[0] if code else None)
     return 0
 
 

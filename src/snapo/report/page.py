@@ -44,6 +44,8 @@ class Chart:
 class Table:
     """Rows of text; the columns after the first `texts` are numbers and stand to the right.
 
+    Where texts and numbers alternate, `texts` is the set of the columns of texts.
+
     **Attributes:**
 
     - `caption`: the subject of the table, for every reader; may be empty.
@@ -57,9 +59,15 @@ class Table:
     head: Sequence[tuple[str, str]]
     rows: Sequence[Sequence[Any]]
     caption: str = ""
-    texts: int = 1
+    texts: int | frozenset[int] = 1
     strong: frozenset[int] = frozenset()
     folded: str = ""
+
+    def right(self, column: int) -> bool:
+        """Whether a column holds numbers."""
+        if isinstance(self.texts, int):
+            return column >= self.texts
+        return column not in self.texts
 
 
 @dataclass(frozen=True)
@@ -187,7 +195,7 @@ def _filled(table: Table) -> Table:
     ):
         return table
     kept = [i for i in range(wide) if i == 0 or any(row[i] != "" for row in table.rows)]
-    texts = sum(i < table.texts for i in kept)
+    texts = frozenset(new for new, i in enumerate(kept) if not table.right(i))
     rows = [tuple(row[i] for i in kept) for row in table.rows]
     head = [table.head[i] for i in kept] if table.head else table.head
     return replace(table, head=head, rows=rows, texts=texts)

@@ -11,6 +11,7 @@ import numpy as np
 MINUS = "\N{MINUS SIGN}"
 NONE = "\N{EN DASH}"  # stands where there is no number
 SPACE = "\N{NO-BREAK SPACE}"
+ROUNDING = 1e-12  # relative, of sums in double precision
 TINY, MOST = 1e-5, 7  # below which, and beyond how many decimals, a power of ten reads better
 # A power of a unit; a digit after other letters may belong to a name, as in CO2.
 POWER = re.compile(
@@ -76,9 +77,47 @@ def money(value: Any, currency: str, places: int | None = None, sign: bool = Fal
 
 
 def plus_minus(error: Any, places: int) -> str:
-    """A standard error, "± 41"; nothing where there is none."""
+    """A standard error, "± 41"; nothing where there is none.
+
+    One that `places` decimals would round to nothing keeps a digit: "± 0.00004".
+    """
     known = finite(error)
-    return "" if known is None else f"±{SPACE}{number(known, places)}"
+    if known is None:
+        return ""
+    return f"±{SPACE}{power(known, 0) if _tiny(known) else number(known, _reached(known, places))}"
+
+
+def measured(value: Any, error: Any, places: int, sign: bool = False) -> tuple[str, str]:
+    """A value and its standard error, ("+0.00018", "± 0.00004").
+
+    Both with `places` decimals, or with those of the first digit of a smaller error; both as powers
+    of ten where they are tiny. An error that is the rounding of the value is none.
+    """
+    known, worth = finite(error), finite(value)
+    if known is not None and worth is not None and abs(known) < ROUNDING * abs(worth):
+        error = known = 0.0
+    if known is not None and _tiny(known) and worth is not None and _tiny(worth):
+        return ("+" if sign and worth > 0 else "") + rough(worth), plus_minus(error, places)
+    if known is not None and not _tiny(known):
+        places = _reached(known, places)
+    return number(value, places, sign), plus_minus(error, places)
+
+
+def rough(value: Any) -> str:
+    """A number of which the size alone matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
+    known = finite(value)
+    if known is None or known == 0:
+        return number(known, 0)
+    return power(known, 1) if _tiny(known) else number(known, decimals([known], 2))
+
+
+def _tiny(value: float) -> bool:
+    return 0 < abs(value) < TINY
+
+
+def _reached(error: float, places: int) -> int:
+    """So many decimals, or more where they would show an error as nothing."""
+    return max(places, decimals([error], 1)) if abs(error) < 0.5 * 10.0**-places else places
 
 
 def percent(share: Any, places: int = 1) -> str:
@@ -99,7 +138,7 @@ def part_of(share: Any, places: int = 2) -> str:
 def unit_words(unit: str) -> str:
     """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
     text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
-    text = re.sub(r"\bsqrt\((\w+)\)", r"√\1", text)
+    text = re.sub(r"\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b", r"√\1\2", text)
     return re.sub(r"\bum\b", "µm", text).replace("*", "·")
 
 

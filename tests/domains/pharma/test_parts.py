@@ -1,5 +1,6 @@
 """Which parts a run has, their progress, and the words where one is not there."""
 
+import math
 import tomllib
 
 import pytest
@@ -8,7 +9,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER, TEMPLATE, dat
 from snapo.case.error import CaseError
 from snapo.domains.pharma import progress
 from snapo.domains.pharma.read.case import PARTS, resolve
-from snapo.domains.pharma.results.quality import space_rows
+from snapo.domains.pharma.results.quality import boundary_rows, space_rows
 from snapo.domains.pharma.sections.headline import _marks
 from snapo.domains.pharma.sections.run import Run
 from snapo.domains.pharma.sections.space import design_space
@@ -78,6 +79,17 @@ def test_the_map_names_the_attribute_that_binds():
     }  # fmt: skip
     header, rows = space_rows(found, ["yield", "size"])
     assert header[-1] == "binding" and [row[-1] for row in rows] == ["size", ""]
+
+
+def test_the_places_of_the_boundary_are_without_round_off():
+    ends = [{"at": [1, -1], "axis": 1, "side": 1, "place": 0.1 + 0.2, "inner": math.nan,
+             "outer": 308.34000000000003, "binding": 0}]  # fmt: skip
+    found = {"grid": [[1.0, 0.7 + 0.1], [3.0]], "axes": ["a", "b"], "units": ["K", "1"],
+             "ends": ends}  # fmt: skip
+    _, rows = boundary_rows(found, ["yield"])
+    ((*at, along, side, place, inner, outer, which),) = rows
+    assert at == [0.8, 0.3] and (place, outer) == (0.3, 308.34) and math.isnan(inner)
+    assert (along, side, which) == ("b [1]", "above", "yield")
 
 
 def test_a_whole_number_of_samples_is_asked_for_with_both_ends(tmp_path):

@@ -15,6 +15,7 @@ from snapo.case.table import watching
 
 from .files import Files, Key, numbers_in
 from .guesses import tables
+from .titles import title
 
 Tried = Callable[[Files], Any]
 LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
@@ -24,12 +25,16 @@ WORD = re.compile(r'"([^"\s][^"]{0,39})"')
 
 
 class Choice(NamedTuple):
-    """A key, its value in the run (where the case has none, the default), and all allowed ones."""
+    """A key, its value in the run (where the case has none, the default), and all allowed ones.
+
+    `title`: the key for people, "Granule size: distribution".
+    """
 
     name: str
     key: Key
     value: str | bool
     allowed: Sequence[str | bool]
+    title: str
 
 
 def choices(files: Files, tried: Tried) -> list[Choice]:
@@ -44,7 +49,7 @@ def choices(files: Files, tried: Tried) -> list[Choice]:
         allowed = [each for each in others if each != value and _holds(files, key, each, tried)]
         if allowed:
             name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
-            found.append(Choice(name, key, value, [value, *allowed]))
+            found.append(Choice(name, key, value, [value, *allowed], title(files.tables, key)))
     return found
 
 

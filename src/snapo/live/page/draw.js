@@ -111,10 +111,11 @@ export function bars(width, rows, before, label) {
 // Effects side by side: a horizontal bar for each, the largest first.
 export function tornado(width, rows) {
   // Where a name would be cut off, names stand above their bars.
-  const over = rows.some((row) => row.short.length > Math.floor((width * 0.5) / 6.1));
-  const line = over ? 40 : 24, drop = over ? 16 : 0, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
-  const names = over ? 0 : width * 0.5, room = width - names - 8, side = Math.max(44, ...rows.map((row) => row.shown.length * 6.2 + 8)); // beside a bar: its number
+  const side = Math.max(44, ...rows.map((row) => row.shown.length * 6.2 + 8)); // beside a bar: its number
   const up = rows.some((row) => row.effect > 0), down = rows.some((row) => row.effect < 0);
+  const over = rows.some((row) => row.short.length > Math.floor((width * 0.5) / 6.1)) || width * 0.5 < (up && down ? 2 : 1) * side + 24;
+  const line = over ? 40 : 24, drop = over ? 16 : 0, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
+  const names = over ? 0 : width * 0.5, room = width - names - 8;
   const middle = names + (up && down ? room / 2 : down ? room : 4);
   const half = (up && down ? room / 2 : room - 4) - side;
   const svg = node("svg", { viewBox: `0 0 ${width} ${rows.length * line + 4}`, height: rows.length * line + 4, role: "img", "aria-label": "Effect of moving each input" });

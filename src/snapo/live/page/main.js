@@ -3,7 +3,7 @@
 import { capital, changed, controls, label, unit } from "./inputs.js";
 import { menus } from "./menus.js";
 import { bars, drawn, element, fan, tornado } from "./draw.js";
-import { alike, error, shown, signed, unitWords } from "./numbers.js";
+import { alike, error, nearness, shown, signed, unitWords } from "./numbers.js";
 import { offer, scenarios } from "./scenarios.js";
 
 const at = (id) => document.getElementById(id);
@@ -87,6 +87,7 @@ function ready(message) {
     page.inputs = message.inputs;
     controls(at("groups"), page.inputs, moved);
     page.menus = menus(at("groups"), message.choices ?? [], moved);
+    if (page.kept) kept(page.kept); // now that choices have names
     remembered();
     choices();
   }
@@ -168,11 +169,20 @@ function refused(message) {
   if (message.n !== page.n && message.n !== -1) return;
   status("refused", "lost");
   const words = message.message;
-  // The longest name that the message holds is the input that it is about.
-  const named = page.inputs.filter((input) => words.includes(input.name)).sort((a, b) => b.name.length - a.name.length)[0];
+  // The longest name that the message holds is the input that it is about; as a key of the case it
+  // may have points.
+  const plain = (text) => text.replaceAll(/[_.]/g, " ");
+  const named = page.inputs.filter((input) => changed(input) && plain(words).includes(plain(input.name))).sort((a, b) => b.name.length - a.name.length)[0];
   trouble(words);
-  if (page.base) facts(predicted(), null, "refused");
-  if (named && changed(named)) named.refuse(words);
+  if (page.valued === page.n) { // a bound or a name was refused, and not the numbers
+    at("bound").disabled = false;
+    at("bounds").textContent = "";
+  } else if (page.base) {
+    at("figure").textContent = "–"; // not to first order either
+    at("error").textContent = "";
+    facts(null, null, "refused");
+  }
+  if (named) named.refuse(words);
 }
 
 function done(message) {
@@ -241,14 +251,10 @@ function value(found) {
 
 function health(found) {
   at("best").classList.remove("pending");
-  const box = at("health"), ratio = found.gradient / (found.at_training || 1);
-  const far = ratio > 2 && found.gradient > 2 * found.noise;
-  box.hidden = false;
-  box.classList.toggle("far", far);
-  const noise = `± ${shown(found.noise / (found.at_training || 1), 2)}`;
-  box.textContent = far
-    ? `The policy is no longer near its best here: its gradient is ${shown(ratio, 2)} ${noise} times that where it was trained. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
-    : `The policy is near its best here, as far as its gradient tells: ${shown(ratio, 2)} ${noise} times that where it was trained.`;
+  const { far, words } = nearness(found);
+  at("health").hidden = false;
+  at("health").classList.toggle("far", far);
+  at("health").textContent = words;
 }
 
 function bounded({ n, table }) {
@@ -263,9 +269,10 @@ function today(found) {
   at("today").hidden = false;
   at("today-words").textContent = found.words;
   at("today-facts").replaceChildren(...found.facts.map(([name, number, unit]) => fact(capital(name), shown(number), unitWords(unit))));
-  const head = element("tr", {}, ...found.columns.map(([name, unit]) => element("th", { scope: "col" }, headed(name, unit))));
+  const kind = (row, i) => (i && typeof row?.[i] === "string" ? "text" : "");
+  const head = element("tr", {}, ...found.columns.map(([name, unit], i) => element("th", { scope: "col", className: kind(found.rows[0], i) }, headed(name, unit))));
   const each = found.columns.map((_, i) => alike(found.rows.map((row) => row[i])));
-  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", {}, typeof cell === "string" ? cell : each[i](cell)))));
+  const rows = found.rows.map((row) => element("tr", {}, ...row.map((cell, i) => element("td", { className: kind(row, i) }, typeof cell === "string" ? cell : each[i](cell)))));
   at("today-table").replaceChildren(head, ...rows);
   at("today-more").hidden = !rows.length;
 }
@@ -354,10 +361,12 @@ function remembered() {
 }
 
 function kept(message) {
+  page.kept = message;
   scenarios(message.scenarios, {
     load,
     keep: (name) => page.valued === page.n && send({ do: "keep", n: page.n, name }),
     forget: (id) => send({ do: "forget", id }),
+    called: (name) => page.menus.find((menu) => menu.name === name)?.title ?? name.replaceAll(/[_.]/g, " "),
   });
 }
 

@@ -1,7 +1,6 @@
 // Words and switches of the case: what is allowed stands in a menu.
 
 import { element } from "./draw.js";
-import { capital } from "./inputs.js";
 
 const words = (value) => (typeof value === "boolean" ? (value ? "yes" : "no") : value);
 
@@ -11,9 +10,8 @@ export function menus(place, choices, moved) {
   const mark = element("span", { className: "moved" });
   const box = element("details", { className: "group", open: choices.length < 4 }, element("summary", {}, "Choices", mark));
   const made = choices.map((choice) => {
-    const menu = element("select", { ariaLabel: choice.name }, ...choice.allowed.map((value, i) => element("option", { value: String(i) }, words(value))));
-    const title = choice.name.split(".").map((part) => part.replaceAll("_", " ")).join(", ");
-    const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, capital(title)), " ", menu), element("span", {}, `the run has ${words(choice.value)}`)));
+    const menu = element("select", { ariaLabel: choice.title }, ...choice.allowed.map((value, i) => element("option", { value: String(i) }, words(value))));
+    const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, choice.title), " ", menu), element("span", {}, `the run has ${words(choice.value)}`)));
     row.dataset.choice = choice.name;
     box.append(row);
     const found = { ...choice, now: choice.value };

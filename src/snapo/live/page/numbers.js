@@ -15,11 +15,11 @@ export function shown(x, digits = 5) {
 
 function written(x, digits) {
   if (x === null || x === undefined || !Number.isFinite(x)) return "–";
-  if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
   if (x !== 0 && (Math.abs(x) < 1e-5 || Math.abs(x) >= 10 ** (digits + 6))) {
     const [mantissa, power] = x.toExponential(Math.min(digits, 4) - 1).split("e");
     return `${Number(mantissa)}\u00a0×\u00a010${raised(String(Number(power)))}`;
   }
+  if (Math.abs(x) >= 10 ** (digits - 1)) return format({ maximumFractionDigits: 0 }).format(x);
   return format({ maximumSignificantDigits: digits }).format(x);
 }
 
@@ -28,6 +28,17 @@ export function signed(x, digits = 5) {
 }
 
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(x, 3)}` : "");
+
+// How near a policy is to its best, by the norm of its gradient: against that where it was trained,
+// or, where that is nothing beyond its noise, against the noise.
+export function nearness({ gradient, noise, at_training: before }) {
+  const far = gradient > 2 * noise && gradient > 2 * before;
+  const times = before ? `${shown(gradient / before, 2)} ± ${shown(noise / before, 2)} times that where it was trained` : "";
+  const words = far
+    ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "stands out of its noise, and did not where it was trained"}. What is shown is still this policy's exact value; a better one is likely. Press "Train again here" to see what that gains, then keep this as a scenario and solve its case.`
+    : `The policy is near its best here, as far as its gradient tells: ${times || "no more than noise, as where it was trained"}.`;
+  return { far, words };
+}
 
 // A number in a field: short where rounding away binary noise loses nothing.
 export function field(x) {
@@ -56,7 +67,7 @@ const raised = (digits) => [...digits].map((each) => RAISED[each]).join("");
 export function unitWords(text) {
   const power = /((?<![A-Za-z])(?:[cdhkmnuµ]?m|s|h|min|rad|K|ft|day|week|month|year)|\))\^?(-?\d)(?![\w.])/g;
   const written = text.replace(power, (_, unit, digits) => unit + raised(digits));
-  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)/g, "√$1").replaceAll("*", "·");
+  return written.replace(/\bum\b/g, "µm").replace(/\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b/g, "√$1$2").replaceAll("*", "·");
 }
 
 // A number as it was typed or pasted: "1 234,5", "1,234.5", "16.61". NaN where it is none.

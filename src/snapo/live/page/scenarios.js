@@ -10,7 +10,7 @@ export function offer(possible) {
   at("keep").querySelector("button").disabled = !possible;
 }
 
-export function scenarios(found, { load, keep, forget }) {
+export function scenarios(found, { load, keep, forget, called }) {
   at("keep").onsubmit = (event) => {
     event.preventDefault();
     const name = at("keep-name").value.trim();
@@ -22,11 +22,11 @@ export function scenarios(found, { load, keep, forget }) {
   at("scenarios-csv").hidden = found.length === 0;
   if (!found.length) return at("kept").replaceChildren();
   const head = element("tr", {}, ...["Scenario", "Value", "", "Change", "", "Moved", ""].map((text) => element("th", { scope: "col" }, text)));
-  at("kept").replaceChildren(head, ...found.map((each) => row(each, load, forget)));
+  at("kept").replaceChildren(head, ...found.map((each) => row(each, load, forget, called)));
 }
 
-function row(each, load, forget) {
-  const value = each.value ?? {}, names = [...Object.keys(each.values), ...Object.keys(each.chosen ?? {})].map((name) => name.replaceAll(/[_.]/g, " "));
+function row(each, load, forget, called) {
+  const value = each.value ?? {}, names = [...Object.keys(each.values), ...Object.keys(each.chosen ?? {})].map(called);
   const tools = element("td", {},
     element("button", { type: "button", onclick: () => load(each.values, each.chosen ?? {}), ariaLabel: `Show ${each.name}` }, "Show"), " ",
     element("a", { href: `scenario/${each.id}.csv`, download: "" }, "CSV"), " ",

@@ -7,7 +7,18 @@ from ..charts import BLOCK_INTERVAL
 from ..drawing import draw
 from ..folder import Folder, Sensitivity
 from ..page import Block, Chart, Missing, Section, Table, Text
-from ..quantity import SPACE, decimals, finite, number, percent, plus_minus, quantity, unit_words
+from ..quantity import (
+    SPACE,
+    decimals,
+    finite,
+    measured,
+    number,
+    percent,
+    plus_minus,
+    quantity,
+    rough,
+    unit_words,
+)
 from .distribution import words
 from .lacking import lacking
 
@@ -75,8 +86,7 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
             amount(each),
             *_with_error(each, "held", places),
             *_with_error(each, "smooth", places),
-            _tried(each, places),
-            plus_minus(each.get("tried_error"), places),
+            *_tried(each, places),
             each.get("believed") or "",
         )
         for each in moves
@@ -84,19 +94,20 @@ def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
     head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Held", run.unit), ("", ""),
             ("Smooth", run.unit), ("", ""), ("Tried", run.unit), ("", ""),
             ("Believed", "")]  # fmt: skip
-    return Table(head, rows, "Change of the value for a move of an input", 3)
+    return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 9}))
 
 
 def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
-    return number(each.get(name), places), plus_minus(each.get(f"{name}_error"), places)
+    return measured(each.get(name), each.get(f"{name}_error"), places)
 
 
-def _tried(each: dict[str, Any], places: int) -> str:
-    """The change at a move; of more and of less apart, where they differ."""
+def _tried(each: dict[str, Any], places: int) -> tuple[str, str]:
+    """The change at a move, and its error; of more and of less apart, where they differ."""
     more, less = each.get("more"), each.get("less")
     if more is None or less is None:
-        return number(each.get("tried"), places)
-    return f"{number(more, places)} more, {number(less, places)} less"
+        return _with_error(each, "tried", places)
+    text = f"{number(more, places)} more, {number(less, places)} less"
+    return text, plus_minus(each.get("tried_error"), places)
 
 
 def _table(run: Folder) -> Table:
@@ -107,7 +118,8 @@ def _table(run: Folder) -> Table:
     caption = "Derivative of the value by every number, per one unit of it"
     if count > ROWS:
         caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
-    return Table(head, rows, caption, 3, folded=f"All {count} derivatives")
+    texts = frozenset({0, 1, 2, 8})
+    return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
 
 
 def _one(unit: str, amount: float) -> str:
@@ -128,7 +140,7 @@ def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
     places = min(9, decimals(numbers, 4))
     return (
         words(each.input), each.label, _per(each.unit),
-        number(each.value, places), plus_minus(each.standard_error, places),
-        number(each.smooth, places), plus_minus(each.smooth_error, places),
-        number(each.moved, places), each.believed,
+        *measured(each.value, each.standard_error, places),
+        *measured(each.smooth, each.smooth_error, places),
+        rough(each.moved), each.believed,
     )  # fmt: skip

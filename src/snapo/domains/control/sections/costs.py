@@ -4,7 +4,7 @@ from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.folder import Folder
 from snapo.report.page import Chart, Section, Table
-from snapo.report.quantity import decimals, number, percent, plus_minus
+from snapo.report.quantity import decimals, measured, number, percent
 from snapo.report.sections.distribution import words
 from snapo.report.sections.lacking import lacking
 
@@ -30,7 +30,7 @@ def costs(run: Folder) -> Section:
     alt = "; ".join(f"{rung.name} {rung.text}" for rung in rungs)
     svg = draw("costs-ladder", alt, lambda axes: charts.ladder(axes, rungs), 40 + 34 * len(rungs))
     rows = [
-        (_name(each), number(each["mean"], places), plus_minus(each["standard_error"], places),
+        (_name(each), *measured(each["mean"], each["standard_error"], places),
          percent(each["mean"] / total) if total else "")
         for each in found
     ]  # fmt: skip

@@ -4,7 +4,7 @@ from snapo.report import charts
 from snapo.report.drawing import draw
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Chart, Section, Table, Text
-from snapo.report.quantity import decimals, finite, number, plus_minus
+from snapo.report.quantity import decimals, finite, measured, number, plus_minus
 from snapo.report.sections.lacking import lacking
 
 TITLE, SHORT = "Beside classical rules", "Rivals"
@@ -38,10 +38,13 @@ def rivals(run: Folder) -> Section:
 def _table(found: list[dict], places: int) -> Table:
     head = [("Rule", ""), ("Reward", ""), ("Policy earns more", ""), ("", "")]
     rows = [
-        (each["name"], number(each["value"], places), number(each["less"], places, sign=True),
-         plus_minus(each["less_error"], places))
+        (
+            each["name"],
+            number(each["value"], places),
+            *measured(each["less"], each["less_error"], places, sign=True),
+        )
         for each in found
-    ]  # fmt: skip
+    ]
     return Table(head, rows, "Classical rules on the policy's own paths")
 
 

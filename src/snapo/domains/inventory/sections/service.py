@@ -3,7 +3,7 @@
 from snapo.report.evidence import notes
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Facts, Headline, Section, Table
-from snapo.report.quantity import decimals, finite, number, percent, plus_minus, quantity
+from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
 from snapo.report.sections.headline import marks
 from snapo.report.sections.lacking import lacking
 
@@ -45,7 +45,7 @@ def _facts(run: Folder) -> Facts:
     for name, (words, what) in SHARES.items():
         each = run.get(f"service.{name}", {})
         error = finite(each.get("standard_error"))
-        off = f" (± {number(100 * error, 2)})" if error is not None else ""
+        off = f" ({plus_minus(100 * error, 2)})" if error is not None else ""
         found.append((words, percent(each.get("value"), 2), f"{what}{off}"))
     for name, (words, what) in AMOUNTS.items():
         each = run.get(f"service.{name}")
@@ -64,8 +64,7 @@ def _costs(run: Folder) -> Table:
     cells = [
         (
             str(each["name"]).capitalize(),
-            number(each["value"], places),
-            plus_minus(each.get("standard_error"), places),
+            *measured(each["value"], each.get("standard_error"), places),
             percent(float(each["value"]) / total),
         )
         for each in rows

@@ -1,7 +1,7 @@
 """Sensitivities of several outputs side by side: a board's page, then each in its units."""
 
 from snapo.report.page import Block, Facts, Missing, Section, Table, Text
-from snapo.report.quantity import decimals, finite, number, plus_minus
+from snapo.report.quantity import SPACE, decimals, finite, measured, number, plus_minus
 
 from .run import PensionRun, share
 from .words import name_of
@@ -35,7 +35,7 @@ def outputs(run: PensionRun) -> Section:
 
 def _value(run: PensionRun, each: dict) -> tuple[str, str]:
     if each["money"]:
-        return run.large(each["value"]), f"± {run.large(each['error'], 2)}"
+        return run.large(each["value"]), f"±{SPACE}{run.large(each['error'])}"
     return share(each["value"]), f"{plus_minus(100 * (finite(each['error']) or 0), 2)} points"
 
 
@@ -54,7 +54,7 @@ def _largest(run: PensionRun, family: dict, every: list[dict]) -> float:
 
 def _name(family: dict) -> str:
     count = f", all {family['count']}" if family["count"] > 1 else ""
-    return f"{name_of(family['input'])}{count}: + {family['move']}"
+    return f"{name_of(family['input'])}{count}: +{SPACE}{family['move']}"
 
 
 def _summary(run: PensionRun, every: list[dict], families: list[dict]) -> Table:
@@ -86,7 +86,7 @@ def _detail(run: PensionRun, each: dict, families: list[dict]) -> Table:
             continue
         part, spread = _as_share(run, each, effect), _as_share(run, each, error)
         money = run.large(part * owed, 2, True)
-        cells = number(100 * part, 3, True), plus_minus(100 * spread, 3)
+        cells = measured(100 * part, 100 * spread, 3, True)
         rows.append((_name(family), *cells, number(1e4 * part, 1, True), money))
     head = [("Move", ""), ("Effect", "" if unitless else "points"), ("Std. error", "")]
     head += [] if unitless else [("Effect", "bp"), ("In money", run.currency)]

@@ -4,7 +4,7 @@ from snapo.report.bands import Swing, tornado
 from snapo.report.charts import BLOCK_INTERVAL
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
-from snapo.report.quantity import decimals, finite, number, plus_minus
+from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
 
 from .run import PensionRun
 from .words import name_of
@@ -59,7 +59,7 @@ def _tornado(families: list[dict], scale: float, unit: str) -> Chart:
         value = scale * (finite(each["effect"]) or 0.0)
         half = BLOCK_INTERVAL * scale * (finite(each.get("standard_error")) or 0.0)
         count = f", all {each['count']}" if each["count"] > 1 else ""
-        name = f"{name_of(each['input'])}{count}: + {each['move']}"
+        name = f"{name_of(each['input'])}{count}: +{SPACE}{each['move']}"
         swings.append(Swing(name, value, number(value, places, True), half))
     alt = "Effects of the usual moves. " + "; ".join(f"{s.name}: {s.text}" for s in swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, unit), 40 + 22 * len(swings))

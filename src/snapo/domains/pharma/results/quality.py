@@ -164,10 +164,16 @@ def space_rows(
     grid = [x.ravel() for x in np.meshgrid(*found["grid"], indexing="ij")]
     names = tuple(f"{name} [{unit}]" for name, unit in zip(found["axes"], found["units"]))
     numbers = ("probability", "error", "low", "high")
-    columns = [each.tolist() for each in (*grid, *(np.ravel(found[key]) for key in numbers))]
+    every = (*map(_places, grid), *(np.ravel(found[key]) for key in numbers))
+    columns = [each.tolist() for each in every]
     which = [attributes[i] if i >= 0 else "" for i in np.ravel(found["binding"]).tolist()]
     header = (*names, "probability", "standard_error", "low", "high", "binding")
     return header, zip(*columns, which)
+
+
+def _places(values) -> np.ndarray:
+    """Places on the axes of the map to ten significant digits, which leaves out round-off."""
+    return np.array([float(f"{x:.10g}") for x in values])
 
 
 def boundary_rows(
@@ -180,5 +186,6 @@ def boundary_rows(
         at = [grid[i] if i >= 0 else end["place"] for grid, i in zip(found["grid"], end["at"])]
         side = "above" if end["side"] > 0 else "below"
         number = (end["place"], end["inner"], end["outer"])
+        at, number = _places(at).tolist(), _places(number).tolist()
         rows.append((*at, names[end["axis"]], side, *number, attributes[end["binding"]]))
     return (*names, "along", "ends", "boundary", "inner", "outer", "binding"), rows

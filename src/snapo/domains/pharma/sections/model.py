@@ -88,7 +88,7 @@ def _parameters(run: Run) -> Table | Missing:
         return Missing("The process parameters are not in this run.")
     head = [("Parameter", ""), ("What it is", ""), ("Source", ""), ("Set point", ""),
             ("Normal range", ""), ("Studied range", ""), ("Varies", "")]  # fmt: skip
-    return Table(head, rows, "Process parameters", 3)
+    return Table(head, rows, "Process parameters", frozenset({0, 1, 2, 6}))
 
 
 def _uncertainty(run: Run) -> Table | Text:

@@ -120,7 +120,7 @@ def _interval(share: float, low: float, high: float) -> str:
         return "0"
     if np.isinf(share):
         return "beyond"
-    return f"{percent(share, 1)} ({percent(low, 1)} – {percent(high, 1)})"
+    return f"{percent(share, 1)} ({number(100 * low, 1)} – {number(100 * high, 1)})"
 
 
 def _used(rank: dict) -> str:

@@ -110,7 +110,8 @@ def together(run: Run) -> Section:
     )
     if len(rows) > SHOWN:
         caption += f" The {SHOWN} pairs with the least room of {len(rows)}."
-    return Section("pairs", title, short, [Table(head, body, caption)])
+    texts = frozenset({0, 2, 5, 6})
+    return Section("pairs", title, short, [Table(head, body, caption, texts)])
 
 
 def _least(each: dict[str, Any]) -> float:
