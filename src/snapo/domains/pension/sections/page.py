@@ -12,7 +12,7 @@ SECTIONS = (
     reconciliation.headline,
     reconciliation.reconciliation,
     decisions.trades,
-    outcome.funding,
+    of_rights(outcome.funding),
     pots,
     of_rights(outcome.attribution),
     of_rights(outcome.variance),
