@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from .records.case import PensionCase
 
-SIZES = ("small", "medium", "large")
+SIZES = ("small", "medium", "large", "wtp")
 
 
 @dataclass(frozen=True)

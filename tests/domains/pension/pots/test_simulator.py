@@ -78,6 +78,21 @@ def test_the_reserve_keeps_the_law(usual):
     assert np.all(outputs["released"][ends] <= 0.2 / 0.8 * states.reserve[12::12] * (1 + 1e-12))
 
 
+def test_pensions_fall_only_where_a_year_has_taken_its_share_of_the_reserve():
+    """The rule of funds that publish theirs, see `test_published.py`: a year takes a fifth of the
+    reserve at most, and no more than brings pensions up to the level of the year before."""
+    case = fund()
+    case = replace(case, pots=pots(case, [0.2] * 5, [1.0] * 5, reserve=0.02))
+    states, outputs, (_, steps) = rolled(case, 40)
+    ends = np.arange(11, case.steps, 12)
+    fallen = np.log(states.level[ends + 1] / states.level[ends]) < -1e-9
+    fallen = (fallen & (np.asarray(steps.drawing)[ends, None] > 0)).any(-1)
+    released = outputs["released"][ends]
+    whole = released >= 0.2 * (states.reserve[ends + 1] + released) * (1 - 1e-9)
+    assert np.array_equal(fallen, whole & (released > 0))
+    assert fallen.any() and ((released > 0) & ~fallen).any()
+
+
 def test_pensions_are_pots_over_annuities_and_stand_for_a_year(usual):
     _, states, outputs, (_, steps) = usual
     level = states.level

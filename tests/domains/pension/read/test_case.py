@@ -33,7 +33,8 @@ GROUPS = {
     "people",
     "plan",
 }
-COUNTS = {"small": 32, "medium": 290, "large": 1900}
+COUNTS = {"small": 32, "medium": 290, "large": 1900, "wtp": 47}
+STEPS = {"small": 120, "medium": 240, "large": 360, "wtp": 180}
 
 
 @pytest.fixture(scope="module", params=COUNTS)
@@ -101,7 +102,7 @@ def test_the_examples_are_funds_that_could_be(sized):
 
 @pytest.mark.parametrize("size", COUNTS)
 def test_each_size_has_its_horizon(size):
-    assert read_case(TEMPLATES / size).steps == {"small": 120, "medium": 240, "large": 360}[size]
+    assert read_case(TEMPLATES / size).steps == STEPS[size]
     assert next(iter(DOMAIN.templates)) == "small"
 
 

@@ -11,7 +11,7 @@ from tests.domains.pension.results.test_frontier import fund
 from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.results import outputs
 from snapo.domains.pension.results.effects import move
-from snapo.domains.pension.results.setup import make_setup
+from snapo.domains.pension.results.setup import FUNDING, make_setup
 from snapo.solver.evaluate import path_totals
 from snapo.solver.sensitivity import sensitivities
 
@@ -57,7 +57,9 @@ def test_each_output_moves_as_its_own_differences_say(run):
     assert values["underfunded"] == pytest.approx((totals["funding_ratio"] <= 1).mean())
     tail = np.sort(totals["funding_ratio"])[:12].sum() + 0.8 * np.sort(totals["funding_ratio"])[12]
     assert values["tail"] == pytest.approx(tail / 12.8)
-    goals = {key: goal.value for key, _, _, goal in outputs.ASKED} | {"underfunded": smoothed}
+    goals = {key: goal.value for key, _, _, goal in outputs.asked(FUNDING)} | {
+        "underfunded": smoothed
+    }
     problem, engine = run.setup.problem, run.setup.engines.evaluate
     for name in ("asset_mean", "zero_rate"):
         (row,) = [each for each in found["families"] if each["input"] == name]

@@ -70,7 +70,8 @@ def test_the_result_is_complete_and_written(done):
     assert {key: type(result[key]) for key in KEYS} == KEYS
     assert result["status"] == "trained"
     assert math.isfinite(result["value"])
-    assert set(result["references"]) == {"constant_mix", "glide_path", "liability_driven"}
+    tuned, held = ("constant_mix", "glide_path", "liability_driven"), "present_mix"
+    assert set(result["references"]) == {*tuned, held, f"{held}_yearly"}
     written = json.loads((out / "result.json").read_text())
     assert written["value"] == result["value"]
     for name in (

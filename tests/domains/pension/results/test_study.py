@@ -22,7 +22,7 @@ def study(tmp_path_factory):
 
 def test_the_domain_is_complete():
     assert isinstance(DOMAIN, Domain)
-    assert list(DOMAIN.templates) == ["small", "medium", "large"]
+    assert list(DOMAIN.templates) == ["small", "medium", "large", "wtp"]
 
 
 @pytest.mark.prove

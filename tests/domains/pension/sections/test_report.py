@@ -410,6 +410,11 @@ def test_inflation_and_the_regulator_are_told_where_they_are_there(folder):
         assert text in stand
 
 
+def effects_on(html: str) -> str:
+    """The table of the effects on the mean funding ratio, the first of all outputs."""
+    return html.split("Mean funding ratio: every input")[1].partition(": every input")[0]
+
+
 @pytest.mark.prove
 def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
     cohort = {"name": "Pensioners", "pot": 1.02e8, "earned": 11800.0, "pension": 11817.0}
@@ -422,9 +427,16 @@ def test_personal_pots_take_the_place_of_parts_that_are_of_rights(folder):
         "level": 1.0015, "filled": 3.7e6, "released": 2.6e6,
         "since": "2023-07-01", "source": "the law",
     }  # fmt: skip
-    html = written(folder, deepcopy(sample()) | {"personal": True, "pots": pots})
+    details = deepcopy(sample()) | {"personal": True, "pots": pots}
+    details["objective"] |= {"output": "pension"}
+    html = written(folder, details)
     headings = re.findall(r'<section id="([^"]+)"', html)
-    assert not {"attribution", "variance", "frontier"} & set(headings)
+    assert not {"funding", "attribution", "variance", "frontier"} & set(headings)
+    assert "Certainty-equivalent pension" in html and "P(F &lt; 1)" not in html
+    first = html[: html.index('id="reconciliation"')]
+    assert "Years with a cut" in first and "13.7" in first and "Underfunded" not in first
+    assert "In money" not in effects_on(html)
+    assert "hundredths of today" in html and "is that share of today" not in html
     told = html[html.index('id="pots"') :]
     for text in ("Pensioners", "100.1", "12,117", "13.7", "Rules from 2023-07-01: the law."):
         assert text in told.replace("\u2009", ",").replace("\u202f", ",")

@@ -50,8 +50,8 @@ def read_pots(
     if table.reserve > largest:
         raise section.error("reserve", table.reserve, f"the reserve is at most {largest:g}")
 
-    def one(key: str, value: float):
-        return section.told(table, key, single(f"reserve_{key}", value, RESERVE))
+    def one(key: str, value: float, name: str = ""):
+        return section.told(table, key, single(f"reserve_{name or key}", value, RESERVE))
 
     rows = read_rows(
         Mention(section, "allocation", table.allocation), ("age", "protection", "exposure")
@@ -68,7 +68,7 @@ def read_pots(
 
     return Pots(
         rules=rules,
-        reserve=one("reserve", table.reserve),
+        reserve=one("reserve", table.reserve, "today"),
         fill_contribution=one("fill_contribution", table.fill_contribution),
         fill_return=one("fill_return", table.fill_return),
         release=one("release", table.release),

@@ -20,7 +20,7 @@ from ..policies.classical import ConstantMix, followers
 from ..policies.one_of import OneOf
 from ..policies.present_mix import present_mixes
 from ..records.case import PensionCase
-from .setup import case_in
+from .setup import FUNDING, PENSION, case_in, yardstick
 
 LEARNED, MIX = "learned", "constant_mix"  # keys: of the policy that the others are compared with
 EVEN = 1.0, 1.0  # funding ratios of a glide path that is not asked yet
@@ -28,15 +28,17 @@ RATE = 0.05  # learning rate of rules of a few numbers each, which have far to g
 
 
 class Equivalent(NamedTuple):
-    """A utility of the final funding ratio as a sure ratio: `slope` is d ratio / d utility."""
+    """A utility of the final funding ratio, or of the mean pension over today's, as a sure ratio:
+    `slope` is d ratio / d utility."""
 
     ratio: float
     slope: float
 
 
 def equivalent(objective: Objective, utility: float) -> Equivalent | None:
-    """The sure final funding ratio that is worth as much; None for other objectives."""
-    if not (isinstance(objective, ExpectedUtility) and objective.output == "funding_ratio"):
+    """The sure final ratio that is worth as much; None for other objectives."""
+    ratios = FUNDING.output, PENSION.output
+    if not (isinstance(objective, ExpectedUtility) and objective.output in ratios):
         return None
     crra: CRRA = objective.utility
     ratio = crra.certainty_equivalent(utility)
@@ -125,7 +127,7 @@ def _row(problem: Problem, key: str, name: str, totals, own) -> dict[str, Any]:
         row["equivalent"] = ratio.ratio
         row["lead"] = math.log(best.ratio / ratio.ratio) / years
         row["lead_error"] = _error(ours - theirs, source) / years
-    final = np.asarray(totals["funding_ratio"])
+    final = np.asarray(totals[yardstick(case).output])
     row |= {"median": float(np.median(final)), "p05": float(np.quantile(final, 0.05))}
     row["underfunded"] = float((final < 1).mean())
     row["pv_contribution"] = float(np.mean(totals["pv_contribution"]))

@@ -47,9 +47,9 @@ def work(run: StudyRun) -> dict[str, Any]:
 def effects(setup: Setup, solution: Solution) -> dict[str, Any]:
     """Effects of the usual moves on the objective: each number alone, and all of an input's.
 
-    With a utility of the funding ratio the effects are on the certainty equivalent (`unit` is
-    "ratio"). `effect` holds the decisions, `reacting` lets the trained policy react. `combined`
-    are moves across the numbers of an input: a year of life.
+    With a utility of a ratio (`compare.equivalent`) the effects are on the certainty equivalent
+    (`unit` is "ratio"). `effect` holds the decisions, `reacting` lets the trained policy react.
+    `combined` are moves across the numbers of an input: a year of life.
     """
     problem = setup.problem
     table = solution.sensitivities

@@ -2,7 +2,8 @@
 
 Decisions are recorded once, and one adjoint pass with a cotangent for each output goes back over
 the same paths. A share (of the funding ratio, of probability) is told in points and basis points,
-and in money as that share of today's liability; money also as a share of it.
+and in money as that share of today's liability; money also as a share of it. A fund of personal
+pots is told by its pensions over those of today, which have no such worth in money.
 """
 
 from collections.abc import Iterator
@@ -20,16 +21,16 @@ from snapo.study.study import StudyRun
 from ..people.longer_life import longer_life
 from .compare import equivalent
 from .effects import LIFE, move
-from .setup import case_of
+from .setup import Yardstick, case_of, yardstick
 
 LEVEL = 0.95
-WIDTH = 0.02  # of the funding ratio, over which a path counts as about to be underfunded
+WIDTH = 0.02  # of the ratio, over which a path counts as about to fall below the mark
 PATHS = 4096
 CSV = "outputs.csv"
 
 
 class Output(NamedTuple):
-    """A figure of the final funding ratio or of contributions.
+    """A figure of the final ratio or of contributions.
 
     `value` and `error`: itself with its standard error; `held` {input: derivatives}, decisions
     held. `money`: whether it is money, else it is a share.
@@ -44,13 +45,15 @@ class Output(NamedTuple):
     scale: float = 1.0
 
 
-# Key, name, whether it is money, the objective; underfunding is told as 1 less its complement.
-ASKED: tuple[tuple[str, str, bool, Objective], ...] = (
-    ("funding", "Mean funding ratio", False, Mean("funding_ratio")),
-    ("tail", "Funding ratio, mean of the worst 5 %", False, CVaR("funding_ratio", LEVEL)),
-    ("underfunded", "Probability of F < 1", False, -1.0 * Probability("funding_ratio", 1.0, WIDTH)),
-    ("contributions", "PV of contributions", True, Mean("pv_contribution")),
-)
+def asked(by: Yardstick) -> tuple[tuple[str, str, bool, Objective], ...]:
+    """Key, name, whether it is money, the objective; underfunding is told as 1 less its
+    complement."""
+    return (
+        ("funding", by.mean, False, Mean(by.output)),
+        ("tail", by.tail, False, CVaR(by.output, LEVEL)),
+        ("underfunded", by.below, False, -1.0 * Probability(by.output, 1.0, WIDTH)),
+        ("contributions", "PV of contributions", True, Mean("pv_contribution")),
+    )
 
 
 def work(run: StudyRun) -> dict[str, Any]:
@@ -83,7 +86,8 @@ def work(run: StudyRun) -> dict[str, Any]:
 
 
 def _outputs(run: StudyRun) -> Iterator[Output]:
-    """The objective first, whose derivatives the training left, then those of `ASKED`."""
+    """The objective first, whose derivatives the training left, then those of `asked`."""
+    goals = asked(yardstick(case_of(run)))
     setup, solution, problem = run.setup, run.solution, run.setup.problem
     policy, table = solution.policy, solution.sensitivities
     assert policy is not None
@@ -95,10 +99,10 @@ def _outputs(run: StudyRun) -> Iterator[Output]:
     yield Output("objective", name, False, value, error, table.held, slope)
     totals = {name: np.asarray(total) for name, total in solution.totals.items()}
     paths = min(PATHS, setup.evaluation.sensitivity_paths, setup.evaluation.paths)
-    run.tell(f"sensitivities of {len(ASKED)} more outputs at once")
-    goals = [goal for *_, goal in ASKED]
-    table = held_of_several(problem, goals, policy, paths, engine=setup.engines.evaluate)
-    for (key, name, money, goal), held in zip(ASKED, table):
+    run.tell(f"sensitivities of {len(goals)} more outputs at once")
+    each = [goal for *_, goal in goals]
+    table = held_of_several(problem, each, policy, paths, engine=setup.engines.evaluate)
+    for (key, name, money, goal), held in zip(goals, table):
         found = estimate(goal, totals, problem.sources.evaluation)
         value = found.value + (key == "underfunded")
         yield Output(key, name, money, value, found.standard_error, held)
@@ -116,7 +120,7 @@ def _effects(every: list[Output], name: str, size: np.ndarray) -> dict[str, list
 def _write(run: StudyRun, every: list[Output], rows: list[dict], liability: float | None) -> None:
     """Every number with its effect on every output, in points, basis points and money."""
     head = ("input", "label", "move", "output", "points", "points_error", "basis_points", "money")
-    owed = liability or float("nan")
+    owed, valued = liability or float("nan"), case_of(run).pots is None
 
     def lines() -> Iterator[tuple]:
         for row in rows:
@@ -124,7 +128,8 @@ def _write(run: StudyRun, every: list[Output], rows: list[dict], liability: floa
                 effect, error = row["effects"][each.key]
                 share = 1 / owed if each.money else 1.0
                 # A utility, unlike a certainty equivalent, is no share of anything.
-                money = share * effect * owed if each.name != "Objective" else float("nan")
+                told = each.money or (valued and each.name != "Objective")
+                money = share * effect * owed if told else float("nan")
                 points = 100 * share * effect, 100 * share * error, 1e4 * share * effect
                 yield row["input"], row["label"], row["move"], each.name, *points, money
 

@@ -1,4 +1,6 @@
-"""A pension case made ready to solve: its problem, policy and engines."""
+"""A pension case made ready to solve: its problem, policy and engines; what it is judged by."""
+
+from typing import NamedTuple
 
 import jax
 import numpy as np
@@ -18,6 +20,34 @@ from ..pots.simulator import PotSimulator
 from ..records.case import PensionCase
 from ..records.inputs import pension_inputs
 from ..records.market import SuppliedScenarios
+
+
+class Yardstick(NamedTuple):
+    """The output that tells how a fund came out, a ratio of which 1 is the mark; words for it."""
+
+    output: str
+    mean: str
+    tail: str
+    below: str
+
+
+FUNDING = Yardstick(
+    "funding_ratio",
+    "Mean funding ratio",
+    "Funding ratio, mean of the worst 5 %",
+    "Probability of F < 1",
+)
+PENSION = Yardstick(
+    "pension",
+    "Mean pension over today's",
+    "Pension over today's, mean of the worst 5 %",
+    "Probability of less than today's",
+)
+
+
+def yardstick(case: PensionCase) -> Yardstick:
+    """The funding ratio; the mean pension over that of today where nothing is promised."""
+    return FUNDING if case.pots is None else PENSION
 
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:

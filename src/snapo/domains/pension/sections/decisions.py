@@ -155,12 +155,8 @@ def rivals(run: PensionRun) -> Section:
     else:
         head += [("Objective", ""), ("Learned leads by", ""), ("Error", "")]
     _, unit = run.size([each.get("pv_contribution") for each in rows])
-    head += [
-        ("Median F", "%"),
-        ("5 % quantile", "%"),
-        ("P(F < 1)", "%"),
-        ("PV contributions", unit),
-    ]
+    words = ("Median pension", "Below today's") if run.get("personal") else ("Median F", "P(F < 1)")
+    head += [(words[0], "%"), ("5 % quantile", "%"), (words[1], "%"), ("PV contributions", unit)]
     caption = (
         "All on the same fresh paths, the classical ones tuned on the same objective within the"
         " same bounds; the present mix is held as it is, untuned. The lead is paired path by path;"
@@ -181,10 +177,13 @@ def _cloud(run: PensionRun, rows: list[dict], unit: str) -> Chart:
         )
         for each in rows
     ]
-    units = (f"Mean present value of contributions, {unit}", "5 % quantile of F, %")
-    alt = "Policies by present value of contributions and 5 % quantile of the funding ratio."
+    name, short = "funding ratio", "F"
+    if run.get("personal"):
+        name = short = "pension over today's"
+    units = (f"Mean present value of contributions, {unit}", f"5 % quantile of {short}, %")
+    alt = f"Policies by present value of contributions and 5 % quantile of the {name}."
     svg = draw("frontier", alt, lambda axes: scatter(axes, marks, units), 230)
-    text = "Contributions against the funding ratio in bad times; up and left is better."
+    text = f"Contributions against the {name} in bad times; up and left is better."
     return Chart(svg, text)
 
 

@@ -64,7 +64,7 @@ def _glossary() -> Table:
     rows = [
         ("P, Q", "real-world and risk-neutral scenarios; stands beside everything simulated"),
         ("Funding ratio F", "assets over liability, both at the same instant"),
-        ("Certainty equivalent", "the sure funding ratio with the utility of the policy's own"),
+        ("Certainty equivalent", "the sure ratio with the utility of the policy's own"),
         ("KR01, IE01", "change for +1 bp at one node of the nominal or break-even curve"),
         ("Hedge ratio", "rate sensitivity of assets and swaps over that of the liability"),
         ("Headroom", "rise in rates until the swaps' losses use up the eligible assets"),

@@ -16,6 +16,12 @@ CAVEAT = (
     " mean of 1 / (1 + exp((F - 1) / 0.02)). A utility as objective is in units of its own. Every"
     " number: outputs.csv."
 )
+OF_POTS = (
+    ("hundredths of the funding ratio", "hundredths of today's pension"),
+    ("money is that share of today's liability, and for contributions their present value itself",
+     "for contributions money is their present value"),
+    ("exp((F - 1) / 0.02))", "exp((P - 1) / 0.02)), P being the pension over today's"),
+)  # fmt: skip
 
 
 def outputs(run: PensionRun) -> Section:
@@ -29,8 +35,15 @@ def outputs(run: PensionRun) -> Section:
     facts = [(each["name"], *_value(run, each)) for each in every if each["name"] != OBJECTIVE]
     blocks: list[Block] = [Facts(facts), _summary(run, every, order[:SHOWN])]
     blocks += [_detail(run, each, order) for each in every]
-    blocks.append(Text(CAVEAT, caveat=True))
+    blocks.append(Text(_caveat(run), caveat=True))
     return Section("outputs", title, short, blocks)
+
+
+def _caveat(run: PensionRun) -> str:
+    text = CAVEAT
+    for old, new in OF_POTS if run.get("personal") else ():
+        text = text.replace(old, new)
+    return text
 
 
 def _value(run: PensionRun, each: dict) -> tuple[str, str]:
@@ -78,6 +91,7 @@ def _detail(run: PensionRun, each: dict, families: list[dict]) -> Table:
     """All inputs for one output, in points, basis points and money, with the error."""
     owed = finite(run.get("liability")) or 0.0
     unitless = each["name"] == OBJECTIVE
+    valued = each["money"] or not run.get("personal")  # a share of a pension is no sum of money
     rows = []
     for family in families:
         effect, error = (finite(x) or 0.0 for x in family["effects"][each["key"]])
@@ -87,8 +101,8 @@ def _detail(run: PensionRun, each: dict, families: list[dict]) -> Table:
         part, spread = _as_share(run, each, effect), _as_share(run, each, error)
         money = run.large(part * owed, 2, True)
         cells = measured(100 * part, 100 * spread, 3, True)
-        rows.append((_name(family), *cells, number(1e4 * part, 1, True), money))
+        rows.append((_name(family), *cells, number(1e4 * part, 1, True), *[money][: int(valued)]))
     head = [("Move", ""), ("Effect", "" if unitless else "points"), ("Std. error", "")]
-    head += [] if unitless else [("Effect", "bp"), ("In money", run.currency)]
+    head += [] if unitless else [("Effect", "bp"), *[("In money", run.currency)][: int(valued)]]
     caption = f"Effects on: {each['name']}"
     return Table(head, rows, caption, 1, folded=f"{each['name']}: every input")

@@ -13,7 +13,7 @@ SECTIONS = (
     reconciliation.headline,
     unless_left_out(reconciliation.reconciliation, "reconciliation"),
     unless_left_out(decisions.trades, "today"),
-    unless_left_out(outcome.funding, "paths"),
+    unless_left_out(of_rights(outcome.funding), "paths"),
     unless_left_out(pots, "pots"),
     unless_left_out(of_rights(outcome.attribution), "attribution"),
     unless_left_out(of_rights(outcome.variance), "variance by source"),

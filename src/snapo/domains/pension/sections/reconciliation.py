@@ -33,9 +33,12 @@ def headline(run: PensionRun) -> Section:
     sure, error = finite(run.get("objective.equivalent")), run.get("objective.equivalent_error")
     aversion = number(run.get("objective.aversion"), 1)
     if sure is not None:
-        label = f"Certainty-equivalent funding ratio {run.horizon} ({run.measure})"
+        name = "pension" if run.get("objective.output") == "pension" else "funding ratio"
+        label = f"Certainty-equivalent {name} {run.horizon} ({run.measure})"
         shown, spread = share(sure), plus_minus(100 * (finite(error) or 0.0), 2)
-        note = f"The sure ratio that is worth as much as the policy's, at risk aversion {aversion};"
+        over = " to today's pension" if name == "pension" else ""
+        note = f"The sure ratio{over} that is worth as much as the policy's, at risk aversion"
+        note = f"{note} {aversion};"
     else:
         label, shown = f"Value of the objective ({run.measure})", number(value)
         spread, note = plus_minus(run.result.get("standard_error"), 4), "The objective of the case,"
@@ -81,19 +84,45 @@ def _facts(run: PensionRun) -> list[Facts]:
     last = run.get("by_year", {})
     under = (last.get("underfunded") or [None])[-1]
     short = (last.get("shortfall") or [None])[-1]
-    found = {
-        "reconciliation": [
-            ("Funding ratio today", share(run.get("funding")), "assets over liability"),
-            ("Assets", run.large(run.get("assets")), "market value today"),
-            ("Liability", run.large(run.get("liability")), "on the case's basis"),
-        ],
-        "paths": [
-            ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
-            ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, if below 0"),
-        ],
-    }
+    if run.get("personal"):
+        found = _facts_of_pots(run)
+    else:
+        found = {
+            "reconciliation": [
+                ("Funding ratio today", share(run.get("funding")), "assets over liability"),
+                ("Assets", run.large(run.get("assets")), "market value today"),
+                ("Liability", run.large(run.get("liability")), "on the case's basis"),
+            ],
+            "paths": [
+                ("Underfunded", share(under), f"probability of F < 1 {run.horizon}, {run.measure}"),
+                ("CVaR of the shortfall", share(short), "mean of F − 1 in the worst 5 %, below 0"),
+            ],
+        }
     facts = [each for part, rows in found.items() if not run.left_out(part) for each in rows]
     return [Facts(facts)] if facts else []
+
+
+def _facts_of_pots(run: PensionRun) -> dict[str, list[tuple[str, str, str]]]:
+    """{part: its facts}."""
+    rows = run.get("pots.cohorts", [])
+    told = {each["key"]: each["value"] for each in run.get("outputs.outputs", [])}
+    cuts = [cut for each in rows if (cut := finite(each.get("cut"))) is not None]
+    worst = max(cuts, default=None)
+    reserve = run.get("pots.reserve") or [[None] * 3]
+    now, last = (f"{share(each[1])}" for each in (reserve[0], reserve[-1]))
+    mean, over = share(told.get("funding")), f"of today's, {run.horizon}, {run.measure}"
+    left = f"of the assets; median {last} a year before the end"
+    return {
+        "reconciliation": [
+            ("Assets", run.large(run.get("assets")), "market value today, pots and reserve")
+        ],
+        "outputs": [("Mean pension", mean, over)],
+        "pots": [
+            ("Pension today", share(run.get("pots.level")), "of what was earned"),
+            ("Years with a cut", share(worst), "of those of payment, most of any cohort"),
+            ("Solidarity reserve", now, left),
+        ],
+    }
 
 
 def reconciliation(run: PensionRun) -> Section:

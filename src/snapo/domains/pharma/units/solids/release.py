@@ -28,7 +28,8 @@ def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Float[Array, 
 
 def gone(time, whole) -> Float[Array, ""]:
     """The share of shrinking spheres that is dissolved after `time`, of which they take `whole` s:
-    1 - (1 - t/T)^3 (Hixson and Crowell, Industrial and Engineering Chemistry 23, 923, 1931)."""
+    1 - (1 - t/T)^3 (Hixson and Crowell, "Dependence of Reaction Velocity upon Surface and
+    Agitation", Industrial and Engineering Chemistry 23, 923-931, 1931)."""
     left = 1 - time / whole
     # The cube makes it twice differentiable at full dissolution.
     return 1 - jnp.where(left > 0, left, 0.0) ** 3
