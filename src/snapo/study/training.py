@@ -1,7 +1,7 @@
 """The part of a study that trains: with a checkpoint, so that a killed run goes on."""
 
 import hashlib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +12,7 @@ from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
+from snapo.solver.learning.convergence import SURE
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
@@ -48,14 +49,41 @@ def train(run: StudyRun) -> dict[str, Any]:
 TRAINING = Part("training", train)
 
 
-def trained(run: StudyRun, references: Mapping[str, float | None] | None = None) -> dict[str, Any]:
-    """What result.json says of a study that trains; empty while it has not yet."""
+Lead = tuple[str, float | None, float | None]  # a rule, what the trained policy is above it, error
+
+
+def trained(
+    run: StudyRun,
+    references: Mapping[str, float | None] | None = None,
+    leads: Iterable[Lead] = (),
+) -> dict[str, Any]:
+    """What result.json says of a study that trains; empty while it has not yet.
+
+    `leads` over classical rules, on the same paths: of one that does better the notes tell, and
+    the "verdict" on the terminal.
+    """
     found = dict(run.get("solution", {}))
     if not found:
         return {}
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
     first = {key: found.pop(key) for key in head}
+    if beaten := _beaten(leads):
+        found |= {"notes": [*found.get("notes", ()), beaten], "verdict": beaten}
     return first | {"references": dict(references or {})} | found
+
+
+def _beaten(leads: Iterable[Lead]) -> str:
+    """The rule that is furthest above the trained policy, in a sentence; empty where none is."""
+    known = [(name, -lead, error) for name, lead, error in leads if lead is not None]
+    sure = [each for each in known if each[1] > SURE * (each[2] or 0.0)]
+    if not sure:
+        return ""
+    name, more, error = max(sure, key=lambda each: each[1])
+    return (
+        f"The classical rule “{name}” does better than the trained policy, by {more:,.3g} ± "
+        f"{error or 0.0:,.2g} on the same paths: take that rule, or train for longer "
+        "(training.steps)."
+    )
 
 
 def _keep_groups(run: StudyRun, solution: Solution) -> None:

@@ -81,14 +81,22 @@ class Sddp:
         return x @ cost, x[:, KEPT], slope
 
     def forward(self, rng, paths: int):
-        """Total costs [paths] and the water kept [T, paths, 4] of fresh paths."""
+        """The water kept [T, paths, 4] on fresh paths."""
+        return self._along(rng.integers(0, p.OUTCOMES, (p.MONTHS, paths)))[1]
+
+    def cost(self, month: np.ndarray) -> np.ndarray:
+        """[n] the costs of the rule that the cuts make, with outcomes [T, n] of the inflow."""
+        return self._along(month)[0]
+
+    def _along(self, month: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        paths = month.shape[1]
         water = np.tile(p.FIRST + self.inflows[0, 0], (paths, 1))
         total, kept = np.zeros(paths), []
         for t in range(p.MONTHS):
             value, left, _ = self.month(t, water)
             total += value - self.ahead(t, left)
             kept.append(left)
-            water = left + self.inflows[t + 1, rng.integers(0, p.OUTCOMES, paths)]
+            water = left + self.inflows[t + 1, month[t]]
         return total - p.WORTH * water @ p.YIELD, np.array(kept)
 
     def ahead(self, t: int, kept: np.ndarray) -> np.ndarray:
@@ -100,7 +108,7 @@ class Sddp:
 
     def improve(self, rng, paths: int = 2) -> None:
         """One round: fresh paths forward, a cut for each at every month backward."""
-        kept = self.forward(rng, paths)[1]
+        kept = self.forward(rng, paths)
         for t in reversed(range(p.MONTHS - 1)):
             water = (kept[t][:, None] + self.inflows[t + 1]).reshape(-1, 4)
             value, _, slope = self.month(t + 1, water)

@@ -109,7 +109,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
     references = {each["name"]: each["value"] for each in run.get("rivals", [])}
     if run.get("gymnasium"):
         references[run.get("gymnasium.name")] = run.get("gymnasium.mean")
-    return trained(run, references)
+    leads = [(each["name"], each["less"], each["less_error"]) for each in run.get("rivals", [])]
+    return trained(run, references, leads)
 
 
 def make_setup(case: ControlCase, engine: str) -> Setup:

@@ -40,5 +40,6 @@ def about(case: InventoryCase | NetworkCase, units: dict[str, str]) -> dict[str,
 
 def result(run: StudyRun) -> dict[str, Any]:
     """The headline: the value of the trained rule, and those of its rivals."""
-    rivals = run.get("rivals") or []
-    return trained(run, {row["rule"]: row["value"] for row in rivals if row["rule"] != "trained"})
+    rivals = [row for row in run.get("rivals") or [] if row["rule"] != "trained"]
+    leads = [(row["rule"], -row["difference"], row["difference_error"]) for row in rivals]
+    return trained(run, {row["rule"]: row["value"] for row in rivals}, leads)

@@ -121,10 +121,9 @@ def about(case: PensionCase) -> dict[str, Any]:
 
 def result(run: StudyRun) -> Mapping[str, Any]:
     """The headline: the trained policy's value, and those of the classical policies."""
-    rows = run.get("policies", [])
-    return trained(
-        run, {each["key"]: each["value"] for each in rows if each["key"] != compare.LEARNED}
-    )
+    rows = [each for each in run.get("policies", []) if each["key"] != compare.LEARNED]
+    leads = [(each["name"], each["difference"], each["difference_error"]) for each in rows]
+    return trained(run, {each["key"]: each["value"] for each in rows}, leads)
 
 
 def _unbounded(case: PensionCase) -> str:
