@@ -85,8 +85,9 @@ def worth_ahead(objective: Objective, rolled: Rollout) -> tuple[np.ndarray, np.n
     for name, weight in flat_weights(objective, paths).items():
         # An output of `terminal` alone lies ahead of every step.
         earned = float64(rolled.record["outputs"]).get(name, np.zeros(()))
-        before = np.cumsum(earned, axis=0) - earned if earned.ndim else earned
-        worth += paths * weight * (totals[name] - before)
+        with np.errstate(invalid="ignore"):  # a path that exploded is left out below
+            before = np.cumsum(earned, axis=0) - earned if earned.ndim else earned
+            worth += paths * weight * (totals[name] - before)
     return worth, np.asarray(np.isfinite(worth).all(0))
 
 
