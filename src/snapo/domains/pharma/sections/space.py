@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, quantity, with_unit
+from snapo.report.quantity import SPACE, finite, number, percent, quantity, with_unit
 
 from ..quality.interval import draws_for
 from . import pictures
@@ -87,6 +87,7 @@ def _map(
 
     def paint(upper, lower):
         pictures.space(upper, found, probability, axes_names, band)
+        upper.set_xlabel("")  # the axis below has the same name, and its numbers
         pictures.binding(lower, found, binding, axes_names, names)
 
     key = words.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
@@ -129,8 +130,8 @@ def ranges(run: Run) -> Section:
     required = percent(rows[0]["required"], 0)
     head = [("Parameter", ""), ("Edge, nominal model", ""), (f"Edge, at {required}", ""),
             ("Normal range", ""), ("Normal range", ""), ("Nominal model", ""),
-            (f"Probability {required}", ""), ("sure at 95 %", ""),
-            ("possible at 95 %", "")]  # fmt: skip
+            (f"Probability {required}", ""), (f"sure at 95{SPACE}%", ""),
+            (f"possible at 95{SPACE}%", "")]  # fmt: skip
     caption = (
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
