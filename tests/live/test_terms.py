@@ -25,6 +25,8 @@ def test_many_days_are_moved_by_month_and_few_by_themselves():
     assert len(handles(curve(30))) == 30
     assert handles(Input(np.ones((100,)), labels=range(100)))[99] == ("99", [99])
     assert handles(Input(3.0)) == [("", [0])]
+    powers = handles(Input([1.0, 2.0], labels=("t^0", "t^1")))
+    assert [label for label, _ in powers] == ["t⁰", "t¹"]
 
 
 def test_a_delta_by_month_is_the_sum_over_its_days_with_the_error_of_that_sum():

@@ -14,10 +14,11 @@ from matplotlib.figure import Figure
 from matplotlib.image import imread
 from matplotlib.text import Text
 
+from snapo.report.axes import number_axis
 from snapo.report.bands import Swing, scatter, tornado
 from snapo.report.charts import histogram
 from snapo.report.drawing import STYLE, WIDTH
-from snapo.report.page import Page, Section, Table, render
+from snapo.report.page import Page, Section, Table, coded, render
 from snapo.report.quantity import (
     measured,
     number,
@@ -40,7 +41,7 @@ RAW = r"\*\*|\{\{|\}\}|\bnan\b|\bNone\b(?! is kept)|\bundefined\b|\[object|&[a-z
     ("unit", "written"),
     [("kg/m^3", "kg/m³"), ("m3/kmol/s", "m³/kmol/s"), ("um", "µm"), ("Pa*s", "Pa·s"),
      ("1/(N m)2", "1/(N m)²"), ("s2/rad2", "s²/rad²"), ("hm3", "hm³"), ("EUR/MWh", "EUR/MWh"),
-     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("1/week^0.5", "1/√week"), ("% w/w", "% w/w"), ("1", "1")],
+     ("EUR/t CO2", "EUR/t CO2"), ("1/sqrt(year)", "1/√year"), ("1/week^0.5", "1/√week"), ("kg/m3/K^k", "kg/m³/Kᵏ"), ("% w/w", "% w/w"), ("1", "1")],
 )  # fmt: skip
 def test_units_are_written_by_hand(unit, written):
     assert unit_words(unit) == written
@@ -81,6 +82,18 @@ def test_a_value_has_the_digits_that_its_error_reaches():
     assert [rough(x).replace("\u00a0", " ") for x in (9.1365, -616.38, 1.9206e-8, 0, None)] == [
         "9.1", "−616", "1.9 × 10⁻⁸", "0", "–",
     ]  # fmt: skip
+
+
+def test_an_axis_of_tiny_numbers_has_powers_of_ten():
+    axes = Figure().add_subplot()
+    axes.set_xlim(9e-7, 4e-6)
+    number_axis(axes.xaxis)
+    texts = [each.get_text() for each in axes.get_xticklabels()]
+    assert "2 × 10⁻⁶".replace(" ", "\u00a0") in texts and not any("0.0" in each for each in texts)
+
+
+def test_no_line_ends_in_plus_minus():
+    assert coded("value, ± one `error`") == "value, ±\u00a0one <code>error</code>"
 
 
 def test_texts_between_numbers_stand_to_the_left():

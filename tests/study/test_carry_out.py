@@ -180,6 +180,21 @@ def test_a_changed_case_is_refused_with_its_key(fake, tmp_path, now, clause):
     assert {f: f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()} == before
 
 
+def test_a_run_of_few_parts_goes_on_with_more(fake, tmp_path):
+    """Which parts are wanted decides no number: what is done stays."""
+    report = {"parts": ["doubled"], "digits": 3}
+    few = DECIDES | {"case": DECIDES["case"] | {"report": report}}
+    carried(tmp_path, parts([1, 2, 4])[:1], decides=few)
+    other = DECIDES | {"case": DECIDES["case"] | {"report": report | {"digits": 4}}}
+    with pytest.raises(CaseError, match="report.digits = 3"):
+        carried(tmp_path, parts([1, 2, 4]), resume=True, decides=other)
+    more = DECIDES | {"case": DECIDES["case"] | {"report": {"digits": 3}}}
+    done = list(fake)
+    found, _ = carried(tmp_path, parts([1, 2, 4]), resume=True, decides=more)
+    assert found["status"] == "ok" and not set(done) & set(fake[len(done) :])
+    assert run_folder.read(tmp_path)["decides"]["case"]["report"] == {"digits": 3}
+
+
 def test_nothing_to_resume_is_a_new_run(fake, tmp_path):
     found, _ = carried(tmp_path / "new", parts([1]), resume=True)
     assert found["status"] == "ok"

@@ -8,7 +8,7 @@ from tests.study.fake import parts
 
 from snapo.problem.inputs import Input
 from snapo.report.folder import Folder
-from snapo.report.page import Missing, Page, render
+from snapo.report.page import Chart, Missing, Page, Text, render
 from snapo.report.sections.distribution import distribution
 from snapo.report.sections.fans import fans
 from snapo.report.sections.headline import headline
@@ -54,6 +54,18 @@ def test_bands_are_quantiles_over_paths():
     assert found["mean"][0] == 1.5 and found["p50"][0] == 1.5
     assert np.isnan(found["mean"][1])
     assert found["mean"][2] == 10.0, "the path that is not finite is left out"
+
+
+def test_what_never_moves_is_a_sentence_and_no_picture(tmp_path):
+    series = [
+        {"name": "cost", "kind": "outputs", "unit": "EUR", **bands(np.full((4, 9), 0.5))},
+        {"name": "sold", "kind": "outputs", "unit": "", **bands(np.arange(36.0).reshape(4, 9))},
+    ]
+    run = write(tmp_path, {"profile": {"profile": {"series": series, "paths": 9}}}, {}, {})
+    picture, sentence = fans(run, lambda each: 2.0 if each["name"] == "cost" else 1.0).blocks
+    assert isinstance(picture, Chart) and picture.caption.startswith("Sold (output of one step)")
+    assert isinstance(sentence, Text)
+    assert sentence.text == "Cost (output of one step) is 1\N{NO-BREAK SPACE}EUR at every week."
 
 
 def test_an_input_moves_by_its_own_move_or_by_a_share():

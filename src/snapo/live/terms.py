@@ -1,12 +1,14 @@
 """Inputs in the terms of their owner: units, handles to drag, and derivatives per handle."""
 
 import datetime
+import re
 from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
 
 from snapo.problem.inputs import Input
+from snapo.report.quantity import raised
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import Estimate
 
@@ -23,7 +25,12 @@ def handles(given: Input) -> list[tuple[str, list[int]]]:
         for i, label in enumerate(labels):
             months.setdefault(label[:7], []).append(i)
         return list(months.items())
-    return [(label, [i]) for i, label in enumerate(labels)]
+    return [(_written(label), [i]) for i, label in enumerate(labels)]
+
+
+def _written(label: str) -> str:
+    """A label with raised powers: "t^2" as "t²"."""
+    return re.sub(r"\^(\d+)", lambda found: raised(found[1]), label)
 
 
 def _days(labels: tuple[str, ...]) -> bool:

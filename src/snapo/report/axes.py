@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.axis import Axis
 from matplotlib.ticker import FuncFormatter, MaxNLocator
 
-from .quantity import MONTHS, decimals, number
+from .quantity import MONTHS, MOST, TINY, decimals, number
 
 
 def days(values: Sequence[str]) -> np.ndarray:
@@ -60,6 +60,8 @@ def number_axis(axis: Axis, count: int = 6) -> None:
         places = decimals([gap], 1)
         if abs(gap * 10**places - round(gap * 10**places)) > 1e-6:
             places += 1  # a spacing of 2.5 or 0.25
+        if 0 < np.abs(ticks).max() < TINY:
+            places = max(places, MOST + 1)  # all of them as powers of ten
         return number(value, places)
 
     axis.set_major_formatter(FuncFormatter(text))

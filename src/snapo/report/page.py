@@ -8,7 +8,7 @@ from typing import Any, ClassVar
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
-from .quantity import unit_words
+from .quantity import SPACE, unit_words
 from .theme import DARK, LIGHT, variables
 
 LONG = 22  # letters of a cell above which its column is kept from growing narrow
@@ -176,8 +176,9 @@ def render(page: Page) -> str:
 
 
 def coded(text: str) -> Markup:
-    """A text, escaped; what stands in it between backticks is set as code."""
-    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text))))
+    """A text, escaped: what stands between backticks is set as code, and no line ends in ±."""
+    kept = str(escape(text)).replace("± ", f"±{SPACE}")
+    return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", kept))
 
 
 def classes(cell: Any, right: bool) -> Markup:

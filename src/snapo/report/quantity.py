@@ -139,7 +139,7 @@ def unit_words(unit: str) -> str:
     """A unit as it is written by hand: "kg/m3" as "kg/m³", "um" as "µm", "Pa*s" as "Pa·s"."""
     text = POWER.sub(lambda found: found[1] + raised(found[2]), unit)
     text = re.sub(r"\bsqrt\((\w+)\)|\b([A-Za-z]+)\^0\.5\b", r"√\1\2", text)
-    return re.sub(r"\bum\b", "µm", text).replace("*", "·")
+    return re.sub(r"\bum\b", "µm", text).replace("*", "·").replace("^k", "ᵏ")
 
 
 def with_unit(name: str, unit: str) -> str:

@@ -120,10 +120,10 @@ def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
     old = read(out)
-    if difference := changed(old["decides"], decides):
+    if difference := changed(_numbers(old["decides"]), _numbers(decides)):
         what = f"this run was started with {difference}; resume with the same, or solve into "
         raise CaseError(str(out / RUN), "", None, what + "another folder")
-    return old
+    return old | {"decides": plain_json(decides)}
 
 
 def _written(out: Path) -> list[Path]:
@@ -174,7 +174,16 @@ def _check_record(record: Mapping[str, Any]) -> None:
 
 def mark(decides: Mapping[str, Any]) -> str:
     """A text that is the same for runs with the same numbers: their checkpoints go together."""
-    return checksum(json.dumps(decides, sort_keys=True).encode())
+    return checksum(json.dumps(_numbers(decides), sort_keys=True).encode())
+
+
+def _numbers(decides: Mapping[str, Any]) -> dict[str, Any]:
+    """Without the list of the parts that are wanted: a run of few parts goes on with more."""
+    case = dict(decides.get("case", {}))
+    if isinstance(case.get("report"), dict):
+        case["report"] = {key: each for key, each in case["report"].items() if key != "parts"}
+        case = {key: each for key, each in case.items() if (key, each) != ("report", {})}
+    return {**decides, "case": case}
 
 
 def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) -> None:

@@ -1,5 +1,7 @@
 """How an inventory run is told."""
 
+from typing import Any
+
 from snapo.report.folder import Folder
 from snapo.report.page import Section
 from snapo.report.quantity import number
@@ -20,9 +22,22 @@ def decisions(run: Folder) -> Section:
     return places(run) if run.get("network") else rule(run)
 
 
+def course(run: Folder) -> Section:
+    """Bands over time, every output as that of its period: a run holds its part of the mean."""
+    counted = float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
+    parts = f"/{run.get('step', 'period')}"  # a discounted cost has no part of a mean
+
+    def factor(each: dict[str, Any]) -> float:
+        unit = str(each.get("unit") or "")
+        cost = unit.startswith(str(run.get("currency", "\0"))) and not unit.endswith(parts)
+        return 1.0 if each["kind"] != "outputs" or cost else counted
+
+    return fans(run, factor)
+
+
 SECTIONS = (
-    service, decisions, rivals, sensitivities, lead_time, distribution, fans, history, certificate,
-    making,
+    service, decisions, rivals, sensitivities, lead_time, distribution, course, history,
+    certificate, making,
 )  # fmt: skip
 
 

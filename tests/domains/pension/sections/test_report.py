@@ -14,6 +14,7 @@ from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.sections import risk
 from snapo.domains.pension.sections.outputs import outputs as outputs_section
 from snapo.domains.pension.sections.page import SECTIONS
+from snapo.domains.pension.sections.reconciliation import _signed
 from snapo.domains.pension.sections.run import PensionRun
 from snapo.report.bands import Layer, stack
 from snapo.report.page import Table
@@ -354,6 +355,13 @@ def test_a_year_of_life_is_told_and_defined(folder):
 
 
 @pytest.mark.prove
+def test_a_shock_is_written_with_true_signs():
+    names = ("Rates -100 bp and equity -30 %", "Spreads x 2", "Break-evens +50 bp", "1y-2y")
+    assert [_signed(each) for each in names] == [
+        "Rates −100 bp and equity −30 %", "Spreads × 2", "Break-evens +50 bp", "1y-2y"
+    ]  # fmt: skip
+
+
 def test_a_fund_without_swaps(folder):
     details: dict[str, Any] = sample() | {"collateral": {"now": None, "after": None}}
     del details["limits"]["collateral"]

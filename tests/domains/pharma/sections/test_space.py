@@ -28,7 +28,7 @@ def test_every_end_next_to_the_set_point_has_a_row():
     table, words = boundary(RUN, ending())
     assert isinstance(table, Table) and isinstance(words, Text)
     assert [row[:4] for row in table.rows] == [
-        ("T2, K", f"T_f 278.1{SPACE}K", "below", "first"),
+        ("T2, K", f"T_f 278.15{SPACE}K", "below", "first"),
         ("T_f, K", f"T2 295{SPACE}K", "above", "first"),
     ]
     assert "400 batches per point" in words.text

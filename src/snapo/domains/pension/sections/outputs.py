@@ -13,14 +13,14 @@ CAVEAT = (
     " the same paths. Points are hundredths of the funding ratio or of probability; money is that"
     " share of today's liability, and for contributions their present value itself. The probability"
     " is the exact share of paths; its effects are those of a logistic step of width 2 points, the"
-    " mean of 1 / (1 + exp((F - 1) / 0.02)). A utility as objective is in units of its own. Every"
+    " mean of 1 / (1 + exp((F − 1) / 0.02)). A utility as objective is in units of its own. Every"
     " number: outputs.csv."
 )
 OF_POTS = (
     ("hundredths of the funding ratio", "hundredths of today's pension"),
     ("money is that share of today's liability, and for contributions their present value itself",
      "for contributions money is their present value"),
-    ("exp((F - 1) / 0.02))", "exp((P - 1) / 0.02)), P being the pension over today's"),
+    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P being the pension over today's"),
 )  # fmt: skip
 
 

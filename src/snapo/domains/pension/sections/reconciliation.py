@@ -1,11 +1,14 @@
 """The first screen and the reconciliation: is this the fund that the actuary knows?"""
 
+import re
+from typing import Any
+
 import numpy as np
 
 from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Headline, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import decimals, finite, number, percent, plus_minus, power
+from snapo.report.quantity import MINUS, decimals, finite, number, percent, plus_minus, power
 
 from .evidence import checks
 from .funding import funding
@@ -233,6 +236,12 @@ def _cash_flow(run: PensionRun, flow: np.ndarray) -> Chart | Text:
     return Chart(svg, caption)
 
 
+def _signed(scenario: Any) -> str:
+    """The name of a scenario with a true minus before its numbers, and a true sign of times."""
+    text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, str(scenario))
+    return re.sub(r"(?<= )x(?= \d)", "×", text)
+
+
 def stress(run: PensionRun) -> Section:
     """The balance sheet at once after each shock of the case's file."""
     title, short = "Stress table", "Stress"
@@ -249,7 +258,7 @@ def stress(run: PensionRun) -> Section:
         amounts = _balance(each.get("assets"), each.get("liability"), scale)
         change = (finite(each.get("funding")) or 0.0) - now
         ratio = points(each.get("funding"), 1)
-        body.append((str(each["scenario"]), *amounts, ratio, points(change, 1, True)))
+        body.append((_signed(each["scenario"]), *amounts, ratio, points(change, 1, True)))
     head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
     head += [("Funding ratio", "%"), ("Change", "points")]
     caption = (

@@ -72,7 +72,7 @@ def _families(families: list[dict], scale: float, unit: str) -> Table:
     head = [("Input", ""), ("Numbers", ""), ("Rise of each", ""), ("Decisions held", unit)]
     head += [("Std. error", unit), ("Policy reacting", unit)]
     caption = "All numbers of an input together; for a curve this is the parallel shift"
-    return Table(head, rows, caption, 3)
+    return Table(head, rows, caption, frozenset({0, 2}))
 
 
 def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple:
@@ -85,7 +85,7 @@ def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple
     return (
         name,
         *numbers,
-        str(each["move"]),
+        each["move"] if count is None else str(each["move"]).replace(" ", SPACE),
         number(effect, places, True),
         plus_minus(None if error is None else scale * error, places),
         number(None if reacting is None else scale * reacting, places, True),

@@ -1,7 +1,9 @@
 """Purpose, model and numbers, as a reader who must judge them needs them."""
 
+import re
+
 from snapo.report.page import Block, Missing, Section, Table, Text
-from snapo.report.quantity import unit_words
+from snapo.report.quantity import finite, raised, unit_words
 
 from .run import Run
 
@@ -41,6 +43,12 @@ def given(value: float, unit: str = "") -> str:
         shown = str(int(power)).translate(POWERS)
         text = f"{mantissa.rstrip('0').rstrip('.')} × 10{shown}".replace("-", "−")
     return f"{text}\u00a0{unit_words(unit)}" if unit and unit != "1" else text
+
+
+def place(value: float | None, unit: str = "") -> str:
+    """A place on a parameter's axis: five digits, with which 313.15 K stays what it is."""
+    known = finite(value)
+    return "–" if known is None else given(float(f"{known:.5g}"), unit)
 
 
 def _reactions(run: Run) -> Table | Text:
@@ -104,10 +112,21 @@ def _uncertainty(run: Run) -> Table | Text:
 
 def _numbers(run: Run) -> Table | Missing:
     rows = [
-        (each["input"], each["label"], each["parameter"], given(each["value"], each["unit"]))
+        (each["input"], label, each["parameter"], given(each["value"], unit))
         for each in run.get("numbers", [])
+        for label, unit in [_of_power(each["label"], each["unit"])]
     ]
     if not rows:
         return Missing("The numbers of the model are not in this run.")
     head = [("Input", ""), ("Entry", ""), ("Parameter", ""), ("Value", "")]
     return Table(head, rows, "In the units of the computation", 3, folded="Every number")
+
+
+def _of_power(label: str, unit: str) -> tuple[str, str]:
+    """A coefficient's label and unit as written by hand: "t^2", "kg/m3/K^k" as "t²", "kg/m3/K2"."""
+    found = re.fullmatch(r"t\^(\d+)", label)
+    if found is None:
+        return label, unit
+    own = {"0": "", "1": "/K"}.get(found[1], f"/K{found[1]}")
+    text = unit.replace("/K^k", own)
+    return f"t{raised(found[1])}", "" if text == "1" else text

@@ -62,7 +62,7 @@ def _forms(run: Run, raw, scaled, share) -> Table:
         for form, values, label in (
             ("per unit of the parameter", raw, unit),
             ("over half the normal range", scaled, unit),
-            ("share of the room to the limit", share, "1"),
+            ("share of the room to the limit", share, ""),
         ):
             cells = ["0" if x == 0 else number(x) for x in values[q]]
             rows.append((name, form, label, *cells))
@@ -80,18 +80,19 @@ def _ranking(run: Run) -> Table | Missing:
         (
             each["parameter"],
             each["attribute"] or "–",
-            _used(each),
+            "–" if each["outside"] or each["spent"] else percent(each["share"], 1),
             percent(each["variance"], 0),
+            _why_none(each),
         )
         for each in ranks
     ]
-    names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance")
+    names = ("Parameter", "Most critical for", "Share of the room used", "Of its variance", "")
     caption = (
         "Criticality: the largest share of any limit's room that half the normal range uses; room "
         "is the distance to the limit less two standard deviations of the batches. Last, how much "
         "of that attribute's variance the parameter causes"
     )
-    return Table([(name, "") for name in names], rows, caption, 2)
+    return Table([(name, "") for name in names], rows, caption, frozenset({0, 1, 4}))
 
 
 def _criticality(run: Run) -> Table | Missing:
@@ -123,11 +124,11 @@ def _interval(share: float, low: float, high: float) -> str:
     return f"{percent(share, 1)} ({number(100 * low, 1)} – {number(100 * high, 1)})"
 
 
-def _used(rank: dict) -> str:
-    """The share of the room, or why it has no meaning."""
+def _why_none(rank: dict) -> str:
+    """Why the share of the room has no meaning; nothing where it has one."""
     if rank["outside"]:
         return "attribute beyond its limit"
-    return "variation alone takes the room" if rank["spent"] else percent(rank["share"], 1)
+    return "variation alone takes the room" if rank["spent"] else ""
 
 
 def _tornados(run: Run, scaled: np.ndarray) -> Chart:

@@ -7,10 +7,11 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
-from snapo.report.quantity import finite, number, percent, quantity, with_unit
+from snapo.report.quantity import SPACE, finite, number, percent, quantity, with_unit
 
 from ..quality.interval import draws_for
 from . import pictures
+from .model import place
 from .run import Run
 from .together import boundary
 
@@ -25,10 +26,10 @@ def design_space(run: Run) -> Section:
     binding = np.asarray(found["binding"])
     error = np.asarray(found["error"], float)
     blocks: list[Block] = [_words(found, probability, error)]
-    for place, words in _slices(found, probability):
-        low = np.asarray(found["low"], float)[place]
-        high = np.asarray(found["high"], float)[place]
-        blocks.append(_map(run, found, probability[place], binding[place], words, (low, high)))
+    for at, words in _slices(found, probability):
+        low = np.asarray(found["low"], float)[at]
+        high = np.asarray(found["high"], float)[at]
+        blocks.append(_map(run, found, probability[at], binding[at], words, (low, high)))
     blocks += boundary(run, found)
     return Section("space", title, short, blocks)
 
@@ -63,7 +64,7 @@ def _words(found: dict[str, Any], probability: np.ndarray, error: np.ndarray) ->
         return Text(text + " No box around the set point keeps the required probability.")
     box = found["box"]
     sides = [
-        f"{name} {number(low)} to {quantity(high, unit)}"
+        f"{name} {place(low)} to {place(high, unit)}"
         for name, unit, low, high in zip(found["axes"], found["units"], box["low"], box["high"])
     ]
     return Text(f"{text} The largest box inside: {', '.join(sides)}.")
@@ -86,6 +87,7 @@ def _map(
 
     def paint(upper, lower):
         pictures.space(upper, found, probability, axes_names, band)
+        upper.set_xlabel("")  # the axis below has the same name, and its numbers
         pictures.binding(lower, found, binding, axes_names, names)
 
     key = words.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
@@ -118,7 +120,7 @@ def ranges(run: Run) -> Section:
                 _edges(each["nominal"]),
                 _edges(each["probable"]),
                 Mark(inside and sure, _verdict(inside, sure)),
-                " – ".join(number(x) for x in normal.get(each["parameter"], [])),
+                " – ".join(place(x) for x in normal.get(each["parameter"], [])),
                 _span(each["nominal"]),
                 _span(each["probable"]),
                 _ends(each["probable"].get("sure")),
@@ -128,8 +130,8 @@ def ranges(run: Run) -> Section:
     required = percent(rows[0]["required"], 0)
     head = [("Parameter", ""), ("Edge, nominal model", ""), (f"Edge, at {required}", ""),
             ("Normal range", ""), ("Normal range", ""), ("Nominal model", ""),
-            (f"Probability {required}", ""), ("sure at 95 %", ""),
-            ("possible at 95 %", "")]  # fmt: skip
+            (f"Probability {required}", ""), (f"sure at 95{SPACE}%", ""),
+            (f"possible at 95{SPACE}%", "")]  # fmt: skip
     caption = (
         "How far one parameter may move with all others at their set point: by the model at its "
         "nominal numbers, and with the required probability under all variation "
@@ -151,13 +153,13 @@ def _verdict(inside: bool, sure: bool) -> str:
 
 
 def _ends(ends: Sequence[float] | None) -> str:
-    return "–" if ends is None else " – ".join(number(x) for x in ends)
+    return "–" if ends is None else " – ".join(place(x) for x in ends)
 
 
 def _span(found: dict[str, Any]) -> str:
     if found["low"] is None:
         return "set point fails"
-    return f"{number(found['low'])} – {number(found['high'])}"
+    return f"{place(found['low'])} – {place(found['high'])}"
 
 
 def _edges(found: dict[str, Any]) -> str:
@@ -182,9 +184,9 @@ def capability(run: Run) -> Section:
             number(found["mean"][q]),
             number(found["deviation"][q]),
             number(linear[q]),
-            number(found["cpk_batches"][q], 2),
-            " – ".join(number(found[end][q], 2) for end in ("cpk_low", "cpk_high")),
-            number(found["cpk"][q], 2),
+            _cpk(found["cpk_batches"][q]),
+            _cpk(found["cpk_low"][q], found["cpk_high"][q]),
+            _cpk(found["cpk"][q]),
             number(found["sigmas"][q], 2),
             percent(found["outside"][q], 2),
             percent(found["error"][q], 2),
@@ -210,6 +212,12 @@ def capability(run: Run) -> Section:
         blocks.append(Text(f"{number(found['failed'], 0)} batches gave no finite result."))
     blocks.append(_sources(run))
     return Section("capability", title, short, blocks)
+
+
+def _cpk(*ends: float | None) -> str:
+    """Two decimals, which tell a capable process; none where it, or its interval, is far beyond."""
+    places = 2 if all(abs(finite(each) or 0.0) < 100 for each in ends) else 0
+    return " – ".join(number(each, places) for each in ends)
 
 
 def _sources(run: Run) -> Table | Missing:

@@ -7,6 +7,7 @@ import numpy as np
 from snapo.report.page import Block, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, quantity, with_unit
 
+from .model import place
 from .run import Run
 
 FILE = "design_space_boundary.csv"
@@ -51,7 +52,7 @@ def _end(found: dict[str, Any], end: dict[str, Any], near: list[int], names: lis
     """One row: an end of the space along a line through the grid point `near` the set point."""
     axis, low, high = end["axis"], "inner", "outer"
     fixed = [
-        f"{name} {quantity(grid[k], unit)}"
+        f"{name} {place(grid[k], unit)}"
         for j, (name, unit, grid, k) in enumerate(
             zip(found["axes"], found["units"], found["grid"], near)
         )
@@ -65,8 +66,8 @@ def _end(found: dict[str, Any], end: dict[str, Any], near: list[int], names: lis
         ", ".join(fixed),
         "above" if end["side"] > 0 else "below",
         names[end["binding"]],
-        number(end["place"]),
-        " – ".join("beyond" if each is None else number(each) for each in span),
+        place(end["place"]),
+        " – ".join("beyond" if each is None else place(each) for each in span),
     )
 
 
@@ -87,6 +88,7 @@ def together(run: Run) -> Section:
         if most >= 0:
             size = quantity(each["interaction"][most], units[names[most]])
             effect = f"{names[most]} {size}, {percent(each['used'])} of its room"
+            effect = effect if each["interaction"][most] else "none"
         body.append(
             (
                 " and ".join(each["names"]),

@@ -6,12 +6,14 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table
-from snapo.report.quantity import number, unit_words
+from snapo.report.quantity import finite, number, power, unit_words
 
 from . import pictures
+from .model import place
 from .run import Run
 
 # States of reactors, crystallisers and dryers, which have sections of their own.
+LARGE = 1e7
 ELSEWHERE = ("supersaturation", "solvent")
 
 
@@ -35,7 +37,7 @@ def _measures(run: Run) -> Table | Missing:
             each["name"],
             measure,
             "" if unit == "1" else unit_words(unit),
-            number(found.get(f"{each['name']}.{measure}")),
+            _value(found.get(f"{each['name']}.{measure}"), unit),
         )
         for each in run.get("units", [])
         for measure, unit in each.get("measures", {}).items()
@@ -44,6 +46,13 @@ def _measures(run: Run) -> Table | Missing:
         return Missing("No batch was computed, so the units have no measures.")
     head = [("Unit", ""), ("Measure", ""), ("In", ""), ("Value", "")]
     return Table(head, rows, "At the end of each unit, in the units of the computation", 3)
+
+
+def _value(value: Any, unit: str) -> str:
+    """Four digits, of a large number too, "2.097 × 10⁸"; five of a temperature."""
+    if unit == "K":
+        return place(value)
+    return power(value, 3) if abs(finite(value) or 0.0) >= LARGE else number(value)
 
 
 def _course(name: str, states: dict[str, str], course: dict[str, Any]) -> Chart:

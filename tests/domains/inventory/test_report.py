@@ -1,0 +1,20 @@
+"""The report of an inventory run."""
+
+import pytest
+
+from snapo.domains.inventory.report import course
+from snapo.report.folder import Folder
+from snapo.report.page import Text
+
+
+@pytest.mark.parametrize(("cost", "told"), [("EUR/week", "30"), ("EUR", "0.5")])
+def test_an_output_over_time_is_that_of_its_period(cost, told):
+    """A run holds an output's part of the mean over 60 weeks; a discounted cost is whole."""
+    lines = {name: [0.5, 0.5] for name in ("mean", "p01", "p99")}
+    series = [{"name": "a", "kind": kind, "unit": unit} | lines
+              for kind, unit in (("state", "piece"), ("outputs", "piece"), ("outputs", cost))]  # fmt: skip
+    about = {"horizon": 100, "warm_up": 40, "step": "week", "currency": "EUR",
+             "profile": {"series": series, "paths": 2}}  # fmt: skip
+    blocks = course(Folder({}, about, {}, (), {}, {})).blocks
+    texts = [each.text.split(" is ")[1] for each in blocks if isinstance(each, Text)]
+    assert [each.split("\N{NO-BREAK SPACE}")[0] for each in texts] == ["0.5", "30", told]
