@@ -64,10 +64,10 @@ def roll(setup: Setup, policy: Policy, counts: Counts) -> Rolled:
 
 def numbers_of_a_path(problem: Problem) -> int:
     """How many numbers the course of one path has: states, actions and outputs of all steps."""
-    simulator = problem.simulator
+    simulator, known = problem.simulator, problem.schedule  # made here, outside of the trace
 
     def step(noise, first, action):
-        schedule = jax.tree.map(jnp.asarray, problem.schedule)
+        schedule = jax.tree.map(jnp.asarray, known)
         state = simulator.initial(schedule.constants, first)
         now = at(schedule.steps, 0)
         return simulator.step(schedule.constants, now, state, action, noise, Exact()), action
