@@ -43,14 +43,14 @@ def _days(labels: tuple[str, ...]) -> bool:
 def described(name: str, given: Input, slope: np.ndarray | None, believed: str) -> dict[str, Any]:
     """An input for the page: all that is said about it, its numbers, and d value / d number, where
     that is known."""
+    factor, trade_unit = own_unit(given)
     return {
         "name": name,
         "words": given.words,
         "group": given.group or "other",
         "unit": given.unit,
-        # A temperature's other units have another zero, which a factor does not tell.
-        "trade_unit": "" if given.unit == "K" else given.trade_unit,
-        "factor": given.trade_factor if given.trade_unit and given.unit != "K" else 1.0,
+        "trade_unit": trade_unit,
+        "factor": factor,
         "values": given.value.ravel(),
         "shape": list(given.value.shape),
         "handles": [{"label": label, "at": at} for label, at in handles(given)],
@@ -58,6 +58,15 @@ def described(name: str, given: Input, slope: np.ndarray | None, believed: str) 
         "slope": slope,
         "believed": believed,
     }
+
+
+def own_unit(given: Input) -> tuple[float, str]:
+    """How many units in which its owner thinks make one unit of the input, and their name; 1 and ""
+    where the field on the page has the input's own."""
+    # A temperature's other units have another zero, which a factor does not tell.
+    if not given.trade_unit or given.unit == "K":
+        return 1.0, ""
+    return given.trade_factor, given.trade_unit
 
 
 def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str, np.ndarray]:

@@ -234,7 +234,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress
     if may_window:
         # Of the best rule so far, mostly the one that training began with: the last steps may have
-        # led to a rule whose paths are tame, a pendulum at its top speed, or wild.
+        # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
         if length := horizon.window(measured.whole):

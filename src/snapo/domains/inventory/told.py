@@ -41,5 +41,7 @@ def about(case: InventoryCase | NetworkCase, units: dict[str, str]) -> dict[str,
 def result(run: StudyRun) -> dict[str, Any]:
     """The headline: the value of the trained rule, and those of its rivals."""
     rivals = [row for row in run.get("rivals") or [] if row["rule"] != "trained"]
-    leads = [(row["rule"], -row["difference"], row["difference_error"]) for row in rivals]
+    # A difference that is no number stands as None in the files of a run.
+    known = [row for row in rivals if row["difference"] is not None]
+    leads = [(row["rule"], -row["difference"], row["difference_error"]) for row in known]
     return trained(run, {row["rule"]: row["value"] for row in rivals}, leads)

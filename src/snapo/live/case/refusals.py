@@ -10,6 +10,8 @@ from snapo.case.error import CaseError, Unquoted
 from snapo.problem.inputs import Input
 from snapo.report.quantity import number, power, unit_words
 
+from ..terms import own_unit
+
 MUCH = 1e9  # from which a power of ten reads better
 MOST = 6  # moved inputs that are tried one by one
 
@@ -44,9 +46,9 @@ def _share(bad: int, paths: int) -> str:
 
 def _said(given: Input, values: np.ndarray, i: int) -> str:
     """A number of an input in the unit that its field on the page has."""
-    own = bool(given.trade_unit) and given.unit != "K"  # as in `terms.described`
-    factor, unit = (given.trade_factor, given.trade_unit) if own else (1.0, given.unit)
-    shown, unit = float(values.ravel()[i]) * factor, unit_words("" if unit == "1" else unit)
+    factor, own = own_unit(given)
+    unit = own or ("" if given.unit == "1" else given.unit)
+    shown, unit = float(values.ravel()[i]) * factor, unit_words(unit)
     return f"{number(shown) if abs(shown) < MUCH else power(shown, 2)} {unit}".rstrip()
 
 

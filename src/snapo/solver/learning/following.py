@@ -26,7 +26,7 @@ STEPS = (240, 3840)
 USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
 WIDTH = 32  # of hidden layers at which it is
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
-RATED = 48_000  # the same with the steps that the rate follows: with more, all get more sure
+RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
 
 def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
