@@ -40,6 +40,7 @@ def test_allocations_go_with_age_and_the_law_has_a_date(tmp_path):
         ({"fund": {"valuation_date": datetime.date(2020, 1, 1)}}, "pots.rules", "no version"),
         ({"plan": {"open": True, "entry_age": 30.0}}, "plan.open", "needs false"),
         ({"liability": {"future_indexation": "full"}}, "liability.future_indexation", "none"),
+        ({"liability": {"basis": "fixed", "rate": 0.02}}, "liability.basis", "risk-free or spread"),
         ({"regulation": {"rules": "dutch-ftk"}}, "regulation", "promised rights"),
     ],
 )

@@ -8,15 +8,18 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from tests.domains.pension import market_cases, people_cases
+from tests.domains.pension.market_cases import given
 from tests.domains.pension.people_cases import members
 from tests.domains.pension.pots_cases import STEPS, fund, pots
 
 from snapo.domains.pension.pots.simulator import PotSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.plan import Liability
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 
 pytestmark = pytest.mark.prove
+ROUND_OFF = 1e-12 * 8000  # of the assets
 
 
 def rolled(case, paths=6, actions=None):
@@ -112,6 +115,64 @@ def test_a_fully_protected_cohort_without_excess_return_keeps_its_pension():
     assert kept == pytest.approx(np.broadcast_to(kept[0], kept.shape), rel=1e-12)
     assert states.level[-1, :, 0].std() > 0.01
     assert outputs["cut"].max() < 1e-12
+
+
+@pytest.mark.parametrize("added", [0.0, 0.01])
+@pytest.mark.parametrize("timing", ["advance", "arrears"])
+def test_without_risk_every_pot_and_the_reserve_earn_cash(timing, added):
+    """No volatility and no costs: whatever the fund holds and whatever its rules are, no one's return
+    goes to anyone else; pensions stand still, but where the projected return is above the curve."""
+    case = quiet(timing)
+    if added:
+        case = replace(case, liability=Liability("spread", given("liability_rate", added), "none"))
+    states, outputs, (_, steps) = rolled(case, paths=3)
+    assert np.ptp(np.diff(states.fund.market.log_discount[:, 0])) > 1e-4
+    of_pots, of_reserve = beyond_cash(states, steps, timing)
+    assert np.abs(of_pots).max() < ROUND_OFF
+    assert np.abs(of_reserve).max() < ROUND_OFF
+    assert np.abs(states.gained).max() < ROUND_OFF
+    assert np.abs(outputs["filled"]).max() < ROUND_OFF
+    if not added:
+        assert np.ptp(states.level) < 1e-12 * states.level[0, 0, 0]
+
+
+def test_no_market_value_is_moved_beforehand():
+    """DNB's words, see `sharing`: under the pricing measure no pot and no reserve is expected to earn
+    more than cash, with rates and shares at random and whatever the protections and exposures are. The
+    volatilities are small, so that 4096 paths tell 0.2 % of a pot."""
+    case = replace(quiet("arrears", rate=0.002, equity=0.03), measure="Q")
+    states, _, (_, steps) = rolled(case, paths=4096)
+    of_pots, of_reserve = beyond_cash(states, steps, "arrears")
+    discount = np.exp(states.fund.market.log_discount[1:])
+    worth = np.concatenate([of_pots, of_reserve[..., None]], -1) * discount[..., None]
+    worth = worth.sum(0)  # over time, of each path
+    error = worth.std(0) / np.sqrt(len(worth))
+    assert np.all(error < 7e-4 * np.append(states.pots[0, 0], states.reserve[0, 0]))
+    assert np.all(np.abs(worth.mean(0)) < 3 * error)
+
+
+def beyond_cash(states, steps, timing):
+    """Of each pot [T, N, C] and the reserve [T, N], the money that it earned beyond cash."""
+    growth = np.exp(-np.diff(states.fund.market.log_discount, axis=0))
+    paid = states.level[:-1] * np.asarray(steps.benefit)[:, None, :]
+    before, after = (0.0, paid) if timing == "arrears" else (paid, 0.0)
+    of_pots = states.pots[1:] + after - (states.pots[:-1] - before) * growth[..., None]
+    return of_pots, states.reserve[1:] - states.reserve[:-1] * growth
+
+
+def quiet(timing, rate=0.0, equity=0.0):
+    """A fund without costs, contributions, expenses or filling of its reserve, by default in a market
+    without risk, whose curve rises."""
+    case = fund(rate=rate, equity=equity, plan=market_cases.plan(timing))
+    assets = replace(
+        case.assets, mean=given("asset_mean", [0.0]), cost=market_cases.none("asset_cost", 3)
+    )
+    tenor, zero = [1.0, 2.0, 5.0, 10.0, 20.0, 30.0], [0.01, 0.015, 0.02, 0.025, 0.027, 0.026]
+    case = replace(case, assets=assets, curve=market_cases.curve("zero_rate", tenor, zero))
+    none = {"fill_contribution": 0.0, "fill_return": 0.0, "release": 0.0, "reserve": 0.05}
+    return replace(
+        case, pots=pots(case, [0.0, 0.6, 0.4, 0.9, 1.0], [1.5, 1.0, 0.0, 0.5, 2.0], **none)
+    )
 
 
 @pytest.mark.parametrize("timing", ["advance", "arrears"])

@@ -25,7 +25,7 @@ LIMITS = {
     "fill_return": "from_excess_return",
 }
 RESERVE = share("the solidarity reserve: its size, its filling or its release", "plan")
-PROTECTION = share("the share of the move of its annuity that a cohort is given", "plan")
+PROTECTION = share("the share of a pot that earns as its annuity does; the rest earns cash", "plan")
 EXPOSURE = share("the weight of a cohort's pot in the excess return", "plan")
 
 
@@ -93,6 +93,8 @@ def check_pots(
         ("plan.indexation.kind", plan.indexation.kind, ("none",)),
         ("plan.contribution.kind", plan.contribution.kind, ("none", "fixed")),
         ("liability.future_indexation", liability.future_indexation, ("none",)),
+        # An annuity at a fixed rate has no return on the market that could be protected.
+        ("liability.basis", liability.basis, ("risk-free", "spread")),
         ("plan.open", plan.open, (False,)),
     )
     for key, value, allowed in asked:

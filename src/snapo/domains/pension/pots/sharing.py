@@ -1,14 +1,27 @@
 """Who gets the return of a fund of pots, and the solidarity reserve at the end of a year.
 
-    protection of a cohort = its share of protection x its pot x the return of its annuity
+    protection of a cohort = V (x R + (1 - x) Rc), V its pot and x its share of protection
+    of the reserve         = S Rc: a pot with x = 0
     excess return          = the whole return - all protection
     a cohort's part of it  = exposure x pot, over the sum of these and of the reserve
 
-The return of an annuity is that of its payments on the curve of the path, so that a pot that is
-fully protected buys the same pension whatever rates do. The reserve has no protection and an
-exposure of one; a loss that it cannot bear falls on the pots, in proportion to their exposures.
-All functions hand on the whole sum of money: pots and reserve after them add up to those before
-and the return.
+R, the return of a cohort's annuity, is that of its payments on the curve of the path, so that a pot
+that is fully protected buys the same pension whatever rates do; Rc is the return of cash over the
+step. Where all that the fund can hold earns Rc, so do every pot and the reserve, whatever their
+protections and exposures are: nothing is redistributed that is known beforehand.
+
+Source: De Nederlandsche Bank, Open Boek Toezicht, Q&A "Hoe kan een pensioenuitvoerder de
+toedelingsregels zo vormgeven dat er op voorhand geen herverdelingseffecten tussen leeftijdsgroepen
+plaatsvinden in de solidaire premieregeling?" (29 June 2023, updated 7 November 2023), step 1: V RH
+is credited to a pot, on the whole of V; R is the return of the protection portfolio or of
+zero-coupon bonds, Rc that of cash, x the share of interest rates that is hedged. Its formula of RH
+is an image that could not be read: RH = x R + (1 - x) Rc follows from these words, and from
+Pensioenwet, art. 10a (5), which forbids redistribution beforehand between pots, and between them
+and the reserve (DNB, factsheet "Toedelingsregels in de solidaire premieregeling", 29 June 2023).
+
+The reserve has an exposure of one; a loss that it cannot bear falls on the pots, in proportion to
+their exposures. All functions hand on the whole sum of money: pots and reserve after them add up to
+those before and the return.
 """
 
 from collections.abc import Callable
@@ -53,6 +66,7 @@ def shared(
     reserve: Array,
     earned: Array,
     returned: Float[Array, " C"],
+    cash: Array,
     protection: Float[Array, " C"],
     exposure: Float[Array, " C"],
     smooth: Constraints,
@@ -61,16 +75,18 @@ def shared(
 
     **Arguments:**
 
-    - `pots`, `reserve`: that earned it. `returned`: of each cohort's annuity, a share.
+    - `pots`, `reserve`: that earned it. `returned`: of each cohort's annuity, `cash`: of cash, over
+      the step, both as a share.
     """
-    protected = protection * pots * returned
-    excess = earned - jnp.sum(protected)
+    protected = pots * (protection * returned + (1 - protection) * cash)
+    kept = reserve * cash
+    excess = earned - jnp.sum(protected) - kept
     weights = exposure * pots
     whole = jnp.sum(weights) + reserve
     none = whole <= 0
     own = excess * reserve / jnp.where(none, 1.0, whole)
-    own = smooth.maximum(own, -reserve, ROUND * (jnp.sum(pots) + reserve))
-    return Shared(protected + (excess - own) * _parts(weights, pots), own, excess)
+    own = smooth.maximum(own, -reserve - kept, ROUND * (jnp.sum(pots) + reserve))
+    return Shared(protected + (excess - own) * _parts(weights, pots), kept + own, excess)
 
 
 def closed(

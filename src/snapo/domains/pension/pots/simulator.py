@@ -91,7 +91,8 @@ class PotSimulator(PensionSimulator):
         after = self._settled(terms, after, paid.flows, invested, held, moved)
         earned = after.assets - fund.assets - paid.flows.net
         annuities = annuity, worth(terms, now.value_after, now.shape_after, moved.market)
-        parts = self._shared(constants, now, state, paid, earned, annuities, smooth)
+        cash = jnp.expm1(moved.cash)
+        parts = self._shared(constants, now, state, paid, earned, cash, annuities, smooth)
         state = state._replace(fund=after, gained=state.gained + parts.excess)
         state, told = self._year(constants, now, state, parts, annuities[1], smooth)
         granted, cut = told.pop("granted"), told.pop("cut")
@@ -126,9 +127,9 @@ class PotSimulator(PensionSimulator):
     ) -> Shared:
         """Pots and reserve after the return of the step, and the excess return in it.
 
-        `given`: money earned, the annuities before and after the step, `smooth`.
+        `given`: money earned, cash's return, the annuities before and after the step, `smooth`.
         """
-        earned, (before, after), smooth = given
+        earned, cash, (before, after), smooth = given
         pots, reserve = state.pots + paid.pots, state.reserve + paid.reserve
         rest, grown = before, after + now.benefit
         holding = state.pots, state.reserve
@@ -136,9 +137,10 @@ class PotSimulator(PensionSimulator):
             holding = pots, reserve
             rest, grown = before - now.benefit, after
         there = rest > LEAST * constants.assets
-        growth = jnp.where(there, grown / jnp.where(there, rest, 1.0), 1.0)
-        returned = growth * jnp.exp(-constants.unwound) - 1
-        parts = shared(*holding, earned, returned, now.protection, now.exposure, smooth)
+        growth = grown / jnp.where(there, rest, 1.0)
+        # A cohort without payments has nothing to protect.
+        returned = jnp.where(there, growth * jnp.exp(-constants.unwound) - 1, cash)
+        parts = shared(*holding, earned, returned, cash, now.protection, now.exposure, smooth)
         return Shared(pots + parts.pots, reserve + parts.reserve, parts.excess)
 
     def _year(

@@ -26,10 +26,11 @@ class Pots:
 
     - `reserve`: the solidarity reserve's share of the assets now; `largest`: its largest share.
     - `fill_contribution`, `fill_return`: the shares of contributions and of a year's positive
-      excess return that go into it; `release`: the share of it that a year may take at most to
-      restore pensions in payment. All index [].
-    - `protection`: the share of the move of its annuity's value that a cohort is given, and
-      `exposure`: the weight of its pot in the excess return; by age, index [T, C].
+      excess return, see `pots.sharing`, that go into it; `release`: the share of it that a year may
+      take at most to restore pensions in payment. All index [].
+    - `protection`: the share of its pot that a cohort is given the return of its annuity on, and
+      that of cash on the rest; `exposure`: the weight of its pot in the excess return; by age,
+      index [T, C].
     """
 
     rules: PotRules

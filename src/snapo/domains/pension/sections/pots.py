@@ -11,9 +11,10 @@ from .run import PensionRun, points, share
 
 CAVEAT = (
     "Pensions are nominal, for each member and year, under the learned policy. The pots of today"
-    " share the assets less the reserve by the value of what each cohort has earned. Protection is"
-    " a share of the return of each cohort's annuity on the path's curve; all other return is"
-    " shared by exposure. Cut: the share of years of payment in which the pension falls."
+    " share the assets less the reserve by the value of what each cohort has earned. A pot is"
+    " credited with the return of its annuity on the path's curve on its share of protection and"
+    " with that of cash on the rest, the reserve with that of cash; all other return, the excess,"
+    " is shared by exposure. Cut: the share of years of payment in which the pension falls."
 )
 
 
