@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import jax
 
+from snapo import Training
 from snapo.engine import choose
+from snapo.problem.problem import Problem
+from snapo.solver.learning.progress import Progress
 from snapo.solver.train import begin, train
 from snapo.solver.windows.window import UPDATES
 
@@ -22,23 +25,31 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
     clock = Clock()
     task = TASKS[problem](seed)
     training = replace(task.training, steps=steps) if steps else task.training
-    lesson = task.lesson or task.problem
-    policy = task.policy.for_problem(lesson.interface, jax.random.key(seed))
-    engine = choose("auto", lesson, policy).train
-    horizon = lesson.simulator.horizon
+    lessons = [(task.lesson or task.problem, training)]
+    if task.before and not steps:
+        lessons.insert(0, task.before)
+    policy = task.policy.for_problem(lessons[0][0].interface, jax.random.key(seed))
     with clock.paused():
         yardstick = Yardstick(task.problem, task.paths)
+    made = 0  # steps of the simulator in the lessons before
+    for lesson, settings in lessons:
 
-    def measure(progress) -> None:
-        processor, wall = clock.read()
-        validated = 2 + (progress.step - 1) // training.validation_every
-        done = training.validation_paths * validated * horizon
-        # A step back through windows: a sweep, and that many windows.
-        done += sum(
-            training.paths * (horizon + UPDATES * record.window) for record in progress.history
-        )
-        with clock.paused():
-            value = yardstick.value(progress.best)
-        tell(Point(problem, "snapo", seed, done, processor, wall, value))
+        def measure(progress, lesson=lesson, settings=settings, made=made) -> None:
+            processor, wall = clock.read()
+            with clock.paused():
+                value = yardstick.value(progress.best)
+            steps = made + simulated(lesson, settings, progress)
+            tell(Point(problem, "snapo", seed, steps, processor, wall, value))
 
-    train(lesson, begin(policy, training, lesson), training, engine, (measure,))
+        engine = choose("auto", lesson, policy).train
+        ended = train(lesson, begin(policy, settings, lesson), settings, engine, (measure,))
+        policy, made = ended.best, made + simulated(lesson, settings, ended)
+
+
+def simulated(lesson: Problem, training: Training, progress: Progress) -> int:
+    """Steps of the simulator, of one path each, that a training has made."""
+    horizon = lesson.simulator.horizon
+    validated = 2 + (progress.step - 1) // training.validation_every
+    # A step back through windows: a sweep, and that many windows.
+    swept = (horizon + UPDATES * record.window for record in progress.history)
+    return training.validation_paths * validated * horizon + training.paths * sum(swept)

@@ -34,7 +34,8 @@ class Task:
     """A problem and the two ways to learn it.
 
     - `problem`: the one whose value counts; `training`: snapo's settings, and `policy` its network;
-      `lesson`: the problem that snapo trains on, by default the same.
+      `lesson`: the problem that snapo trains on, by default the same; `before`: a problem with
+      settings of its own that it trains on before.
     - `played`: the problem an agent trains on; `endless`: its end is a limit of time alone.
     - `decode`: from an agent's action [size], each between -1 and 1, to the simulator's action.
     - `options`: of PPO, where the decision is one of several; 0: numbers.
@@ -51,6 +52,7 @@ class Task:
     paths: int = 1000
     unit: float = 1.0
     lesson: snapo.Problem | None = None
+    before: tuple[snapo.Problem, snapo.Training] | None = None
     played: snapo.Problem | None = None
     endless: bool = False
     options: int = 0
@@ -59,17 +61,26 @@ class Task:
 def pendulum(seed: int) -> Task:
     """Pendulum-v1, exactly as in Gymnasium; snapo by the recipe of docs/control.md."""
     inputs = make_inputs(Pendulum)
-    problem, lesson = (
-        snapo.Problem(Pendulum(inputs, horizon=steps), inputs, snapo.Mean("reward"))
-        for steps in (200, 100)
-    )
-    training = snapo.Training(
-        steps=150, paths=256, learning_rate=0.02, window=25, validation_paths=1024,
-        validation_every=10, seed=seed,
-    )  # fmt: skip
+    lessons = []
+    for noise, steps, paths, rate in ((0.6, 80, 256, 0.02), (0.0, 190, 768, 0.015)):
+        own = make_inputs(Pendulum)
+        own["start"]["angle"] = {"mean": np.pi, "deviation": 0.8}
+        own["noise"] = {"speed": noise}
+        training = snapo.Training(
+            steps=steps, paths=paths, learning_rate=rate, window=40, validation_paths=1024,
+            validation_every=10, seed=seed,
+        )  # fmt: skip
+        lessons.append((_plant(own, 90), training))
+    before, (lesson, training) = lessons
     return Task(
-        problem, snapo.MLP(), training, lambda raw: raw, 1, 0.99, lesson=lesson, endless=True
+        _plant(inputs, 200), snapo.MLP(), training, lambda raw: raw, 1, 0.99,
+        lesson=lesson, before=before, endless=True,
     )  # fmt: skip
+
+
+def _plant(inputs, horizon: int) -> snapo.Problem:
+    plant = Pendulum(inputs, horizon=horizon)  # pyright: ignore[reportCallIssue]
+    return snapo.Problem(plant, inputs, snapo.Mean("reward"))
 
 
 def inventory(seed: int) -> Task:

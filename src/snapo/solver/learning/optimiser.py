@@ -5,7 +5,7 @@ window to the next: there the rate follows the steps, not the updates, and Adam'
 forgets after a hundred updates instead of a thousand.
 """
 
-from typing import Any, Protocol
+from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -66,21 +66,60 @@ def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
             share = 1 - (1 - share) ** (1 / updates)
         return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
 
+    parts: list[Parts] = []
+
     def update(policy, average, state, gradient, step):
         if scale is not None:
             policy, average = scale.scaled(policy), scale.scaled(average)
             gradient = scale.slope(gradient)
-        # What is not trained goes round the compiled part.
-        moving, fixed = trainable(policy)
-        vector = flat(moving)
-        old, slope = (flat(trainable(tree)[0]) for tree in (average, gradient))
+        # What is not trained goes round the compiled part. Finding it takes longer than the part.
+        if not parts:
+            parts.append(Parts.of(policy))
+        part = parts[0]
+        vector = part.vector(policy)
+        old, slope = part.vector(average), part.vector(gradient)
         vector, old, state, norm = ascend(vector, old, state, slope.astype(vector.dtype), step)
-        policy, average = (eqx.combine(_shaped(x, moving), fixed) for x in (vector, old))
+        policy, average = part.moved(policy, vector), part.moved(policy, old)
         if scale is not None:
             policy, average = scale.plain(policy), scale.plain(average)
         return policy, average, state, norm
 
     return update
+
+
+class Parts(NamedTuple):
+    """Which leaves of a policy are trained, so that its numbers come and go as one vector."""
+
+    structure: Any
+    trained: tuple[int, ...]  # places among the leaves
+    ends: np.ndarray  # of each in the vector
+
+    @classmethod
+    def of(cls, policy: PyTree) -> "Parts":
+        """Those of `trainable`."""
+        moving, fixed = trainable(policy)
+        # Where a leaf is trained, what is fixed has a hole.
+        whole = jax.tree.map(lambda _: True, moving), jax.tree.map(lambda _: False, fixed)
+        marks = jax.tree.leaves(eqx.combine(*whole))
+        leaves, structure = jax.tree.flatten(policy)
+        places = tuple(place for place, mark in enumerate(marks) if mark)
+        return cls(structure, places, np.cumsum([np.size(leaves[place]) for place in places]))
+
+    def vector(self, tree: PyTree) -> np.ndarray:
+        """The trained numbers of a policy, or its gradient, whose other leaves may be missing."""
+        leaves, structure = jax.tree.flatten(tree)
+        if structure != self.structure:
+            return flat(trainable(tree)[0])
+        found = [np.ravel(np.asarray(leaves[place])) for place in self.trained]
+        return np.concatenate([np.zeros(0, np.float32), *found])
+
+    def moved(self, policy: PyTree, vector: Array) -> PyTree:
+        """The policy with other numbers."""
+        leaves = jax.tree.leaves(policy)
+        for place, part in zip(self.trained, np.split(np.asarray(vector), self.ends[:-1])):
+            like = leaves[place]
+            leaves[place] = part.reshape(like.shape).astype(like.dtype, copy=False)
+        return jax.tree.unflatten(self.structure, leaves)
 
 
 def anew(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
@@ -94,12 +133,3 @@ def flat(tree: PyTree) -> np.ndarray:
     leaves = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
     return np.concatenate([np.zeros(0, np.float32), *leaves])
 
-
-def _shaped(vector: Array, like: PyTree) -> PyTree:
-    """The numbers of a vector in the shapes and types of a tree."""
-    leaves, structure = jax.tree.flatten(like)
-    parts = np.split(np.asarray(vector), np.cumsum([leaf.size for leaf in leaves])[:-1])
-    shaped = [
-        part.reshape(leaf.shape).astype(leaf.dtype, copy=False) for part, leaf in zip(parts, leaves)
-    ]
-    return jax.tree.unflatten(structure, shaped)
