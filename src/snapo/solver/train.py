@@ -28,7 +28,7 @@ from .learning import clipping, horizon
 from .learning.features import Scale
 from .learning.following import fitted
 from .learning.growth import Growth
-from .learning.optimiser import anew, updater
+from .learning.optimiser import anew, begun, updater
 from .learning.progress import Progress, Record
 from .learning.progress import begin as begin
 from .learning.settings import Training
@@ -254,11 +254,14 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
 def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:
     """On windows of a length from here on, with a critic that knows nothing yet."""
     training = loop.training
+    fresh = anew(training, progress.policy, progress.optimiser, UPDATES)
     if progress.step <= horizon.FIRST:
-        # The first steps were led by chaos: back to the average of the first few of them.
+        # The first steps were led by chaos: back to the average of the first few of them, and
+        # slowly up again. At the full rate a critic that knows little leads to where no action
+        # matters: one Pendulum of seven ended at -766.
         early = progress.halfway
         progress = replace(progress, policy=early, average=early, recent=early)
-    fresh = anew(training, progress.policy, progress.optimiser, UPDATES)
+        fresh = begun(training, early, UPDATES)
     return replace(
         progress,
         window=length,

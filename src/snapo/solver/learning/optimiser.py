@@ -122,9 +122,14 @@ class Parts(NamedTuple):
         return jax.tree.unflatten(self.structure, leaves)
 
 
+def begun(plan: Plan, policy: PyTree, updates: int) -> PyTree:
+    """An optimiser before its first step."""
+    return optimiser(plan, updates).init(flat(trainable(policy)[0]))  # pyright: ignore
+
+
 def anew(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
     """An optimiser that remembers no gradient; its schedule goes on where `state` stands."""
-    fresh: Any = optimiser(plan, updates).init(flat(trainable(policy)[0]))
+    fresh = begun(plan, policy, updates)
     return (fresh[0], *jax.tree.map(lambda count: count * updates, tuple(state[1:])))
 
 
@@ -132,4 +137,3 @@ def flat(tree: PyTree) -> np.ndarray:
     """All numbers of a tree as one vector: one array compiles in half the time of many."""
     leaves = [np.ravel(np.asarray(leaf)) for leaf in jax.tree.leaves(tree)]
     return np.concatenate([np.zeros(0, np.float32), *leaves])
-

@@ -6,7 +6,7 @@ from typing import NamedTuple
 from jaxtyping import PyTree
 
 from snapo.problem.memory import remembering
-from snapo.problem.policy import Policy, trainable
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
 from ..limits.dual import Dual
@@ -15,7 +15,7 @@ from ..windows.window import UPDATES
 from .features import Scale
 from .following import fitted
 from .growth import Growth
-from .optimiser import flat, optimiser
+from .optimiser import begun
 from .settings import Training
 
 
@@ -90,7 +90,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
             raise ValueError("begin: training on windows knows no limits; take window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
-    state = optimiser(training, UPDATES if window else 1).init(flat(trainable(policy)[0]))
+    state = begun(training, policy, UPDATES if window else 1)
     same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
     empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
     return Progress(
