@@ -16,6 +16,7 @@ from snapo.solver import checkpoint
 from snapo.solver.learning import horizon
 from snapo.solver.learning.growth import Growth
 from snapo.solver.train import Training, begin, train
+from snapo.solver.windows.window import UPDATES
 
 NORMALS = np.array([NormalDist().inv_cdf((path + 0.5) / 64) for path in range(64)])
 
@@ -85,6 +86,14 @@ def test_a_pendulum_is_trained_on_windows_by_default_and_both_engines_choose_ali
     # Adam makes steps of one size of the rounding of gradients that are nearly zero.
     mine, theirs, start = (parameters(each) for each in (one.policy, other.policy, policy))
     assert np.abs(mine - theirs).mean() < 0.1 * np.abs(mine - start).mean()
+
+
+@pytest.mark.prove
+def test_windows_begin_with_a_warm_up_of_their_own(swings):
+    """The schedule's count is of the updates since: at the full rate a critic that knows nothing
+    led one Pendulum of seven to -766."""
+    _, _, done, _ = swings["Native"]
+    assert int(done.optimiser[-1].count) == UPDATES * (SHORT.steps - done.since)
 
 
 @pytest.mark.prove
