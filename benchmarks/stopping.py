@@ -19,7 +19,8 @@ import snapo
 from .machine import machine
 
 SHARES = {"spot": 100.0, "strike": 100.0, "rate": 0.05, "dividend": 0.1, "volatility": 0.2}
-LONGER = {"steps": 600, "paths": 1024}  # than by default: 240 and 512
+# By default 240, 512 and .01, at which a max-call of two ended 3.9 % low with one seed of ten.
+LONGER = {"steps": 600, "paths": 1024, "learning_rate": 0.005}
 SHARE = {"spot": 40.0, "strike": 40.0, "rate": 0.06, "volatility": 0.2}
 
 
