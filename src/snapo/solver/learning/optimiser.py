@@ -124,7 +124,7 @@ class Parts(NamedTuple):
 
 def begun(plan: Plan, policy: PyTree, updates: int) -> PyTree:
     """An optimiser before its first step."""
-    return optimiser(plan, updates).init(flat(trainable(policy)[0]))  # pyright: ignore
+    return optimiser(plan, updates).init(flat(trainable(policy)[0]))
 
 
 def anew(plan: Plan, policy: PyTree, state: Any, updates: int) -> PyTree:
