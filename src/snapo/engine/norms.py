@@ -30,29 +30,37 @@ class Norms(NamedTuple):
 
 
 def adjoint_norms(
-    problem: Problem, policy: Policy, draws: Draws, smooth: Any, weights: Mapping[str, ArrayLike]
+    problem: Problem,
+    policy: Policy,
+    draws: Draws,
+    smooth: Any,
+    weights: Mapping[str, ArrayLike],
+    memory: int | None = None,
 ) -> Norms:
     """How large each path's adjoint is at every step, of the whole state and of its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
-    weight: the number that `Clip` bounds. By XLA, as many paths as `draws` has, at once.
+    weight: the number that `Clip` bounds. By XLA, as many paths as `draws` has, at once. With a
+    memory the horizon falls into parts of so many steps, and no adjoint passes from one into the
+    part before it.
     """
     engine = Xla("float32")
     given = {name: jnp.asarray(weight, jnp.float32) for name, weight in weights.items()}
     call = engine.call(problem.simulator, policy, problem.schedule, draws, smooth)
-    whole, leaves = _norms(engine, call, given)
+    whole, leaves = _norms(engine, call, given, memory)
     parts = {name: np.asarray(each).T for name, each in leaves.items()}
     return Norms(np.asarray(whole).T, parts)
 
 
 @eqx.filter_jit
-def _norms(engine: Xla, call: Call, weights: dict[str, Array]):
-    return jax.vmap(lambda draws, own: _of_path(engine, call, draws, own), (call.draws.axes(), 0))(
-        call.draws, weights
-    )
+def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: int | None):
+    def of_path(draws, own):
+        return _of_path(engine, call, draws, own, memory or call.length)
+
+    return jax.vmap(of_path, (call.draws.axes(), 0))(call.draws, weights)
 
 
-def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]):
+def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: int):
     """[T] of one path, and of every leaf: derivatives by a nudge of the state before each step."""
     simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
     initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))
@@ -64,7 +72,8 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]):
 
     def step(carry, x):
         packed, totals = carry
-        now, drawn, nudge = x
+        now, drawn, nudge, first = x
+        packed = tuple(jnp.where(first, jax.lax.stop_gradient(part), part) for part in packed)
         packed = tuple(part + nudge if i == place else part for i, part in enumerate(packed))
         state = packing.unpack(packed)
         action = call.policy(simulator.observe(constants, now, state), call.smooth)  # pyright: ignore
@@ -77,7 +86,8 @@ def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array]):
         return (packing.pack(after), totals), None
 
     def worth(nudges):
-        xs = call.schedule.steps, draws.steps(call.first, call.length), nudges
+        firsts = jnp.arange(call.length) % memory == 0
+        xs = call.schedule.steps, draws.steps(call.first, call.length), nudges, firsts
         names = jax.eval_shape(step, (start, {}), jax.tree.map(lambda leaf: leaf[0], xs))[0][1]
         totals = {name: zero(kinds.get(name, "sum"), dtype) for name in names}
         (packed, totals), _ = jax.lax.scan(jax.checkpoint(step), (start, totals), xs)

@@ -221,15 +221,15 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step = loop.training, progress.step
     exploded = clipping.exploded(norms, progress.since)
+    wild = step == horizon.FIRST and horizon.wild(norms, training.paths)
     # Where the whole horizon has taught something, a leap is no reason to leave it.
     gained = progress.stale < step // training.validation_every
-    doubtful = (exploded and not gained) or (
-        step == horizon.FIRST and horizon.erratic(norms, training.paths)
-    )
+    doubtful = wild or (exploded and not gained and step > horizon.FIRST)
+    doubtful = doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
     may_window = may_window and not progress.dual.prices
     again = progress.clip is not None and step % clipping.EVERY == 0
-    may_clip = training.clip == "auto" and (exploded or again)
+    may_clip = training.clip == "auto" and (exploded or wild or again)
     if not may_window and not may_clip:
         return progress
     if may_window:
@@ -241,11 +241,12 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
     if not may_clip:
         return progress
-    measured = clipping.measured(loop.problem, progress.policy, smooth, step)
     if progress.growth is None:
+        measured = clipping.measured(loop.problem, progress.policy, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
-    progress = replace(progress, clip=clipping.bound(measured.whole) or progress.clip)
-    if not exploded:
+    norms = clipping.short(loop.problem, progress.policy, smooth, step)
+    progress = replace(progress, clip=clipping.bound(norms) or progress.clip)
+    if not exploded and not wild:
         return progress
     fresh = anew(training, progress.policy, progress.optimiser, 1)
     return replace(progress, optimiser=fresh, since=step)

@@ -96,6 +96,34 @@ def test_adjoint_norms_are_those_of_the_closed_form():
 
 
 @pytest.mark.prove
+def test_a_short_memory_forgets_what_comes_after_its_part_of_the_horizon():
+    """The last part is that of the whole horizon; the part before it knows nothing of it."""
+    rule, found = Linear(-riccati(50)[1]), []
+    for memory in (None, 6, 3):
+        problem = Problem(Regulator(horizon=6), INPUTS, snapo.Mean("value"))
+        draws = Pseudo(0).draws(np.arange(8), problem.simulator)
+        weights = {"value": np.full(8, 1 / 8)}
+        found.append(adjoint_norms(problem, rule, draws, Exact(), weights, memory).whole)
+    whole, same, short = found
+    np.testing.assert_array_equal(whole, same)
+    np.testing.assert_array_equal(whole[3:], short[3:])
+    # Before step 2 there is the cost of that step alone: 2 x and what the rule pays for it, which
+    # is linear in the state as the whole adjoint is, but smaller.
+    problem = Problem(Regulator(horizon=2), INPUTS, snapo.Mean("value"))
+    state = Xla("float64").bind(problem).values(rule, draws, Exact()).state["x"]
+    cost = 2 * (np.eye(2) + rule.gain.T @ rule.gain)
+    np.testing.assert_allclose(short[2], np.linalg.norm(state @ cost, axis=1), rtol=1e-5)
+
+
+def test_the_bound_is_the_usual_size_of_the_largest_adjoint_of_a_path():
+    """The way to rest is longer than the rest, and one path of three is chaos."""
+    norms = np.array([[8.0, 9.0, 1e6], [2.0, 3.0, np.nan], [0.1, 0.1, 0.1]])
+    assert clipping.bound(norms) == 9.0
+    assert clipping.bound(np.full((3, 3), np.nan)) is None
+    assert clipping.bound(np.zeros((3, 3))) is None
+
+
+@pytest.mark.prove
 @pytest.mark.parametrize("engine", [Xla, Native], ids=["xla", "native"])
 def test_another_bound_is_another_gradient_from_the_same_kernel(engine):
     """A bound above all norms changes nothing; a tenth of it bounds each path's own adjoint."""
@@ -113,21 +141,22 @@ def test_another_bound_is_another_gradient_from_the_same_kernel(engine):
 
 
 @pytest.mark.study
-def test_a_regulator_by_default_settings_reaches_its_closed_form():
+@pytest.mark.parametrize("seed", range(10))
+def test_a_regulator_by_default_settings_reaches_its_closed_form(seed):
     """Within .5 % of the Riccati equation, on the same paths as its optimal gain (whose value is
     that of the closed form): the untrained policy's gradient is 1e6 times that of a good one, and
-    without a clip training ends at four times the cost. -77.80 for -77.59 was seen."""
-    solution = snapo.solve(Regulator(), INPUTS, evaluation=SMALL)
+    without a clip training ends at four times the cost. Within .01 % was seen with ten seeds."""
     cost, gain, _ = riccati(STEPS)
-    problem = Problem(Regulator(), INPUTS, snapo.Mean("value"), snapo.Evaluation().sources(0))
+    sources = snapo.Evaluation().sources(seed)
+    problem = Problem(Regulator(), INPUTS, snapo.Mean("value"), sources)
+    solution = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(seed=seed))
     best = snapo.evaluate(problem, Linear(-gain), 8192)
     assert best.value == pytest.approx(-cost, abs=4 * best.standard_error)
     assert solution.value > best.value - 0.005 * cost
     assert solution.convergence == "converged" and not solution.notes
-    assert (
-        snapo.solve(Regulator(), INPUTS, evaluation=SMALL, training=snapo.Training(clip=None)).value
-        < -1.5 * cost
-    )
+    if seed == 0:
+        never = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(clip=None))
+        assert never.value < -1.5 * cost
 
 
 class Press(Simulator):

@@ -37,6 +37,16 @@ def test_gradients_are_erratic_where_they_leap_up_and_down():
     assert not horizon.erratic([]) and not horizon.erratic([1.0])
 
 
+def test_gradients_are_wild_where_they_leap_and_teach_where_they_fall_for_good():
+    falling = np.geomspace(1e9, 1e3, 20)
+    leaping = np.where(np.arange(20) % 2, 3.0, 1.0) * 1e3
+    assert horizon.fell(falling) and not horizon.fell(leaping)
+    assert horizon.fell(leaping * np.geomspace(1e6, 1.0, 20))  # an unstable plant, learning
+    assert horizon.wild(leaping) and not horizon.wild(np.linspace(10, 8, 20))
+    once = [1.0, 500.0, *[2.0] * 18]  # one leap and its fall
+    assert horizon.wild(once) and not horizon.fell(once)
+
+
 def test_an_unstable_plant_is_not_chaotic_and_paths_that_grow_apart_are():
     assert horizon.window(grown(0.1, 0.0)) is None  # e^10, alike on all paths
     assert horizon.window(grown(0.01, 0.0)) is None

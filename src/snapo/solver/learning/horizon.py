@@ -19,6 +19,7 @@ TAILS = 9.0  # largest of 256 paths to the usual one at a typical step: to 7 whe
 APART = 10.0  # the same at the step up to which paths agree
 LONGER = 1.5  # a window over that: without, 2 of a Pendulum's first 6 seeds failed
 SHORTEST = 5
+USUAL = 5  # of the first norms, and of the last ones, whose median counts
 MANY = 64  # paths whose gradient has little noise
 
 
@@ -29,6 +30,18 @@ def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
     # Few paths leave noise in the gradient of a tame problem too.
     limit = ERRATIC * max(1.0, MANY / paths) ** 0.5
     return bool(changes.size and np.median(changes) > limit)
+
+
+def wild(norms: Sequence[float], paths: int = MANY) -> bool:
+    """Whether the first gradients show chaos: they are erratic, or one of them fell far."""
+    found = np.asarray(norms, float)
+    return bool(np.any(found * GROWTH < np.maximum.accumulate(found))) or erratic(norms, paths)
+
+
+def fell(norms: Sequence[float]) -> bool:
+    """Whether gradients fell for good: training leaves what was wild by itself."""
+    found = np.asarray(norms, float)
+    return bool(np.median(found[-USUAL:]) * GROWTH < np.median(found[:USUAL]))
 
 
 def window(norms: np.ndarray) -> int | None:
