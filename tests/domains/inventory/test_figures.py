@@ -10,6 +10,7 @@ from snapo.solver.solve import Evaluation, solve
 
 HORIZON = {"periods": 60, "warm_up": 30}
 VALUE_ALONE = Evaluation(65536, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+SEEDS = pytest.mark.parametrize("seed", range(10))
 
 
 def trained(of):
@@ -25,8 +26,9 @@ def trained(of):
     return -found.value, found.standard_error, found.seconds["total"]
 
 
+@SEEDS
 @pytest.mark.study
-def test_lost_sales_within_six_thousandths_of_every_optimum():
+def test_lost_sales_within_six_thousandths_of_every_optimum(seed):
     """All sixteen cells of Zipkin (2008), whole orders; within .3 % on average."""
     gaps = []
     for (kind, shortage), optima in DIGITS.items():
@@ -36,25 +38,27 @@ def test_lost_sales_within_six_thousandths_of_every_optimum():
                 lead_time=lead,
                 shortage=float(shortage),
                 horizon=HORIZON,
-                training={"steps": 200},
+                training={"steps": 200, "seed": seed},
             )
             cost, error, seconds = trained(of)
             gaps.append(cost / optimum - 1)
-            print(f"{kind} p={shortage} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}, "
+            print(f"seed {seed}: {kind} p={shortage} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}, "
                   f"{gaps[-1]:+.3%}, {seconds:.1f} s")  # fmt: skip
             assert gaps[-1] < 0.006
     assert sum(gaps) / len(gaps) < 0.003
 
 
+@SEEDS
 @pytest.mark.study
 @pytest.mark.parametrize("shortage, lead", [(9.0, 1), (9.0, 4), (4.0, 1)])
-def test_demand_that_waits_within_four_thousandths(shortage, lead):
+def test_demand_that_waits_within_four_thousandths(shortage, lead, seed):
     demand = {"kind": "normal", "mean": 5.0, "deviation": 1.6}
     of = case(demand, unmet="waits", lead_time=lead, shortage=shortage, horizon=HORIZON,
-              training={"steps": 200})  # fmt: skip
+              training={"steps": 200, "seed": seed})  # fmt: skip
     cost, error, _ = trained(of)
     optimum = best_base_stock(5.0, 1.6, lead, 1.0, shortage).cost
-    print(f"p={shortage} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}")
+    print(f"seed {seed}: p={shortage} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}, "
+          f"{cost / optimum - 1:+.3%}")  # fmt: skip
     assert abs(cost / optimum - 1) < 0.004
 
 
@@ -67,12 +71,13 @@ FIXED = [
 ]
 
 
+@SEEDS
 @pytest.mark.study
 @pytest.mark.parametrize("unmet, mean, order, lead, optimum", FIXED)
-def test_fixed_costs_within_half_a_percent(unmet, mean, order, lead, optimum):
+def test_fixed_costs_within_half_a_percent(unmet, mean, order, lead, optimum, seed):
     of = case({"kind": "poisson", "mean": mean}, unmet=unmet, lead_time=lead, shortage=9.0,
-              order=order, horizon=HORIZON, training={"steps": 400})  # fmt: skip
+              order=order, horizon=HORIZON, training={"steps": 400, "seed": seed})  # fmt: skip
     cost, error, seconds = trained(of)
-    print(f"{unmet} K={order:g} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}, "
+    print(f"seed {seed}: {unmet} K={order:g} L={lead}: {cost:.4f} ± {error:.4f}, optimum {optimum:.4f}, "
           f"{cost / optimum - 1:+.3%}, {seconds:.1f} s")  # fmt: skip
     assert cost < 1.005 * optimum

@@ -56,7 +56,7 @@ def solved(problem, inputs, seed, paths=8192):
 @pytest.mark.study
 def test_put(seed):
     """4.478 by finite differences."""
-    solution, seconds = solved(american_put.Put(), american_put.inputs, seed, 65536)
+    solution, seconds = solved(american_put.Put(), american_put.inputs, seed, 1_000_000)
     assert solution.value > 4.46 and seconds < LIMIT
 
 
