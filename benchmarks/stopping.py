@@ -1,10 +1,10 @@
 """`python -m benchmarks.stopping [SEEDS [NAME …]]`: stopping problems of known value, by seed.
 
 Each is written the obvious way, with `Stop`; trained, valued on a million fresh paths, and
-certified on 4,096 of its own: the bound from above needs nothing from the user. Values: American put by finite differences
-(Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1), max-calls by a lattice
-and by an interval (Andersen and Broadie, *Management Science* 50, 2004, table 2), swing puts by
-a fine lattice (tests/solver/test_bound.py).
+certified on 4,096 others: the bound from above needs nothing from the user. Values: American put by
+finite differences (Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1),
+max-calls by a lattice and by an interval (Andersen and Broadie, *Management Science* 50, 2004,
+table 2), swing puts by a fine lattice (tests/solver/test_bound.py).
 """
 
 import sys
@@ -19,7 +19,7 @@ import snapo
 from .machine import machine
 
 SHARES = {"spot": 100.0, "strike": 100.0, "rate": 0.05, "dividend": 0.1, "volatility": 0.2}
-# By default .01, 512 paths, and on one date of nine more steps. With a quarter of these steps a
+# By default 512 paths, 4,096 of validation and a rate of .01. With a quarter of these steps a
 # max-call of two ended 3.9 % low at .01 with one seed of ten, and a swing put 1.3 % low at .005:
 # on 4,096 paths of validation an early policy was kept that is no better on others.
 LONGER = {"steps": 2400, "paths": 1024, "learning_rate": 0.005, "validation_paths": 16384}
