@@ -26,6 +26,8 @@ from snapo.domains.pension.read.case import read_case as read_fund
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.smooth import Exact
 
+from .lessons import lessons, plant
+
 ROOT = Path(__file__).parents[2]
 
 
@@ -60,27 +62,11 @@ class Task:
 
 def pendulum(seed: int) -> Task:
     """Pendulum-v1, exactly as in Gymnasium; snapo by the recipe of docs/control.md."""
-    inputs = make_inputs(Pendulum)
-    lessons = []
-    for noise, steps, paths, rate in ((0.6, 80, 256, 0.02), (0.0, 190, 768, 0.015)):
-        own = make_inputs(Pendulum)
-        own["start"]["angle"] = {"mean": np.pi, "deviation": 0.8}
-        own["noise"] = {"speed": noise}
-        training = snapo.Training(
-            steps=steps, paths=paths, learning_rate=rate, window=40, validation_paths=1024,
-            validation_every=10, seed=seed,
-        )  # fmt: skip
-        lessons.append((_plant(own, 90), training))
-    before, (lesson, training) = lessons
+    before, (lesson, training) = lessons(seed, 10)
     return Task(
-        _plant(inputs, 200), snapo.MLP(), training, lambda raw: raw, 1, 0.99,
+        plant(make_inputs(Pendulum), 200), snapo.MLP(), training, lambda raw: raw, 1, 0.99,
         lesson=lesson, before=before, endless=True,
     )  # fmt: skip
-
-
-def _plant(inputs, horizon: int) -> snapo.Problem:
-    plant = Pendulum(inputs, horizon=horizon)  # pyright: ignore[reportCallIssue]
-    return snapo.Problem(plant, inputs, snapo.Mean("reward"))
 
 
 def inventory(seed: int) -> Task:
