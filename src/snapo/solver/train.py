@@ -228,7 +228,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     doubtful = doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
     may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
     may_window = may_window and not progress.dual.prices
-    again = progress.clip is not None and step % clipping.EVERY == 0
+    again = progress.clip is not None and clipping.due(step)
     may_clip = training.clip == "auto" and (exploded or wild or again)
     if not may_window and not may_clip:
         return progress

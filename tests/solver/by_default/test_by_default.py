@@ -6,6 +6,7 @@ docs/own_simulator.md.
 """
 
 import time
+from dataclasses import replace
 
 import jax
 import numpy as np
@@ -37,13 +38,17 @@ def test_the_best_of_one_day_is_the_one_by_hand():
     assert best_days(idle)[0] == pytest.approx(0.0, abs=1e-9)
 
 
+def seeded(problem, seed):
+    """The same with scenarios of a seed's own; a solution has those of its problem."""
+    return replace(problem, sources=snapo.Evaluation().sources(seed))
+
+
 def solved(problem, inputs, seed, paths=8192):
     """The solution, and the processor seconds that it took; `-rP` shows them."""
     started = time.process_time()
     evaluation = snapo.Evaluation(paths=paths, **FEW)
-    solution = snapo.solve(
-        problem, inputs, training=snapo.Training(seed=seed), evaluation=evaluation
-    )
+    training = snapo.Training(seed=seed)
+    solution = snapo.solve(problem, inputs, training=training, evaluation=evaluation)
     spent = time.process_time() - started
     print(
         f"seed {seed}: {solution.value:.6g} ± {solution.standard_error:.2g}, {spent:.0f} s of "
@@ -64,7 +69,7 @@ def test_put(seed):
 @pytest.mark.study
 def test_cart_and_pole(seed):
     """Upright, within 12 degrees, in 90 % of the second half."""
-    problem = problems.cart()
+    problem = seeded(problems.cart(), seed)
     solution, seconds = solved(problem, None, seed)
     share = problems.upright(problem, solution.policy)
     print(f"upright {share:.3f}")
@@ -109,7 +114,7 @@ def test_hydro(known, seed):
 @pytest.mark.study
 def test_battery(seed):
     """94 % of a linear program for each day that knows its prices, on the prices of the run."""
-    problem = snapo.Problem(problems.Battery(), problems.BATTERY, snapo.Mean("cash"))
+    problem = seeded(snapo.Problem(problems.Battery(), problems.BATTERY, snapo.Mean("cash")), seed)
     draws = problem.sources.evaluation.draws(np.arange(8), problem.simulator)
     bound = snapo.Xla("float64").bind(problem)
     seen = bound.values(snapo.Constant([0.0] * 24), draws, snapo.Exact(), record=("state",))

@@ -72,6 +72,12 @@ def test_only_a_fall_early_on_or_a_leap_is_an_explosion():
     assert clipping.exploded([1.0, 2.0, 1.0, 1.5, 300.0], 0)
 
 
+def test_a_bound_is_measured_more_rarely_as_training_goes_on():
+    found = [step for step in range(1, 501) if clipping.due(step)]
+    assert found[:20] == list(range(10, 201, 10))
+    assert found[20:] == [*range(220, 300, 20), *range(300, 400, 30), *range(400, 500, 40), 500]
+
+
 def test_a_gain_is_sure_above_two_standard_errors_and_on_one_net_where_it_is_positive():
     assert Gain(3.0, 1.0).sure and not Gain(1.0, 1.0).sure
     assert Gain(1.0, np.nan).sure and not Gain(-1.0, np.nan).sure

@@ -25,8 +25,9 @@ from snapo.problem.smooth import Smooth
 
 FIRST = 20  # steps after a beginning in which a fall of the norm counts
 APART = 100.0  # times that a norm falls or leaps: more than a trained policy's first steps do
-EVERY = 10  # steps between two measurements
+EVERY = 10  # steps between two measurements at first, later a tenth of all steps
 PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
+FEW = 64  # of a bound, which is a median
 
 
 def exploded(norms: Sequence[float], since: int) -> bool:
@@ -45,11 +46,21 @@ def bound(norms: np.ndarray) -> float | None:
     return found if 0 < found < np.inf else None
 
 
+def due(step: int) -> bool:
+    """Whether it is time for another measurement: each costs as much as some steps of training."""
+    return step % max(EVERY, EVERY * (step // (10 * EVERY))) == 0
+
+
 def measured(
-    problem: Problem, policy: Policy, smooth: Smooth, step: int, memory: int | None = None
+    problem: Problem,
+    policy: Policy,
+    smooth: Smooth,
+    step: int,
+    memory: int | None = None,
+    paths: int = PATHS,
 ) -> Norms:
     """How large the adjoints of a few paths are, for the mean of the objective's outputs."""
-    draws = problem.sources.training.batch(step, PATHS, problem.simulator)
+    draws = problem.sources.training.batch(step, paths, problem.simulator)
     weights = dict.fromkeys(problem.objective.outputs, np.full(draws.size, 1 / draws.size))
     return adjoint_norms(problem, policy, draws, smooth, weights, memory)
 
@@ -57,4 +68,4 @@ def measured(
 def short(problem: Problem, policy: Policy, smooth: Smooth, step: int) -> np.ndarray:
     """[T, N] of the whole state, with a memory of sqrt(T) steps."""
     memory = math.ceil(math.sqrt(problem.simulator.horizon))
-    return measured(problem, policy, smooth, step, memory).whole
+    return measured(problem, policy, smooth, step, memory, FEW).whole
