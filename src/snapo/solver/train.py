@@ -232,13 +232,15 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     may_clip = training.clip == "auto" and (exploded or wild or again)
     if not may_window and not may_clip:
         return progress
-    if may_window:
+    if may_window or wild:
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
-        if length := horizon.window(measured.whole):
+        if may_window and (length := horizon.window(measured.whole)):
             return _windowed(loop, progress, length)
+        # Near an optimum gradients leap up and down as well, and a clip would bend them.
+        may_clip = may_clip and (exploded or again or horizon.grows(measured.whole))
     if not may_clip:
         return progress
     if progress.growth is None:

@@ -50,6 +50,7 @@ def test_gradients_are_wild_where_they_leap_and_teach_where_they_fall_for_good()
 def test_an_unstable_plant_is_not_chaotic_and_paths_that_grow_apart_are():
     assert horizon.window(grown(0.1, 0.0)) is None  # e^10, alike on all paths
     assert horizon.window(grown(0.01, 0.0)) is None
+    assert horizon.grows(grown(0.1, 0.0)) and not horizon.grows(grown(0.01, 0.0))
     assert horizon.window(np.zeros((100, 64))) is None
     # The largest of 64 normals is 2.42: e^(2.42 x .1 x steps) is more than ten after ten.
     assert horizon.window(grown(0.1, 0.1)) == 10 * horizon.LONGER

@@ -46,16 +46,25 @@ def fell(norms: Sequence[float]) -> bool:
 
 def window(norms: np.ndarray) -> int | None:
     """The length of windows for adjoints of these norms [T, N]; None for the whole horizon."""
-    norms = np.where(np.isfinite(norms), norms, np.finfo(float).max ** 0.25)
-    size = np.sqrt(np.mean(norms**2, axis=1))
+    norms = _finite(norms)
     usual = np.median(norms, axis=1)
     seen = usual > 0
-    if not seen.any() or not size[-1] * GROWTH < size.max():
+    if not seen.any() or not grows(norms):
         return None
     tails = norms.max(1)[seen] / usual[seen]
     if not np.median(tails) > TAILS:
         return None
     return _agreeing(norms)
+
+
+def grows(norms: np.ndarray) -> bool:
+    """Whether adjoints of these norms [T, N] grow a hundredfold on their way back."""
+    size = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))
+    return bool(size[-1] * GROWTH < size.max())
+
+
+def _finite(norms: np.ndarray) -> np.ndarray:
+    return np.where(np.isfinite(norms), norms, np.finfo(float).max ** 0.25)
 
 
 def _agreeing(norms: np.ndarray) -> int | None:
