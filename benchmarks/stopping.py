@@ -1,8 +1,8 @@
 """`python -m benchmarks.stopping [SEEDS [NAME …]]`: stopping problems of known value, by seed.
 
 Each is written the obvious way, with `Stop`; trained, valued on a million fresh paths, and
-certified on 4,096 of them: the bound from above needs nothing from the user. Values: American put by
-finite differences (Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1),
+certified on 4,096 of them: the bound from above needs nothing from the user. Values: American put
+by finite differences (Longstaff and Schwartz, *Review of Financial Studies* 14, 2001, table 1),
 max-calls by a lattice and by an interval (Andersen and Broadie, *Management Science* 50, 2004,
 table 2), swing puts by a fine lattice (tests/solver/test_bound.py).
 """
