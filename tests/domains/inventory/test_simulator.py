@@ -1,7 +1,9 @@
 """One path: costs against closed forms, both engines, derivatives against differences."""
 
 from dataclasses import replace
+from operator import attrgetter
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -15,6 +17,7 @@ from snapo.domains.inventory.setup import first_policy
 from snapo.engine import Native, Xla
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Smooth
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.evaluate import evaluate
@@ -99,6 +102,44 @@ def test_a_season_moves_the_level_and_demand_and_both_engines_see_it(tmp_path):
     )
     assert first == pytest.approx(second, rel=1e-10)
     assert one.inputs["season"] == pytest.approx(other.inputs["season"], rel=1e-8)
+
+
+@pytest.mark.prove
+def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(monkeypatch):
+    """Eight times: the adjoint less a difference of the smooth value on the same paths, by where
+    orders begin, their size and the mean demand; without forgetting, which bends it by a percent.
+    """
+    monkeypatch.setattr("snapo.domains.inventory.item.simulator.memory", lambda case: 1e12)
+    given = case(unmet="waits", lead_time=1, shortage=9.0, order=10.0,
+                 horizon={"periods": 12, "warm_up": 0})  # fmt: skip
+    policy = first_policy(problem(given), given, 0)
+    smooth, engine, paths = Smooth(jnp.asarray(0.02)), Native("float64"), 32768
+    off = []
+    for seed in range(8):
+        of = replace(problem(given), sources=Sources.of(None, seed))
+        slope = value_and_gradient(of, policy, paths=paths, smooth=smooth, engine=engine)[1]
+
+        def value(policy=policy, of=of, **moved):
+            return evaluate(of.at(moved), policy, paths, smooth=smooth, engine=engine).value
+
+        found = {"demand_mean": (value(demand_mean=5.1) - value(demand_mean=4.9)) / 0.2}
+        for name in ("wait", "first"):
+            ways = [
+                eqx.tree_at(attrgetter(name), policy, getattr(policy, name) + step)
+                for step in (0.1, -0.1)
+            ]
+            found[name] = (value(ways[0]) - value(ways[1])) / 0.2
+        own = {"wait": slope.policy.wait, "first": slope.policy.first, **slope.inputs}
+        off.append([float(np.sum(own[name])) - found[name] for name in found])
+    error = np.std(off, axis=0, ddof=1) / np.sqrt(len(off))
+    assert np.all(error < [0.04, 0.02, 0.02])  # of -1.19, -.06 and .29
+    assert np.all(np.abs(np.mean(off, axis=0)) < 3 * error)
+    other = [
+        value_and_gradient(of, policy, paths=256, smooth=smooth, engine=each)[1].inputs
+        for each in (engine, Xla("float64"))
+    ]
+    for name, slope in other[0].items():
+        assert slope == pytest.approx(other[1][name], rel=1e-8, abs=1e-12), name
 
 
 @pytest.mark.prove

@@ -12,8 +12,9 @@ from snapo.solver.train import Training
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
+from .item.estimates import economic_lot, mean_demand, safety_factor, usual_deviation
 from .item.records import InventoryCase
-from .item.simulator import InventorySimulator, inputs_of, safety_factor
+from .item.simulator import InventorySimulator, inputs_of
 from .policy.order_up_to import OrderUpTo
 
 
@@ -51,8 +52,7 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
     With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles; an
     order is placed half a period's demand too late on average. S = s + Q less that half.
     """
-    item, mean = case.item, _mean(case)
-    deviation = float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
+    item, mean, deviation = case.item, mean_demand(case), usual_deviation(case)
     lot, half = economic_lot(case), mean / 2
     held = item.cost("holding") * lot
     ratio = 1 - held / (item.cost("shortage") * mean + held)
@@ -60,18 +60,6 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
     below = (safety_factor(case) - float(stats.norm.ppf(ratio))) * np.sqrt(periods) * deviation
     wait = below + half
     return float(lot - wait - half) / deviation, float(wait) / deviation
-
-
-def _mean(case: InventoryCase) -> float:
-    return case.demand.values()["demand_mean"] * float(case.season.values.mean())
-
-
-def economic_lot(case: InventoryCase) -> float:
-    """sqrt(2 K mean (p + h) / (h p)): the order size where demand is steady (Harris; Camp)."""
-    item = case.item
-    holding, shortage = item.cost("holding"), item.cost("shortage")
-    more = (shortage + holding) / (holding * shortage)
-    return float(np.sqrt(2 * item.cost("ordering") * _mean(case) * more))
 
 
 def case_of(setup: Setup) -> InventoryCase:

@@ -61,7 +61,7 @@ def study(case: InventoryCase, options: Options) -> Study:
         MOVES,
         *([LEAD_TIME] if case.other_leads else []),
         distribution_part(units),
-        profile_part(units),
+        profile_part(units, without=("likelihood",)),
         CERTIFICATE,
     ]
     return Study(

@@ -1,6 +1,6 @@
 """State, action and outputs over time: bands of quantiles over paths of the exact simulator."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from typing import Any
 
 import jax
@@ -17,22 +17,27 @@ MOST_ENTRIES = 12  # of an array in the state: a larger one has no band of its o
 KINDS = ("state", "action", "outputs")
 
 
-def profile_part(units: Mapping[str, str]) -> Part:
+def profile_part(units: Mapping[str, str], without: Collection[str] = ()) -> Part:
     """A part that gives "profile": {"series": [...], "paths", "notes"}.
 
     A series has a name ("water", "stock.0"), a kind ("state", "action" or "outputs"), a unit, and
-    under "mean", "p01" … its bands over time: states [T + 1], actions and outputs [T].
+    under "mean", "p01" … its bands over time: states [T + 1], actions and outputs [T]. States
+    `without` are left out: those that say nothing in the value.
     """
-    return Part("profile", _work(units), needs=("training",))
+    return Part("profile", _work(units, without), needs=("training",))
 
 
-def _work(units: Mapping[str, str]) -> Callable[[StudyRun], dict[str, Any]]:
+def _work(
+    units: Mapping[str, str], without: Collection[str]
+) -> Callable[[StudyRun], dict[str, Any]]:
     def work(run: StudyRun) -> dict[str, Any]:
         horizon = run.setup.problem.simulator.horizon
         wanted = min(PATHS, max(256, MOST_NUMBERS // horizon))
         series, notes, paths = [], [], 0
         for kind, name, values in recorded(run.setup, run.solution.policy, wanted):
             paths = values.shape[1]
+            if kind == "state" and name in without:
+                continue
             if values.shape[2] > MOST_ENTRIES:
                 notes.append(f"{name} has {values.shape[2]} numbers and no band of its own.")
                 continue

@@ -14,7 +14,7 @@ Between whole numbers the rule is to differentiate stock upwards and so demand d
 simulator writes its corners so that they do.
 
 Where demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
-variance larger by 1/12.
+variance larger by 1/12, and with the derivative of that quantile.
 """
 
 import abc
@@ -59,20 +59,22 @@ class Counts(Demand):
         below, chance = now["below"], now["chance"]
         uniform = ndtr(normal)
         k = jnp.sum(uniform >= below[1:]).astype(jnp.int32)
-        # Of value 0, and with the derivative above.
-        start = below[k]
-        moved = (jax.lax.stop_gradient(start) - start) / jax.lax.stop_gradient(chance[k])
-        drawn = k.astype(uniform.dtype) + moved
+        start, size = below[k], jax.lax.stop_gradient(chance[k])
         if not spread:
-            return drawn
+            return k + _against(start, size)
         # Where u lies between F(k - 1) and F(k): the quantile function, joined by straight lines.
-        share = jnp.clip((uniform - start) / chance[k], 0.0, 1.0)
-        return drawn + jax.lax.stop_gradient(share - 0.5)
+        share = jax.lax.stop_gradient(jnp.clip((uniform - start) / size, 0.0, 1.0))
+        return k + share - 0.5 + _against(start + share * chance[k], size)
 
     def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         with jax.enable_x64(True):
             k, given = jnp.arange(self.most), jnp.asarray(float(factor))
             return np.asarray(jnp.exp(self.logarithms(parameters, given, k)))
+
+
+def _against(level: Array, size: Array) -> Array:
+    """0, with the derivative of -level / size: of a quantile where the distribution moves."""
+    return (jax.lax.stop_gradient(level) - level) / size
 
 
 def most_of(quantile: Any) -> int:

@@ -11,6 +11,12 @@ A period t, with a lead time of L periods:
 
 With L = 0 the order of this period is on hand before its demand. Timing and names are those of
 Zipkin, Old and new methods for lost-sales inventory systems, Operations Research 56 (2008).
+
+Where an order has a cost of its own, training draws at random whether there is one, with the
+probability that the policy gives, and multiplies costs by the likelihood of what was drawn
+(`Choice.draw`). Placing a part of an order in place of that would be another problem: its best rule
+is as sharp as it can be, and derivatives through a sharp threshold explode. (Trained so, rules
+ended 3 to 20 % above the optimum; now within .2 %.)
 """
 
 from typing import Any
@@ -18,7 +24,6 @@ from typing import Any
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from snapo.problem.actions import Actions, Box, Choice, Product, Whole
 from snapo.problem.inputs import Input
@@ -26,12 +31,10 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
 from ..demand.base import MEAN
+from .estimates import memory, safety_factor, usual_cost
 from .records import InventoryCase
 
 CORNER = 8.0  # of a corner in units of the standard deviation of demand, times the temperature
-# In training an order is placed in part, and a small part must not be cheap: it would be best to
-# order a little of it every period. Its cost is K (1 - (1 - part)^8); 0 and K where part is 0 or 1.
-SHARE = 8
 OUTPUTS = ("result", "holding", "shortage", "purchase", "ordering")
 AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered")
 
@@ -39,7 +42,8 @@ AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered")
 class InventorySimulator(Simulator):
     """One path of an item; the inputs are those of `inputs_of(case)`.
 
-    State: "stock" (below zero: demand that waits), and "coming" [L - 1], the next arrival first.
+    State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first, and
+    with a cost of an order the "likelihood" of what training has drawn: 1, with a derivative.
 
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
@@ -47,7 +51,11 @@ class InventorySimulator(Simulator):
     """
 
     case: InventoryCase = eqx.field(static=True)
-    noise_size: int = eqx.field(static=True, default=1)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        """Demand, and what decides whether an order is placed in training."""
+        return 2 if self.case.item.fixed else 1
 
     @property
     def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -100,6 +108,8 @@ class InventorySimulator(Simulator):
 
     def initial(self, constants, noise):
         state = {"stock": constants["stock"]}
+        if self.case.item.fixed:
+            state["likelihood"] = jnp.ones(())
         return state | ({"coming": constants["coming"]} if self.case.item.lead > 1 else {})
 
     def observe(self, constants, now, state):
@@ -119,8 +129,10 @@ class InventorySimulator(Simulator):
 
     def step(self, constants, now, state, action, noise, smooth):
         item, corner = self.case.item, CORNER * constants["usual"]
+        action, likelihood = self._drawn(state, action, noise, smooth)
         placed, order = _order(self.action, action, item.fixed, smooth)
-        # Whether to order is trained where the stock meets a threshold: it must pass through it.
+        # Whether to order follows a curve of the stock; a derivative by whole demand is right on
+        # straight lines alone.
         spread = item.fixed and not isinstance(smooth, Exact)
         demand = self.case.demand.draw(now["demand"], noise[0], spread)
         stock = state["stock"] + (order if item.lead == 0 else 0.0)
@@ -132,19 +144,41 @@ class InventorySimulator(Simulator):
             "holding": constants["holding"] * left,
             "shortage": constants["shortage"] * short,
             "purchase": constants["purchase"] * order,
-            "ordering": constants["order"] * (1 - (1 - placed) ** SHARE),
+            "ordering": constants["order"] * placed,
         }
         costs = {name: now["weight"] * part for name, part in parts.items()}
+        # Off before the likelihood comes on: the less is left, the less noise there is.
+        usual = now["weight"] * usual_cost(self.case)
         unmet = smooth.indicator(short - (0.5 if self.case.demand.integral() else 1e-3), corner)
         averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order)))
-        outputs = {"result": -sum(costs.values()), **costs}
-        outputs |= {name: now["counted"] * each for name, each in averages.items()}
+        result = -usual - likelihood * (sum(costs.values()) - usual)
+        outputs = {"result": result} | {name: likelihood * each for name, each in costs.items()}
+        outputs |= {name: now["counted"] * likelihood * each for name, each in averages.items()}
         after = left if item.lost else stock - demand
-        return _next(state, after, order, item.lead), outputs
+        moved = _next(state, after, order, item.lead)
+        return moved | ({"likelihood": likelihood} if item.fixed else {}), outputs
+
+    def _drawn(self, state, action, noise, smooth):
+        """(action, likelihood): in training with whether to order drawn, if that has a cost."""
+        if not self.case.item.fixed:
+            return action, 1.0
+        if isinstance(smooth, Exact):
+            return action, state["likelihood"]
+        assert isinstance(self.action, Product)
+        parts = self.action.parts(action)
+        order = self.action["order"]
+        assert isinstance(order, Choice)
+        drawn, likelihood = order.draw(parts["order"], noise[1])
+        # What was drawn long ago has no effect on this period, only noise.
+        kept = 1 - 1 / memory(self.case)
+        likelihood = likelihood * (1 + kept * (state["likelihood"] - 1))
+        return jnp.concatenate([drawn, parts["size"]]), likelihood
 
     def state_scale(self, constants):
         unit = constants["usual"]
         scale = {"stock": unit}
+        if self.case.item.fixed:
+            scale["likelihood"] = jnp.ones(())
         if self.case.item.lead > 1:
             scale["coming"] = jnp.full(self.case.item.lead - 1, unit)
         return scale
@@ -168,19 +202,6 @@ def _next(state, after, order, lead: int):
     coming = state["coming"]
     moved = jnp.concatenate([coming[1:], order[None]])
     return {"stock": after + coming[0], "coming": moved}
-
-
-def safety_factor(case: InventoryCase) -> float:
-    """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
-
-    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
-    at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
-    and Shanthikumar, Operations Research 55, 2007). It is where training starts.
-    """
-    item = case.item
-    holding = item.cost("holding") * (item.lead + 1 if item.lost else 1)
-    ratio = item.cost("shortage") / (item.cost("shortage") + holding)
-    return float(np.clip(stats.norm.ppf(ratio), -1.0, 4.0))
 
 
 def inputs_of(case: InventoryCase) -> dict[str, Input]:

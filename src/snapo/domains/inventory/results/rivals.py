@@ -15,10 +15,11 @@ from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals, worth, worth_of_groups
 from snapo.study.study import Part, Setup, StudyRun
 
+from ..item.estimates import economic_lot, mean_demand, usual_deviation
 from ..item.records import InventoryCase
 from ..policy.myopic import myopic
 from ..policy.rules import Classical
-from ..setup import case_of, economic_lot
+from ..setup import case_of
 from .search import search
 
 SEARCH_PATHS = 4096
@@ -84,7 +85,7 @@ def myopic_of(setup: Setup) -> Policy | None:
         return None
     chances = demand.chances(demand.values())
     costs = item.cost("holding"), item.cost("shortage")
-    return myopic(chances, _mean(case), *costs, item.lead, setup.problem.action)
+    return myopic(chances, mean_demand(case), *costs, item.lead, setup.problem.action)
 
 
 def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
@@ -101,7 +102,7 @@ RIVALS = Part("rivals", work, needs=("training",))
 
 def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
     """One of the rules with its numbers; those that it does not have never bind."""
-    endless = ENDLESS * max(1.0, _mean(case_of(setup)))
+    endless = ENDLESS * max(1.0, mean_demand(case_of(setup)))
     given = {key: numbers.get(key, endless) for key in ("above", "cap", "reorder")}
     made = {key: jnp.asarray(value, jnp.float32) for key, value in given.items()}
     return Classical(**made, action=setup.problem.action)
@@ -114,8 +115,7 @@ def best_numbers(setup: Setup, name: str, known: dict[str, float]) -> dict[str, 
     """
     case, keys = case_of(setup), RULES[name]
     problem = _beside(setup.problem, setup.training.seed)
-    deviation = float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
-    mean, lot = _mean(case), economic_lot(case)
+    mean, lot, deviation = mean_demand(case), economic_lot(case), usual_deviation(case)
     first = {"above": known.get("above", lot), "cap": 1.5 * mean, "reorder": 0.0}
     if name == "constant order":
         first["cap"] = 0.9 * mean
@@ -139,10 +139,6 @@ def _beside(problem: Problem, seed: int) -> Problem:
     """The same problem on other paths."""
     old, other = problem.sources, Pseudo(seed, stream=stream(EVALUATE, BESIDE))
     return replace(problem, sources=Sources(old.training, old.validation, other))
-
-
-def _mean(case: InventoryCase) -> float:
-    return case.demand.values()["demand_mean"] * float(case.season.values.mean())
 
 
 def _result(shares: np.ndarray) -> dict[str, float]:

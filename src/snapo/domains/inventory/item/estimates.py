@@ -1,0 +1,56 @@
+"""Rules of thumb of one item: where a rule starts, and the cost of a period to expect."""
+
+import numpy as np
+from scipy import stats
+
+from .records import InventoryCase
+
+
+def mean_demand(case: InventoryCase) -> float:
+    """Of a period, over the season."""
+    return case.demand.values()["demand_mean"] * float(case.season.values.mean())
+
+
+def usual_deviation(case: InventoryCase) -> float:
+    """The standard deviation of a period's demand, over the season."""
+    return float(np.mean(case.demand.deviation(case.demand.values(), case.season.values)))
+
+
+def safety_factor(case: InventoryCase) -> float:
+    """Standard deviations of the demand of L + 1 periods above its mean, of the first base stock.
+
+    The newsvendor's quantile p / (p + h); of lost sales p / (p + (L + 1) h), as if demand waited
+    at a shortage cost of p / (L + 1), which costs less than losing it does (Janakiraman, Seshadri
+    and Shanthikumar, Operations Research 55, 2007). It is where training starts.
+    """
+    item = case.item
+    holding = item.cost("holding") * (item.lead + 1 if item.lost else 1)
+    ratio = item.cost("shortage") / (item.cost("shortage") + holding)
+    return float(np.clip(stats.norm.ppf(ratio), -1.0, 4.0))
+
+
+def economic_lot(case: InventoryCase) -> float:
+    """sqrt(2 K mean (p + h) / (h p)): the order size where demand is steady (Harris; Camp)."""
+    item = case.item
+    holding, shortage = item.cost("holding"), item.cost("shortage")
+    more = (shortage + holding) / (holding * shortage)
+    return float(np.sqrt(2 * item.cost("ordering") * mean_demand(case) * more))
+
+
+def usual_cost(case: InventoryCase) -> float:
+    """Of a period: that of economic lots and that of a newsvendor's safety stock, as if at right
+    angles, and purchases. Of three (s, S) optima it is off by 2 to 11 %."""
+    item, periods = case.item, case.item.lead + 1
+    holding, shortage = item.cost("holding"), item.cost("shortage")
+    lots = economic_lot(case) * holding * shortage / (holding + shortage)
+    dense = float(stats.norm.pdf(stats.norm.ppf(shortage / (shortage + holding))))
+    safety = (holding + shortage) * dense * np.sqrt(periods) * usual_deviation(case)
+    return float(np.hypot(lots, safety)) + item.cost("purchase") * mean_demand(case)
+
+
+def memory(case: InventoryCase) -> float:
+    """Periods after which an order has no effect any more: twenty times a lot's and its lead time.
+
+    With ten the derivative by when to order was off by .05 a deviation, of a cost of 12.9.
+    """
+    return 20 * (case.item.lead + 1 + economic_lot(case) / mean_demand(case))
