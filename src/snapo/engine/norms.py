@@ -10,13 +10,15 @@ import numpy as np
 from jax.typing import ArrayLike
 from jaxtyping import Array, PyTree
 
-from snapo.problem.noise import Draws
+from snapo.problem.noise.counter import Draws, only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
 from .packing import Packing
 from .totals import add, zero
 from .xla import Call, Xla
+
+BLOCK = 64  # paths at once
 
 
 class Norms(NamedTuple):
@@ -40,27 +42,30 @@ def adjoint_norms(
     """How large each path's adjoint is at every step, of the whole state and of its leaves.
 
     The adjoint of sum(weights x totals), times the simulator's `state_scale`, by the path's largest
-    weight: the number that `Clip` bounds. By XLA, as many paths as `draws` has, at once. With a
-    memory the horizon falls into parts of so many steps, and no adjoint passes from one into the
-    part before it.
+    weight: the number that `Clip` bounds. By XLA. With a memory the horizon falls into parts of so
+    many steps, and no adjoint passes from one into the part before it.
     """
     engine = Xla("float32")
-    given = {name: jnp.asarray(weight, jnp.float32) for name, weight in weights.items()}
-    call = engine.call(problem.simulator, policy, problem.schedule, draws, smooth)
-    whole, leaves = _norms(engine, call, given, memory)
-    parts = {name: np.asarray(each).T for name, each in leaves.items()}
-    return Norms(np.asarray(whole).T, parts)
+    # A step may take a minute to compile: every number of paths and every memory share one kernel.
+    parts = np.array_split(np.arange(draws.size), max(1, draws.size // BLOCK))
+    found = []
+    for chosen in parts:
+        own = {name: jnp.asarray(weight, jnp.float32)[chosen] for name, weight in weights.items()}
+        call = engine.call(problem.simulator, policy, problem.schedule, only(draws, chosen), smooth)
+        found.append(_norms(engine, call, own, jnp.asarray(memory or call.length)))
+    whole, leaves = jax.tree.map(lambda *each: np.concatenate(each).T, *found)
+    return Norms(whole, leaves)
 
 
 @eqx.filter_jit
-def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: int | None):
+def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: Array):
     def of_path(draws, own):
-        return _of_path(engine, call, draws, own, memory or call.length)
+        return _of_path(engine, call, draws, own, memory)
 
     return jax.vmap(of_path, (call.draws.axes(), 0))(call.draws, weights)
 
 
-def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: int):
+def _of_path(engine: Xla, call: Call, draws, weights: dict[str, Array], memory: Array):
     """[T] of one path, and of every leaf: derivatives by a nudge of the state before each step."""
     simulator, constants, dtype = call.simulator, call.schedule.constants, engine.dtype
     initial = simulator.initial(constants, draws.initial(simulator.initial_noise_size, dtype))

@@ -220,19 +220,11 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     if progress.window is not None or not norms:
         return progress  # a window is short enough
     training, step = loop.training, progress.step
+    auto = training.clip == "auto"
     exploded = clipping.exploded(norms, progress.since)
     wild = step == horizon.FIRST and horizon.wild(norms, training.paths)
-    # Where the whole horizon has taught something, a leap is no reason to leave it.
-    gained = progress.stale < step // training.validation_every
-    doubtful = wild or (exploded and not gained and step > horizon.FIRST)
-    doubtful = doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
-    may_window = training.window == "auto" and has_worth_ahead(loop.problem) and doubtful
-    may_window = may_window and not progress.dual.prices
-    again = progress.clip is not None and clipping.due(step)
-    may_clip = training.clip == "auto" and (exploded or wild or again)
-    if not may_window and not may_clip:
-        return progress
-    if may_window or wild:
+    may_window = _may_window(loop, progress, norms, exploded, wild)
+    if may_window or (wild and auto):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
@@ -240,17 +232,36 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         if may_window and (length := horizon.window(measured.whole)):
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
-        may_clip = may_clip and (exploded or again or horizon.grows(measured.whole))
-    if not may_clip:
+        wild = wild and horizon.grows(measured.whole)
+    again = progress.clip is not None and clipping.due(step)
+    if not auto or not (exploded or wild or again):
         return progress
+    return _clipped(loop, progress, smooth, exploded or wild)
+
+
+def _may_window(
+    loop: Loop, progress: Progress, norms: list[float], exploded: bool, wild: bool
+) -> bool:
+    """Whether gradients of these norms may be those of chaos, which windows are for."""
+    if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
+        return False
+    # Where the whole horizon has taught something, a leap is no reason to leave it.
+    gained = progress.stale < progress.step // loop.training.validation_every
+    doubtful = wild or (exploded and not gained and progress.step > horizon.FIRST)
+    return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
+
+
+def _clipped(loop: Loop, progress: Progress, smooth: Smooth, leapt: bool) -> Progress:
+    """With a bound as adjoints are now; where a gradient leapt, Adam forgets it."""
+    step = progress.step
     if progress.growth is None:
         measured = clipping.measured(loop.problem, progress.policy, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
     norms = clipping.short(loop.problem, progress.policy, smooth, step)
     progress = replace(progress, clip=clipping.bound(norms) or progress.clip)
-    if not exploded and not wild:
+    if not leapt:
         return progress
-    fresh = anew(training, progress.policy, progress.optimiser, 1)
+    fresh = anew(loop.training, progress.policy, progress.optimiser, 1)
     return replace(progress, optimiser=fresh, since=step)
 
 
