@@ -219,11 +219,11 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     norms = [record.gradient_norm for record in progress.history]
     if progress.window is not None or not norms:
         return progress  # a window is short enough
-    training, step = loop.training, progress.step
-    auto = training.clip == "auto"
-    exploded = clipping.exploded(norms, progress.since)
-    wild = step == horizon.FIRST and horizon.wild(norms, training.paths)
-    may_window = _may_window(loop, progress, norms, exploded, wild)
+    training, step, since = loop.training, progress.step, progress.since
+    auto, paths = training.clip == "auto", training.paths
+    fell, leapt = clipping.fell(norms, since), clipping.leapt(norms, since)
+    wild = step == horizon.FIRST and horizon.wild(norms[since:], paths)
+    may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and auto):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
@@ -233,36 +233,35 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and horizon.grows(measured.whole)
-    again = progress.clip is not None and clipping.due(step)
-    if not auto or not (exploded or wild or again):
+    if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
+        progress = _clipped(loop, progress, smooth)
+    if not auto or not (fell or leapt or wild):
         return progress
-    return _clipped(loop, progress, smooth, exploded or wild)
+    # Adam's memory of gradients that were far larger would hold its steps down.
+    fresh = anew(training, progress.policy, progress.optimiser, 1)
+    return replace(progress, optimiser=fresh, since=step)
 
 
 def _may_window(
-    loop: Loop, progress: Progress, norms: list[float], exploded: bool, wild: bool
+    loop: Loop, progress: Progress, norms: list[float], apart: bool, wild: bool
 ) -> bool:
-    """Whether gradients of these norms may be those of chaos, which windows are for."""
+    """Whether gradients of these norms, of which the last may be far apart, may be chaos."""
     if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
         return False
     # Where the whole horizon has taught something, a leap is no reason to leave it.
     gained = progress.stale < progress.step // loop.training.validation_every
-    doubtful = wild or (exploded and not gained and progress.step > horizon.FIRST)
+    doubtful = wild or (apart and not gained and progress.step > horizon.FIRST)
     return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
 
 
-def _clipped(loop: Loop, progress: Progress, smooth: Smooth, leapt: bool) -> Progress:
-    """With a bound as adjoints are now; where a gradient leapt, Adam forgets it."""
+def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
+    """With a bound as adjoints are now."""
     step = progress.step
     if progress.growth is None:
         measured = clipping.measured(loop.problem, progress.policy, smooth, step)
         progress = replace(progress, growth=Growth.of(measured, step))
     norms = clipping.short(loop.problem, progress.policy, smooth, step)
-    progress = replace(progress, clip=clipping.bound(norms) or progress.clip)
-    if not leapt:
-        return progress
-    fresh = anew(loop.training, progress.policy, progress.optimiser, 1)
-    return replace(progress, optimiser=fresh, since=step)
+    return replace(progress, clip=clipping.bound(norms) or progress.clip)
 
 
 def _windowed(loop: Loop, progress: Progress, length: int) -> Progress:

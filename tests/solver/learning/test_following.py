@@ -36,7 +36,7 @@ def test_the_rate_follows_the_steps_and_the_width_unless_one_of_them_is_given():
     # Half of the steps that a horizon of 20 has room for, 4,800, ten times 240.
     assert narrow.learning_rate == pytest.approx(0.01 * 10**0.5)
     noisy = (512 / wide.paths) ** 0.4
-    assert wide.learning_rate == pytest.approx(0.01 * 0.5 * (10 * noisy) ** 0.5)
+    assert wide.learning_rate == pytest.approx(0.01 * (0.5 * 10 * noisy) ** 0.5)
     assert fitted(Training(steps=960), of, made).learning_rate == 0.01
     assert fitted(Training(learning_rate=0.02), of, made).learning_rate == 0.02
 
@@ -48,6 +48,17 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
     assert found.steps == 7 and not follows(found.paths)
     assert fitted(found, of, policy(of)) == found
     assert Training(steps=0).steps == 0 and not follows(Training(steps=0).steps)
+
+
+def test_a_network_made_here_that_decides_many_numbers_has_two_starts():
+    of = problem(Regulator)
+    many = replace(of, simulator=Regulator(action=snapo.Box(9)))
+    made = policy(of)
+    assert fitted(Training(), many, made, fresh=True).starts == 2
+    assert fitted(Training(), many, made).starts == 1
+    assert fitted(Training(), of, made, fresh=True).starts == 1
+    assert fitted(Training(steps=50), many, made, fresh=True).starts == 1
+    assert fitted(Training(starts=3), many, made, fresh=True).starts == 3
 
 
 def test_hidden_layers_grow_with_the_numbers_that_are_decided():

@@ -1,12 +1,12 @@
 """When to clip, and at which bound: from gradients as they come, and adjoints as they are measured.
 
 Most simulators need no clip, and it would bend their gradient. Where the derivative explodes on
-its way back, the gradient of an untrained policy is thousands of times that of a better one; the
-memory of Adam then holds its steps down for the rest of the run, or a few paths lead it astray.
-That shows in the norms of the first gradients (see `horizon.wild` too), or in a leap of one norm
-over all before it, and costs nothing to see. Only then the paths' adjoints are measured, with a
-memory of sqrt(T) steps, and bounded at the usual size of the largest on a path: an adjoint that has
-grown beyond it is that of chaos, or of a policy that is being left behind. No unit enters.
+its way back, a few paths lead training astray. That shows in the norms of the first gradients (see
+`horizon.wild`), or in a leap of one norm over all before it, and costs nothing to see. Only then
+the paths' adjoints are measured, with a memory of sqrt(T) steps, and bounded at the usual size of
+the largest on a path: an adjoint that has grown beyond it is that of chaos, or of a policy that is
+being left behind. No unit enters. Where the first gradients are only far larger than those after
+them, Adam's memory of them would hold its steps down for the rest of the run: it forgets them.
 
 It is the largest of the whole horizon: where a plant comes to rest, its last steps have small
 adjoints, and a bound from them cuts off what the way there teaches. (A quadrotor at -41.5 climbed
@@ -30,13 +30,16 @@ PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 FEW = 64  # of a bound, which is a median
 
 
-def exploded(norms: Sequence[float], since: int) -> bool:
-    """Whether the last gradient is far from others: below the largest of the first few steps after
-    `since`, or above the usual one of all before it."""
-    own, last = np.asarray(norms[since:]), norms[-1]
-    if len(own) <= FIRST and last * APART < own.max():
-        return True
-    return len(own) > 3 and bool(last > APART * np.median(own[:-1]))
+def fell(norms: Sequence[float], since: int) -> bool:
+    """Whether the last gradient is far below the largest of the first few steps after `since`."""
+    own = np.asarray(norms[since:])
+    return 0 < len(own) <= FIRST and bool(own[-1] * APART < own.max())
+
+
+def leapt(norms: Sequence[float], since: int) -> bool:
+    """Whether the last gradient is far above the usual one of all before it, after `since`."""
+    own = np.asarray(norms[since:])
+    return len(own) > 3 and bool(own[-1] > APART * np.median(own[:-1]))
 
 
 def bound(norms: np.ndarray) -> float | None:

@@ -43,7 +43,8 @@ class Training:
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
-      steps the better half goes on (`solver.learning.starts`).
+      steps the better half goes on (`solver.learning.starts`). Where neither they nor the steps are
+      given: two for a network made here that decides more than eight numbers, else one.
     - `seed`: of the network's first weights and of all scenarios.
     """
 
@@ -59,7 +60,7 @@ class Training:
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
-    starts: int = 1
+    starts: int = FOLLOWS
     seed: int = 0
 
     def __post_init__(self):
