@@ -122,10 +122,10 @@ def solve(
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
-        fresh = progress is None and policy is not recipe
-        training = fitted(training, problem, policy, fresh)
+        training = fitted(training, problem, policy)
         with _meanwhile(problem, evaluation):
             if progress is None or (progress.step == 0 and training.starts > 1):
+                fresh = progress is None and policy is not recipe
                 progress = _begun(problem, policy, training, engines.train, fresh)
             clock.stage("evaluate")
             progress = train(problem, progress, training, engines.train, callbacks)

@@ -50,15 +50,15 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
     assert Training(steps=0).steps == 0 and not follows(Training(steps=0).steps)
 
 
-def test_a_network_made_here_that_decides_many_numbers_has_two_starts():
+def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_given():
     of = problem(Regulator)
-    many = replace(of, simulator=Regulator(action=snapo.Box(9)))
-    made = policy(of)
-    assert fitted(Training(), many, made, fresh=True).starts == 2
-    assert fitted(Training(), many, made).starts == 1
-    assert fitted(Training(), of, made, fresh=True).starts == 1
-    assert fitted(Training(steps=50), many, made, fresh=True).starts == 1
-    assert fitted(Training(starts=3), many, made, fresh=True).starts == 3
+    many, made = replace(of, simulator=Regulator(action=snapo.Box(9))), policy(of)
+    assert fitted(Training(), many, made).decay == 0.1
+    assert fitted(Training(), of, made).decay == 0
+    assert fitted(Training(steps=50), many, made).decay == 0
+    assert fitted(Training(steps=50, decay=0.2), many, made).decay == 0.2
+    with pytest.raises(ValueError, match="decay is -1; allowed is 0 or more"):
+        Training(decay=-1)
 
 
 def test_hidden_layers_grow_with_the_numbers_that_are_decided():

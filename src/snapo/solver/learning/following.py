@@ -1,4 +1,4 @@
-"""Numbers of steps, paths and starts, and a rate, that follow the problem, where nobody gives them.
+"""Numbers of steps and paths, a rate and a decay, that follow the problem, where none is given.
 
 A path of many steps holds many decisions, so fewer paths tell as much; and a step of training over
 a short horizon costs little, so there is time for more of them. Work counts the products that a
@@ -8,9 +8,10 @@ More steps bear a higher rate, which falls to zero in the end; wider layers a lo
 their weights move at once. A `Stop` keeps the usual rate: its features are scaled, and a put ended
 at 4.459 with the higher one, at 4.472 without.
 
-Where many numbers are decided, one of them may end where its limit cuts it off, which no gradient
-leads out of: a battery that always discharges at midnight, when it is empty. One start in ten ended
-so, with 93.6 %; a second one costs a tenth of a run more, and the better one goes on.
+Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
+leads out of: a battery that always discharges at midnight, when it is empty. A decay of weights
+does, since nothing holds against it there. Of ten batteries that earned 93.6 to 97.0 % of the best
+without it, all earn 95.8 % or more.
 """
 
 import math
@@ -29,20 +30,17 @@ PATHS = (16, 512)  # at least, at most
 STEPS = (240, 3840)
 USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
 WIDTH = 32  # of hidden layers at which it is
-MANY = 8  # numbers that are decided in one step, above which a network has two starts
+MANY, DECAY = 8, 0.1  # the decay where more numbers than so many are decided in one step
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
 
-def fitted(training: Training, problem: Problem, policy: Policy, fresh: bool = False) -> Training:
-    """The training with numbers in place of all that follows the problem.
-
-    - `fresh`: the policy has networks that know nothing yet.
-    """
+def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
+    """The training with numbers in place of all that follows the problem."""
     paths, steps, rate = training.paths, training.steps, training.learning_rate
-    starts = training.starts
-    if follows(starts):
-        starts = 2 if fresh and follows(steps) and problem.action.size > MANY else 1
+    decay = training.decay
+    if follows(decay):
+        decay = DECAY if follows(steps) and problem.action.size > MANY else 0.0
     horizon = problem.simulator.horizon
     if follows(paths):
         work = horizon * max(1, parameters(policy).size)
@@ -56,8 +54,7 @@ def fitted(training: Training, problem: Problem, policy: Policy, fresh: bool = F
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)
             rate *= min(1.0, WIDTH / _width(policy)) ** 0.25
-    rate = float(rate)
-    return replace(training, paths=paths, steps=steps, learning_rate=rate, starts=starts)
+    return replace(training, paths=paths, steps=steps, learning_rate=float(rate), decay=decay)
 
 
 def _width(policy: Policy) -> int:

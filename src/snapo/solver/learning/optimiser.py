@@ -1,4 +1,4 @@
-"""The step of the optimiser, compiled once: Adam with warm-up and cosine decay, and an average.
+"""The step of the optimiser, compiled once: AdamW with warm-up and cosine decay, and an average.
 
 On windows several updates are made in each step of training, and their gradients change from one
 window to the next: there the rate follows the steps, not the updates, and Adam's second moment
@@ -34,10 +34,12 @@ class Plan(Protocol):
     def warmup(self) -> int: ...
     @property
     def average(self) -> float: ...
+    @property
+    def decay(self) -> float: ...
 
 
 def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
-    """Adam; with more than one update a step, the rate is that of the step."""
+    """AdamW; with more than one update a step, the rate is that of the step."""
     # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
     warmup = min(plan.warmup, max(0, plan.steps - 1))
     rate = optax.warmup_cosine_decay_schedule(
@@ -47,8 +49,9 @@ def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.Gra
         max(1, plan.steps),
     )
     if updates == 1:
-        return optax.adam(rate, b2=forget, eps=1e-16)
-    return optax.adam(lambda count: rate(count / updates), b2=WINDOWS_FORGET, eps=1e-16)
+        return optax.adamw(rate, b2=forget, eps=1e-16, weight_decay=plan.decay)
+    slower, forget = (lambda count: rate(count / updates)), WINDOWS_FORGET
+    return optax.adamw(slower, b2=forget, eps=1e-16, weight_decay=plan.decay)
 
 
 def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):

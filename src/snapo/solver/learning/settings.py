@@ -17,6 +17,7 @@ class _Rate(float):
 
 
 FOLLOWS = _Follows(0)  # where a setting is not given (see `following`)
+DECAY = _Rate(0.0)  # of weights, where it is not given; it is this one where the steps are given
 RATE = _Rate(0.01)  # of Adam, where it is not given; it is this one where the steps are given
 
 
@@ -34,6 +35,8 @@ class Training:
       (`solver.learning.following`).
     - `learning_rate`, `warmup`: Adam's peak rate, reached linearly in `warmup` steps, then cosine
       decay to zero.
+    - `decay`: the share that a step takes off every trained number, times the rate (AdamW); where
+      neither it nor the steps are given, above 0 for more than eight decisions in one step.
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
     - `average`: the averaged policy remembers about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
@@ -43,8 +46,7 @@ class Training:
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
-      steps the better half goes on (`solver.learning.starts`). Where neither they nor the steps are
-      given: two for a network made here that decides more than eight numbers, else one.
+      steps the better half goes on (`solver.learning.starts`).
     - `seed`: of the network's first weights and of all scenarios.
     """
 
@@ -52,6 +54,7 @@ class Training:
     paths: int = FOLLOWS
     learning_rate: float = RATE
     warmup: int = 20
+    decay: float = DECAY
     temperature_start: float = 0.02
     temperature_end: float = 0.005
     average: float = 0.05
@@ -60,7 +63,7 @@ class Training:
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
-    starts: int = FOLLOWS
+    starts: int = 1
     seed: int = 0
 
     def __post_init__(self):
@@ -69,6 +72,8 @@ class Training:
             given = value is not None and not follows(value)
             if given and (name, value) != ("window", "auto"):
                 whole(f"Training: {name}", value, least)
+        if not self.decay >= 0:
+            raise ValueError(f"Training: decay is {self.decay!r}; allowed is 0 or more.")
         if isinstance(self.window, str) and self.window != "auto":
             raise ValueError(
                 f"Training: window is {self.window!r}; allowed is a number of steps, 'auto' or "
