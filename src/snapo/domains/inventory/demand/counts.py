@@ -61,10 +61,10 @@ class Counts(Demand):
         k = jnp.sum(uniform >= below[1:]).astype(jnp.int32)
         start, size = below[k], jax.lax.stop_gradient(chance[k])
         if not spread:
-            return k + _against(start, size)
+            return k + _moved(start, size)
         # Where u lies between F(k - 1) and F(k): the quantile function, joined by straight lines.
         share = jax.lax.stop_gradient(jnp.clip((uniform - start) / size, 0.0, 1.0))
-        return k + share - 0.5 + _against(start + share * chance[k], size)
+        return k + share - 0.5 + _moved(start + share * chance[k], size)
 
     def chances(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
         with jax.enable_x64(True):
@@ -72,8 +72,8 @@ class Counts(Demand):
             return np.asarray(jnp.exp(self.logarithms(parameters, given, k)))
 
 
-def _against(level: Array, size: Array) -> Array:
-    """0, with the derivative of -level / size: of a quantile where the distribution moves."""
+def _moved(level: Array, size: Array) -> Array:
+    """0, with the derivative of -level / size: that of a quantile whose distribution moves."""
     return (jax.lax.stop_gradient(level) - level) / size
 
 
