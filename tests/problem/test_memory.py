@@ -153,15 +153,27 @@ def test_windows_carry_the_memory_and_a_run_resumes_with_the_same_bits(tmp_path)
     assert np.abs(one - other).mean() < 0.1 * np.abs(one - parameters(policy)).mean()
 
 
-@pytest.mark.prove
-def test_a_recurrent_policy_costs_as_much_as_kalmans_filter():
-    """Within 1 % of the closed form by default settings; 1.0047 of it was seen."""
+@pytest.mark.parametrize(
+    "seed",
+    [
+        pytest.param(seed, marks=pytest.mark.study if seed else pytest.mark.prove)
+        for seed in range(10)
+    ],
+)
+def test_a_recurrent_policy_costs_as_much_as_kalmans_filter(seed):
+    """Within 1 % of the closed form by default settings."""
     evaluation = snapo.Evaluation(
         paths=32768, sensitivity_paths=0, smooth_paths=0, judge_paths=0, scenarios="sobol"
     )
-    problem = replace(PROBLEM, simulator=Hidden(horizon=30), sources=evaluation.sources(0))
-    solution = snapo.solve(problem, policy=snapo.GRU(hidden=16), evaluation=evaluation)
+    problem = replace(PROBLEM, simulator=Hidden(horizon=30), sources=evaluation.sources(seed))
+    solution = snapo.solve(
+        problem,
+        policy=snapo.GRU(hidden=16),
+        evaluation=evaluation,
+        training=snapo.Training(seed=seed),
+    )
     best = kalman_cost(30)
+    print(f"seed {seed}: {-solution.value / best:.4f} of the optimum")
     assert solution.standard_error < 1e-3 * best
     assert best - 4 * solution.standard_error < -solution.value < 1.01 * best
 
