@@ -26,6 +26,7 @@ class TrainingTable(Table):
     warmup: Annotated[int, Field(ge=0, le=MOST_STEPS)] = Field(
         20, description="a number of steps, 0 to 1,000,000,000"
     )
+    decay: Annotated[float, Field(ge=0, le=1e6)] = Field(0.0, description="a number, 0 or more")
     temperature_start: Positive = Field(0.02, description="a number above 0")
     temperature_end: Positive = Field(0.005, description="a number above 0")
     average: Annotated[float, Field(gt=0, le=1)] = Field(

@@ -93,7 +93,7 @@ LIABILITIES = {"assets": 200.0, "valuation_date": datetime.date(2024, 12, 31)}
 TRAINING: dict[str, Any] = {
     "steps": 2, "paths": 16, "learning_rate": 0.01, "warmup": 1, "temperature_start": 0.02,
     "temperature_end": 0.01, "average": 0.5, "validation_paths": 16, "validation_every": 1,
-    "patience": 5, "starts": 1, "seed": 1,
+    "patience": 5, "starts": 1, "seed": 1, "decay": 0.1,
 }  # fmt: skip
 SHORT = TRAINING | {"window": 1, "clip": 10.0}
 AUTO = TRAINING | {"clip": "auto", "window": "auto"}
