@@ -10,8 +10,8 @@ at 4.459 with the higher one, at 4.472 without.
 
 Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
 leads out of: a battery that always discharges at midnight, when it is empty. A decay of weights
-does, since nothing holds against it there. Of ten batteries that earned 93.6 to 97.0 % of the best
-without it, all earn 95.8 % or more.
+does, since nothing holds against it there: ten networks on the same scenarios earned 93.6 to 97.0 %
+of the best without it, 95.9 to 97.5 % with it. (Of ten with scenarios of their own one had 93.3 %.)
 """
 
 import math
