@@ -53,10 +53,10 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
 def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_given():
     of = problem(Regulator)
     many, made = replace(of, simulator=Regulator(action=snapo.Box(9))), policy(of)
-    assert fitted(Training(), many, made).decay == 0.1
+    assert fitted(Training(), many, made).decay == 0.2
     assert fitted(Training(), of, made).decay == 0
     assert fitted(Training(steps=50), many, made).decay == 0
-    assert fitted(Training(steps=50, decay=0.2), many, made).decay == 0.2
+    assert fitted(Training(steps=50, decay=0.3), many, made).decay == 0.3
     with pytest.raises(ValueError, match="decay is -1; allowed is 0 or more"):
         Training(decay=-1)
 
