@@ -46,7 +46,7 @@ def adjoint_norms(
     many steps, and no adjoint passes from one into the part before it.
     """
     engine = Xla("float32")
-    # A step may take a minute to compile: every number of paths and every memory share one kernel.
+    # A step may take a minute to compile: multiples of a block share one kernel.
     parts = np.array_split(np.arange(draws.size), max(1, draws.size // BLOCK))
     found = []
     for chosen in parts:

@@ -107,7 +107,7 @@ def test_a_season_moves_the_level_and_demand_and_both_engines_see_it(tmp_path):
 @pytest.mark.prove
 def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(monkeypatch):
     """Eight times: the adjoint less a difference of the smooth value on the same paths, by where
-    orders begin, their size and the mean demand; without forgetting, which bends it by a percent.
+    orders begin, their size and the mean demand; without forgetting, which bends them a little.
     """
     monkeypatch.setattr("snapo.domains.inventory.item.simulator.memory", lambda case: 1e12)
     given = case(unmet="waits", lead_time=1, shortage=9.0, order=10.0,

@@ -51,6 +51,7 @@ def usual_cost(case: InventoryCase) -> float:
 def memory(case: InventoryCase) -> float:
     """Periods after which an order has no effect any more: twenty times a lot's and its lead time.
 
-    With ten the derivative by when to order was off by .05 a deviation, of a cost of 12.9.
+    In one case the derivative by when to order, -.06 a deviation of a cost of 12.9, is off by .02
+    with twenty, by .04 with ten.
     """
     return 20 * (case.item.lead + 1 + economic_lot(case) / mean_demand(case))
