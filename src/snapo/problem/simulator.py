@@ -94,6 +94,11 @@ class Simulator(eqx.Module):
         """Names of outputs whose total has expectation zero under EVERY policy (martingales)."""
         return ()
 
+    def in_mean(self) -> tuple[str, ...]:
+        """Names of inputs whose derivative on one path is no difference of that path: parameters of
+        draws in whole units, say, right in the mean of many. A certificate takes the mean's."""
+        return ()
+
     def state_scale(self, constants: PyTree) -> State | None:
         """The typical size of each number in the state, for clipping adjoints; None means one."""
         return None
@@ -149,6 +154,9 @@ class Around(Simulator):
 
     def control_variates(self):
         return self.own.control_variates()
+
+    def in_mean(self):
+        return self.own.in_mean()
 
     def state_scale(self, constants):
         return self.own.state_scale(constants)

@@ -1,6 +1,6 @@
 """Why believe the number: the adjoint against bumps on the same paths, and every limit kept."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Collection, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -14,6 +14,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64, pull_back
+from .judge import UNKNOWN, Verdict, hundredth
 
 TOLERANCE = 1e-6  # of the family's largest derivative
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step
@@ -105,13 +106,40 @@ def certify_derivatives(
     near: Callable[[Problem], Problem] = nudged,
     engine: Engine | None = None,
 ) -> list[Bump]:
-    """`bump_check` at the reported inputs; where most paths meet a kink there, also near them."""
-    found = bump_check(problem, policy, paths, engine=engine)
+    """`bump_check` at the reported inputs; where most paths meet a kink there, also near them.
+
+    Without the inputs of `Simulator.in_mean`, see `in_the_mean`.
+    """
+    pathwise = set(problem.named) - set(problem.simulator.in_mean())
+    found = bump_check(problem, policy, paths, only=pathwise, engine=engine)
     crowded = {bump.input for bump in found if bump.crossing > CROWDED}
     if not crowded:
         return found
     again = bump_check(near(problem), policy, paths, only=crowded, engine=engine)
     return found + [bump._replace(direction=f"{bump.direction} nearby".strip()) for bump in again]
+
+
+def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
+    """Rows as those of `Bump`, of the inputs of `Simulator.in_mean`: the derivative that is nearer
+    to a move of all their numbers by a hundredth, in three standard errors of the difference."""
+    found = []
+    for name in problem.simulator.in_mean():
+        if (verdict := verdicts.get(name)) is None:
+            continue
+        step = float(np.max(np.abs(hundredth(problem.named[name]))))
+        error, allowed = verdict.distance()
+        found.append(
+            {
+                "family": name,
+                "inputs": "all by 1 %, in the mean",
+                "worst_error": error / step,
+                "allowed": allowed / step,
+                "passed": verdict.supported != UNKNOWN,
+                "kink": verdict.tie,
+                "crossing": 0.0,
+            }
+        )
+    return found
 
 
 def bump_check(

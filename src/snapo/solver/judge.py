@@ -91,12 +91,22 @@ class Verdict(NamedTuple):
             return UNKNOWN
         return SMOOTH if held**2 - smooth**2 > LIKELIER else HELD
 
+    def distance(self) -> tuple[float, float]:
+        """From the move to the derivative that is nearer in standard errors; the most of it that
+        counts as support."""
+        ways = [each for each in (self.held, self.smooth) if each is not None]
+        value, error = min(ways, key=lambda way: self._away(*way))
+        return self._outside(value), float(SURE * independent(self.error, error))
+
+    def _outside(self, value: float) -> float:
+        low, high = sorted((self.up, self.down)) if self.tie else (self.change, self.change)
+        return max(low - value, value - high, 0.0)
+
     def _away(self, value: float, error: float) -> float:
         """How many standard errors of the difference lie between a derivative and the move."""
-        low, high = sorted((self.up, self.down)) if self.tie else (self.change, self.change)
-        outside = max(low - value, value - high, 0.0)
         if not np.isfinite(value):
             return np.inf
+        outside = self._outside(value)
         return float(outside / independent(self.error, error)) if outside else 0.0
 
 

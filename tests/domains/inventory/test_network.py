@@ -85,8 +85,9 @@ def test_mistakes_are_refused_in_words(places, words):
 
 @pytest.fixture(scope="module")
 def stores():
-    """One warehouse that is often empty, two stores with different lead times."""
-    return make_setup(network(*STORES, horizon={"periods": 5, "warm_up": 0}))
+    """One warehouse that is often empty, two stores with different lead times; any amounts."""
+    tables = {"horizon": {"periods": 5, "warm_up": 0}, "network": {"whole": False}}
+    return make_setup(network(*STORES, **tables))
 
 
 @pytest.mark.prove
@@ -104,6 +105,19 @@ def test_goods_are_neither_made_nor_lost_and_a_supplier_shares(stores):
     left = max(2.5 - asked[1], 0.0)
     # Goods on their way from the centre cost as much as those in it; from outside, nothing.
     assert float(outputs["holding"]) == pytest.approx(1.0 * 4.5 + 2.0 * left)
+
+
+@pytest.mark.prove
+def test_a_supplier_shares_in_whole_units_where_demand_is_whole():
+    problem = make_setup(network(*STORES, horizon={"periods": 5, "warm_up": 0})).problem
+    state = {"stock": jnp.array([7.0, 0.0, 1.0]), "coming": jnp.zeros((3, 2))}
+    constants, now = problem.schedule.constants, {"weight": 1.0, "counted": 1.0}
+    wanted, drawn = jnp.array([4.0, 9.0, 3.0]), jnp.array([0.3, -0.2])
+    after, _ = problem.simulator.step(constants, now, state, wanted, drawn, Exact())
+    # 12 are asked of 7: shares of 5.25 and 1.75.
+    assert after["coming"].tolist() == [[0, 4.0], [5.0, 0], [0, 0]]
+    assert float(after["stock"][0]) == 0.0
+    assert np.all(after["stock"] == np.round(after["stock"]))
 
 
 @pytest.mark.prove

@@ -20,7 +20,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Smooth
 from snapo.solver.adjoint import value_and_gradient
+from snapo.solver.certificate import certify_derivatives, in_the_mean
 from snapo.solver.evaluate import evaluate
+from snapo.solver.judge import Verdict
 
 NORMAL = {"kind": "normal", "mean": 5.0, "deviation": 1.6}
 ENDLESS = 1e6
@@ -156,3 +158,36 @@ def test_the_held_derivative_by_the_mean_is_unbiased(small):
             for d in (step, -step)]  # fmt: skip
     difference = (ends[0] - ends[1]) / (2 * step)
     assert float(np.sum(slope.inputs["demand_mean"])) == pytest.approx(difference, rel=0.03)
+
+
+def test_moments_of_whole_demand_are_certified_in_the_mean(small):
+    """No path moves with them a little; a move by a hundredth on many paths judges the derivative."""
+    of, policy = small
+    assert of.simulator.in_mean() == ("demand_mean",)
+    found = {bump.input for bump in certify_derivatives(of, policy, 16)}
+    assert found == set(of.named) - {"demand_mean"}
+    near, far = (Verdict(-0.05, -0.05, 0.01, (held, 0.0), None) for held in (-0.06, -0.09))
+    rows = [in_the_mean(of, {"demand_mean": verdict})[0] for verdict in (near, far)]
+    assert [row["passed"] for row in rows] == [True, False]
+    # Per unit of demand: the move was a hundredth of five.
+    assert rows[0]["worst_error"] == pytest.approx(0.01 / 0.05)
+    assert rows[0]["allowed"] == pytest.approx(0.03 / 0.05)
+    assert in_the_mean(of, {}) == []
+    normal = problem(case(NORMAL, horizon={"periods": 4, "warm_up": 0}))
+    assert normal.simulator.in_mean() == ()
+
+
+@pytest.mark.prove
+def test_the_mean_of_whole_demand_has_a_smooth_derivative_near_that_of_the_value():
+    """A Poisson demand of 5, lost, with the first rule. Whole orders follow its level in steps: by
+    differences over .1 and .25 the exact value's derivative is -.55 and -.75, so .15 is allowed.
+    Where demand was not spread in training, the derivative was -1.45.
+    """
+    of = problem(case(lead_time=3, shortage=9.0, horizon={"periods": 30, "warm_up": 10}))
+    policy = first_policy(of, of.simulator.case, 0)  # pyright: ignore
+    engine, smooth = Native("float64"), Smooth(jnp.asarray(0.01))
+    slope = value_and_gradient(of, policy, paths=16384, smooth=smooth, engine=engine)[1]
+    ends = [evaluate(of.at({"demand_mean": mean}), policy, 65536, engine=engine)
+            for mean in (5.25, 4.75)]  # fmt: skip
+    found = float(slope.inputs["demand_mean"])
+    assert found == pytest.approx((ends[0].value - ends[1].value) / 0.5, abs=0.15)

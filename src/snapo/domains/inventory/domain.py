@@ -24,7 +24,8 @@ class Inventory:
     @property
     def templates(self):
         folder = files(__package__ or "")
-        return {"spare-part": folder / "template", "line": folder / "template_line"}
+        return {"spare-part": folder / "template", "line": folder / "template_line",
+                "stores": folder / "template_stores"}  # fmt: skip
 
     def read(self, file: Path, data: Mapping[str, Any]) -> "InventoryCase | NetworkCase":
         if "place" in data:

@@ -131,9 +131,9 @@ class InventorySimulator(Simulator):
         item, corner = self.case.item, CORNER * constants["usual"]
         action, likelihood = self._drawn(state, action, noise, smooth)
         placed, order = _order(self.action, action, item.fixed, smooth)
-        # Whether to order follows a curve of the stock; a derivative by whole demand is right on
-        # straight lines alone.
-        spread = item.fixed and not isinstance(smooth, Exact)
+        # In training orders follow a curve of the stock; a derivative by whole demand is right on
+        # lines that are straight between whole numbers alone.
+        spread = not isinstance(smooth, Exact)
         demand = self.case.demand.draw(now["demand"], noise[0], spread)
         stock = state["stock"] + (order if item.lead == 0 else 0.0)
         # Corners are differentiated upwards in stock: see `demand.counts`.
@@ -172,6 +172,14 @@ class InventorySimulator(Simulator):
         kept = 1 - 1 / memory(self.case)
         likelihood = likelihood * (1 + kept * (state["likelihood"] - 1))
         return jnp.concatenate([drawn, parts["size"]]), likelihood
+
+    def in_mean(self):
+        """Parameters of whole demand, and its season."""
+        case = self.case
+        if not case.demand.integral():
+            return ()
+        season = [case.season.name] if case.seasonal else []
+        return (*(each.name for each in case.demand.given()), *season)
 
     def state_scale(self, constants):
         unit = constants["usual"]

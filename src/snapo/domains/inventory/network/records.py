@@ -27,12 +27,37 @@ class Place:
     demand: Demand | None
 
 
+@dataclass(frozen=True)
+class Pool:
+    """Places with customers that send one another goods, at once: lateral transshipment.
+
+    - `places`: their numbers; `one_way`: only from the first of two to the second.
+    - `before`: whether they do so before the demand of a period is known, to balance their
+      stocks; otherwise afterwards, to where a place is short.
+    """
+
+    places: tuple[int, ...]
+    one_way: bool
+    before: bool
+
+    @property
+    def givers(self) -> tuple[int, ...]:
+        """The places that may send."""
+        return self.places[:1] if self.one_way else self.places
+
+    @property
+    def takers(self) -> tuple[int, ...]:
+        """The places that may receive."""
+        return self.places[1:] if self.one_way else self.places
+
+
 @dataclass(frozen=True, eq=False)
 class NetworkCase:
     """What `snapo solve` needs of a case with places.
 
+    - `whole`: whether orders and all that is sent are whole numbers.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place that
-      sells, in the order of `sellers`.
+      sells, in the order of `sellers`; `transshipment`: by pool, of a unit moved.
     - Other attributes as in `InventoryCase`.
     """
 
@@ -43,9 +68,12 @@ class NetworkCase:
     unit: str
     period: str
     lost: bool
+    whole: bool
     places: tuple[Place, ...]
+    pools: tuple[Pool, ...]
     holding: Given
     shortage: Given
+    transshipment: Given | None
     periods: int
     warm_up: int
     discount: float
@@ -62,6 +90,11 @@ class NetworkCase:
     def sellers(self) -> tuple[int, ...]:
         """The numbers of the places with customers."""
         return tuple(i for i, place in enumerate(self.places) if place.demand is not None)
+
+    def moving(self, before: bool) -> tuple[int, ...]:
+        """The numbers of the places that are in a pool before, or after demand is known."""
+        return tuple(sorted({i for each in self.pools if each.before == before
+                             for i in each.places}))  # fmt: skip
 
     @cached_property
     def serves(self) -> np.ndarray:

@@ -22,13 +22,16 @@ from .setup import network_of
 SEARCH_PATHS = 4096
 BESIDE = 1  # the stream of the scenarios on which levels are looked for
 FINEST = 1 / 16  # of a level, in deviations of demand
+ENDLESS = 1e6  # deviations: nothing is sent
 
 
 def service_and_places(run: StudyRun) -> dict[str, Any]:
     """ "service" and "costs" as for one item, and "places": one row per place with its stock and,
-    where it sells, its fill rate and demand, each with its standard error."""
+    where it sells, its fill rate and demand, in a pool what it sends and receives in a period,
+    each with its standard error."""
     case, found = network_of(run.setup), Measured.of(run)
-    costs = [{"name": name, **found.total(name)} for name in ("holding", "shortage")]
+    names = ("holding", "shortage", *(["transshipment"] if case.pools else []))
+    costs = [{"name": name, **found.total(name)} for name in names]
     places = []
     levels = run.setup.problem.schedule.constants["level"]
     for place, level in zip(case.places, levels):
@@ -38,6 +41,8 @@ def service_and_places(run: StudyRun) -> dict[str, Any]:
         if place.demand is not None:
             row["demand"] = found.total(f"demand_{place.name}")
             row["fill_rate"] = found.ratio(f"sold_{place.name}", f"demand_{place.name}")
+        if f"sent_{place.name}" in found.totals:
+            row |= {way: found.total(f"{way}_{place.name}") for way in ("sent", "received")}
         places.append(row)
     return {"service": found.service(), "costs": costs, "places": places}
 
@@ -46,25 +51,22 @@ SERVICE = Part("service", service_and_places, needs=("training",))
 
 
 def rivals(run: StudyRun) -> dict[str, Any]:
-    """ "rivals": the trained rule, the echelon base-stock rule at its first levels, and at the best
-    ones of a search on other paths; differences paired path by path."""
-    setup, case = run.setup, network_of(run.setup)
+    """ "rivals": the trained rule; echelon base stock at its first levels, at the best ones of a
+    search on other paths, and where stores may send goods, at the best ones if they send none;
+    differences are paired path by path."""
+    setup = run.setup
     problem, paths = setup.problem, run.solution.paths["evaluate"]
     source = problem.sources.evaluation
     trained = worth_of_groups(problem.objective, run.solution.totals, source)
     rows = [{"rule": "trained", **said(statistics.of_shares(trained)),
              "difference": None, "difference_error": None}]  # fmt: skip
-    constants = problem.schedule.constants
-    start = (0.0,) * len(case.places)
-    for name, levels in (("newsvendor levels", start), ("best levels", best_levels(setup, start))):
-        rule = echelon_rule(setup, levels)
-        totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
+    for name, numbers in classical(setup).items():
+        totals = path_totals(problem, echelon_rule(setup, *numbers), paths,
+                             engine=setup.engines.evaluate)  # fmt: skip
         found = worth_of_groups(problem.objective, totals, source)
         paired = statistics.of_shares(found - trained)
-        reached = constants["level"] + np.array(levels) * constants["unit"]
-        told = {place.name: float(level) for place, level in zip(case.places, reached)}
-        rows.append({"rule": name, **said(statistics.of_shares(found)), "numbers": told,
-                     "difference": paired.value,
+        rows.append({"rule": name, **said(statistics.of_shares(found)),
+                     "numbers": _told(setup, *numbers), "difference": paired.value,
                      "difference_error": paired.standard_error})  # fmt: skip
         run.tell(f"{name}: {rows[-1]['value']:,.6g}, {paired.value:+,.3g} to the trained rule")
     return {"rivals": rows}
@@ -72,23 +74,62 @@ def rivals(run: StudyRun) -> dict[str, Any]:
 
 RIVALS = Part("rivals", rivals, needs=("training",))
 
-
-def echelon_rule(setup: Setup, above: Sequence[float]) -> EchelonRule:
-    """Echelon base stock, its levels `above` those of the simulator in deviations."""
-    n, problem = len(above), setup.problem
-    rule = EchelonRule(n, problem.features, key=jax.random.key(0), plain=True)
-    return eqx.tree_at(lambda each: each.first, rule, jnp.asarray(above, jnp.float32))
+Levels = tuple[float, ...]
 
 
-def best_levels(setup: Setup, start: Sequence[float]) -> tuple[float, ...]:
-    """The best levels [n] relative to the simulator's, in deviations."""
+def classical(setup: Setup) -> dict[str, tuple[Levels, float]]:
+    """{name: (levels [n] above the simulator's, what stores keep), both in deviations}.
+
+    After demand stores hold nothing back; bands before it are one more number of the search.
+    """
+    case = network_of(setup)
+    start, banded = (0.0,) * len(case.places), bool(case.moving(True))
+
+    def best(kept: float | None) -> tuple[Levels, float]:
+        found = best_numbers(setup, start if kept is not None else (*start, 0.5), kept)
+        return (found, kept) if kept is not None else (found[:-1], found[-1])
+
+    rules = {"newsvendor levels": (start, 0.0), "best levels": best(None if banded else 0.0)}
+    return rules | ({"best levels, nothing sent": best(ENDLESS)} if case.pools else {})
+
+
+def echelon_rule(setup: Setup, above: Sequence[float], kept: float = 0.0) -> EchelonRule:
+    """Echelon base stock, its levels `above` those of the simulator in deviations.
+
+    - `kept`: the bands of stores, in deviations; what they hold back after demand is nothing,
+      but for `ENDLESS`.
+    """
+    problem, case = setup.problem, network_of(setup)
+    rule = EchelonRule(case, problem.action, problem.features, key=jax.random.key(0), plain=True)
+    after = len(case.moving(False))
+    keeps = [kept if kept == ENDLESS else 0.0] * after + [kept] * len(case.moving(True))
+    given = jnp.asarray(above, jnp.float32), jnp.asarray(keeps, jnp.float32)
+    return eqx.tree_at(lambda each: (each.first, each.kept), rule, given)
+
+
+def best_numbers(setup: Setup, start: Levels, kept: float | None = 0.0) -> Levels:
+    """The best levels [n] relative to the simulator's, in deviations; where `kept` is None, and
+    the best band after them."""
     old = setup.problem.sources
     other = Pseudo(setup.training.seed, stream=stream(EVALUATE, BESIDE))
     problem = replace(setup.problem, sources=Sources(old.training, old.validation, other))
 
-    def cost(above: tuple[float, ...]) -> float:
-        rule = echelon_rule(setup, above)
+    def cost(numbers: Levels) -> float:
+        if kept is not None:
+            rule = echelon_rule(setup, numbers, kept)
+        elif numbers[-1] < 0:
+            return np.inf
+        else:
+            rule = echelon_rule(setup, numbers[:-1], numbers[-1])
         totals = path_totals(problem, rule, SEARCH_PATHS, engine=setup.engines.evaluate)
         return -worth(problem.objective, totals)
 
     return search(cost, start, 0.5, FINEST)
+
+
+def _told(setup: Setup, above: Levels, kept: float) -> dict[str, float]:
+    """The numbers as a planner says them: levels, and the band in deviations."""
+    case, constants = network_of(setup), setup.problem.schedule.constants
+    reached = constants["level"] + np.array(above) * constants["unit"]
+    told = {place.name: float(level) for place, level in zip(case.places, reached)}
+    return told | ({"band": kept} if case.moving(True) and kept != ENDLESS else {})

@@ -7,13 +7,14 @@ from snapo.report.sections.lacking import lacking
 
 
 def places(run: Folder) -> Section:
-    """Stock, demand and fill rate of every place."""
+    """Stock, demand and fill rate of every place, and what stores send one another."""
     title, short = "Places", "Places"
     rows = run.get("places", [])
     if not rows:
         return Section("places", title, short, [lacking(run, "service")])
     unit = str(run.get("item_unit", ""))
     digits = decimals([row["stock"]["value"] for row in rows], 4)
+    ways = [way for way in ("sent", "received") if any(way in row for row in rows)]
     cells = [
         (
             str(row["name"]),
@@ -23,15 +24,19 @@ def places(run: Folder) -> Section:
             plus_minus(row["stock"]["standard_error"], digits),
             number(row.get("demand", {}).get("value"), digits),
             percent(row.get("fill_rate", {}).get("value"), 2),
+            *(number(row.get(way, {}).get("value"), digits) for way in ways),
         )
         for row in rows
     ]
     head = [("Place", ""), ("Supplied by", ""), ("First level", unit), ("Stock", unit), ("", ""),
             ("Demand", unit), ("Fill rate", "")]  # fmt: skip
+    head += [(way.capitalize(), unit) for way in ways]
     words = (
         "Stock is the average on hand at the end of a period. The first level is that of the "
         "echelon from which training starts: all goods at the place, on their way to it and "
         "further down, less demand that waits."
     )
+    if ways:
+        words += " Sent and received is what stores send one another in a period."
     table = Table(head, cells, "Stock and service by place", 2)
     return Section("places", title, short, [table, Text(words, caveat=True)])

@@ -23,7 +23,8 @@ def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
     sources = evaluation.sources(training.seed)
     objective = make_objective(case.objective, "result")
     problem = Problem(simulator, network_inputs(case), objective, sources)
-    policy = EchelonRule(len(case.places), problem.features, key=jax.random.key(training.seed))
+    key = jax.random.key(training.seed)
+    policy = EchelonRule(case, problem.action, problem.features, key=key)
     engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
 

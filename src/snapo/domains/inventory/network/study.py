@@ -27,6 +27,12 @@ def lines(case: NetworkCase) -> list[str]:
         supplier = "outside" if place.supplier is None else case.places[place.supplier].name
         sells = f"; demand {place.demand.words()}" if place.demand is not None else ""
         found.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}")
+    if (moving := case.transshipment) is not None:
+        found += [
+            f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
+            for pool, cost in zip(moving.labels, moving.values)
+        ]
+    found.append(f"orders are {'whole' if case.whole else 'any'} numbers of {case.unit}s")
     total = sum(each.value.size for each in numbers.values())
     return [*found, f"{len(numbers)} inputs with {total} numbers, each with a sensitivity"]
 
@@ -35,9 +41,7 @@ def study(case: NetworkCase, options: Options) -> Study:
     """Training, service by place, rivals, moves, distribution, bands, certificate."""
     without_references(options)
     setup = make_setup(case, options.engine)
-    money = dict.fromkeys(OUTPUTS, case.value_unit)
-    amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
-    units = money | amounts | dict.fromkeys(("coming", "action"), case.unit) | {"short": ""}
+    units = units_of(case)
     parts = [TRAINING, SERVICE, RIVALS, MOVES, distribution_part(units), profile_part(units),
              CERTIFICATE]  # fmt: skip
     return Study(
@@ -50,6 +54,15 @@ def study(case: NetworkCase, options: Options) -> Study:
         inputs=network_inputs,
         shown=service_and_costs,
     )
+
+
+def units_of(case: NetworkCase) -> dict[str, str]:
+    """Units of states, action and outputs."""
+    ways = (*AVERAGES, "sent", "received")
+    names = [f"{way}_{place.name}" for way in ways for place in case.places]
+    amounts = dict.fromkeys((*AVERAGES, *names), f"{case.unit}/{case.period}")
+    states = dict.fromkeys(("coming", "action"), case.unit)
+    return dict.fromkeys(OUTPUTS, case.value_unit) | amounts | states | {"short": ""}
 
 
 def _about(case: NetworkCase, units: dict[str, str]) -> dict[str, Any]:

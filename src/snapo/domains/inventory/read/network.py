@@ -1,4 +1,4 @@
-"""Reads a case with places: the tables `[network]` and `[[place]]`."""
+"""Reads a case with places: the tables `[network]`, `[[place]]` and `[[transshipment]]`."""
 
 from collections.abc import Mapping
 from pathlib import Path
@@ -11,9 +11,9 @@ from snapo.case.given import Given
 from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
 from ..demand.registry import read_demand
-from ..network.records import NetworkCase, Place
+from ..network.records import NetworkCase, Place, Pool
 from .settings import read_settings
-from .tables import LONGEST_LEAD, NAME, HorizonTable, Name
+from .tables import AMOUNT, LONGEST_LEAD, NAME, HorizonTable, Name, NotNegative
 
 MOST = 12  # places
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
@@ -24,6 +24,7 @@ class NetworkTable(Table):
     """`[network]`"""
 
     unmet: Literal["lost", "waits"] = Field("waits", description='"lost" or "waits"')
+    whole: bool | None = Field(None, description="true or false")
     currency: Name = Field("EUR", description=NAME)
     unit: Name = Field("piece", description=NAME)
     period: Name = Field("week", description=NAME)
@@ -42,6 +43,17 @@ class PlaceTable(Table):
     demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
 
 
+class TransshipmentTable(Table):
+    """One `[[transshipment]]`."""
+
+    between: Annotated[list[PlaceName], Field(min_length=2, max_length=MOST)] = Field(
+        description="a list of the names of 2 or more places with customers"
+    )
+    cost: NotNegative = Field(description=AMOUNT)
+    when: Literal["after", "before"] = Field("after", description='"after" or "before" (demand)')
+    one_way: bool = Field(False, description="true or false")
+
+
 class NetworkFile(Table):
     """The whole file."""
 
@@ -49,6 +61,7 @@ class NetworkFile(Table):
     title: Title = Field("Network", description=TITLE)
     network: dict = Field({}, description="the table [network]")
     place: list[Any] = Field(description="a list of tables, [[place]]")
+    transshipment: list[Any] = Field([], description="a list of tables, [[transshipment]]")
     horizon: dict = Field({}, description="the table [horizon]")
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")
@@ -82,6 +95,9 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     short = _costs("shortage_cost", selling, [row.shortage or 0.0 for row in selling],
                    money if table.unmet == "lost" else by_period,
                    "of a unit of unmet demand")  # fmt: skip
+    pools, moving = _pools(file, notes, top.transshipment, rows, money)
+    demands = [place.demand for place in places if place.demand is not None]
+    whole = all(demand.in_pieces() for demand in demands)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
     return NetworkCase(
@@ -93,9 +109,12 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         unit=table.unit,
         period=table.period,
         lost=table.unmet == "lost",
+        whole=whole if table.whole is None else table.whole,
         places=places,
+        pools=pools,
         holding=held,
         shortage=short,
+        transshipment=moving,
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
         discount=horizon.discount,
@@ -128,6 +147,40 @@ def _check(rows: list[PlaceTable], sections: list[Section], whole: Section, unme
                 raise section.error("supplier", row.supplier, "the suppliers form a circle")
             seen.add(here)
             here = rows[names.index(here)].supplier
+
+
+def _pools(
+    file: Path, notes: list[str], tables: list[Any], rows: list[PlaceTable], money: str
+) -> tuple[tuple[Pool, ...], Given | None]:
+    """The pools of stores, and the cost of a unit moved in each; None where there are none."""
+    names, sell = [row.name for row in rows], [row.name for row in rows if row.demand is not None]
+    pools, costs, labels = [], [], []
+    for i, each in enumerate(tables):
+        section = Section(file, f"transshipment[{i}]", notes)
+        table = parse(TransshipmentTable, each, str(file), section.name)
+        if unknown := [name for name in table.between if name not in sell]:
+            what = f"the places with customers are {', '.join(sell)}"
+            raise section.error("between", unknown[0], what)
+        if len(set(table.between)) < len(table.between):
+            raise section.error("between", table.between, "each place stands there once")
+        if table.one_way and len(table.between) != 2:
+            what = "one way leads from the first to the second of two places"
+            raise section.error("one_way", True, what)
+        places = tuple(names.index(name) for name in table.between)
+        pool = Pool(places if table.one_way else tuple(sorted(places)), table.one_way,
+                    table.when == "before")  # fmt: skip
+        if pool in pools:
+            raise section.error("between", table.between, "another table has the same places")
+        pools.append(pool)
+        costs.append(table.cost)
+        ways = " to " if table.one_way else ", "
+        early = " (before demand)" if pool.before else ""
+        labels.append(ways.join(table.between) + early)
+    if not pools:
+        return (), None
+    words = "of a unit that one store sends another"
+    return tuple(pools), Given("transshipment_cost", np.array(costs), tuple(labels), money,
+                               np.arange(len(pools)), group="costs", words=words)  # fmt: skip
 
 
 def _demand(section: Section, row: PlaceTable, unit: str):

@@ -10,7 +10,7 @@ from ..network.records import NetworkCase
 from .measured import Measured
 
 COLUMNS = (("", ""), ("mean", ""), ("± standard error", ""))
-COSTS = ("holding", "shortage", "purchase", "ordering")
+COSTS = ("holding", "shortage", "purchase", "ordering", "transshipment")
 
 
 def service_and_costs(found: study.Measured) -> Sequence[Shown]:

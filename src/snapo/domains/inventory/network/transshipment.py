@@ -1,0 +1,111 @@
+"""Goods that stores send one another: before demand, to balance stocks, or after it, where short.
+
+In a pool every place sends what it has beyond one level and takes what it lacks to another, which
+is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools follow
+one another, the cheapest first. With two places, or one cost for all, no other way to move as much
+is cheaper.
+
+- **After demand** a place sends what is left beyond the amount that it holds back, and takes what
+  it is short of. Holding nothing back is complete pooling (Krishnan and Rao, 1965; Tagaras, 1989).
+- **Before demand** the level is that of balance, at which all places of the pool are as many
+  standard deviations above their mean demand; a place sends what it has beyond it by more than a
+  band, and takes what it lacks by more than a band. A shift of its own moves its balance.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.smooth import Exact
+
+from .records import NetworkCase, Pool
+
+
+class Moved(NamedTuple):
+    """Stocks [n] after goods moved; amounts sent and received [n]; the cost."""
+
+    stock: jax.Array
+    sent: jax.Array
+    received: jax.Array
+    cost: jax.Array
+
+
+def move_before(case: NetworkCase, constants, stock, band, shift, smooth) -> Moved:
+    """Balances the pools that act before demand; `band`, `shift` [m] of `case.moving(True)`."""
+    members = np.array(case.moving(True), int)
+    band, shift = (jnp.zeros_like(stock).at[members].set(each) for each in (band, shift))
+
+    def levels(pool: Pool, stock):
+        inside = _mask(pool.places, stock)
+        unit, mean = inside * constants["unit"], constants["mean"]
+        above = jnp.sum(inside * (stock - mean))
+        balance = mean + above * unit / jnp.sum(unit) + shift
+        if case.whole and isinstance(smooth, Exact):
+            balance = _rounded(balance)
+        # No more can be sent than there is.
+        return smooth.positive_part(balance, constants["corner"]) + band, balance - band
+
+    return _moved(case, constants, stock, levels, True, smooth)
+
+
+def move_after(case: NetworkCase, constants, stock, held, smooth) -> Moved:
+    """Sends goods where demand was more than stock; `held` [m] of `case.moving(False)`."""
+    members = np.array(case.moving(False), int)
+    held = jnp.zeros_like(stock).at[members].set(held)
+    return _moved(case, constants, stock, lambda *_: (held, jnp.zeros_like(stock)), False, smooth)
+
+
+def _moved(case: NetworkCase, constants, stock, levels, before: bool, smooth) -> Moved:
+    sent, received = jnp.zeros_like(stock), jnp.zeros_like(stock)
+    cost = jnp.zeros((), stock.dtype)
+    for k in _cheapest_first(case, before):
+        pool = case.pools[k]
+        now = stock - sent + received
+        upper, lower = levels(pool, now)
+        corner = constants["corner"]
+        # Corners are differentiated upwards in stock, as demand in whole units needs it.
+        spare = _mask(pool.givers, stock) * smooth.positive_part(now - upper, corner)
+        lack = smooth.positive_part(now - lower, corner) - (now - lower)
+        lack = _mask(pool.takers, stock) * lack
+        moved = smooth.minimum(spare.sum(), lack.sum(), corner.sum())
+        given, taken = (shared(case, moved, each, smooth) for each in (spare, lack))
+        sent, received = sent + given, received + taken
+        cost = cost + constants["transshipment"][k] * moved
+    return Moved(stock - sent + received, sent, received, cost)
+
+
+def shared(case: NetworkCase, total, parts, smooth):
+    """[n] `total`, at most the sum of `parts` [n], shared in proportion to them."""
+    some = jnp.sum(parts) > 0
+    found = parts * jnp.where(some, total, 0.0) / jnp.where(some, jnp.sum(parts), 1.0)
+    return in_pieces(case, found, smooth)
+
+
+def in_pieces(case: NetworkCase, amounts, smooth):
+    """[n] amounts as whole numbers of the same sum, each less than 1 away; in training as is."""
+    if not case.whole or not isinstance(smooth, Exact):
+        return amounts
+    upto = jnp.concatenate([jnp.zeros_like(amounts[:1]), jnp.cumsum(amounts)])
+    return jnp.diff(_rounded(upto))
+
+
+def _rounded(amounts):
+    """The nearest whole numbers, with the derivative of the amounts themselves."""
+    return amounts + jax.lax.stop_gradient(jnp.floor(amounts + 0.5) - amounts)
+
+
+def _cheapest_first(case: NetworkCase, before: bool) -> list[int]:
+    if case.transshipment is None:
+        return []
+    costs = case.transshipment.values
+    chosen = [k for k, pool in enumerate(case.pools) if pool.before == before]
+    return sorted(chosen, key=lambda k: costs[k])
+
+
+def _mask(places: Sequence[int], like):
+    found = np.zeros(like.shape)
+    found[list(places)] = 1.0
+    return jnp.asarray(found, like.dtype)
