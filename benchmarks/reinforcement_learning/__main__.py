@@ -53,6 +53,7 @@ def main() -> None:
     parser.add_argument("--seconds", type=float, default=300.0, help="of processor time, by agent")
     parser.add_argument("--wall", type=float, default=3600.0, help="the same, of wall time in all")
     parser.add_argument("--out", type=Path, help="CSV; rows are appended, the table is of all")
+    parser.add_argument("--figure", type=Path, help="SVG of all curves in the file")
     parser.add_argument("--quick", action="store_true", help="a short run of everything")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
     asked = parser.parse_args()
@@ -75,6 +76,10 @@ def main() -> None:
         points = read(out) if out.exists() else []
         for line in lines(points, {name: told.shown for name, told in TOLD.items()}):
             print(line)
+        if asked.figure:
+            from .figures import draw
+
+            draw(points, TOLD, asked.figure)
 
 
 def _apart(problem: str, method: str, seed: int, asked: argparse.Namespace, out: Path) -> None:

@@ -36,6 +36,18 @@ def test_points_go_through_a_file(tmp_path):
     assert read(file) == [*OURS, *THEIRS]
 
 
+def test_all_curves_are_drawn_and_the_same_runs_give_the_same_file(tmp_path):
+    from benchmarks.reinforcement_learning.figures import draw
+    from benchmarks.reinforcement_learning.told import TOLD
+
+    files = [tmp_path / name for name in ("one.svg", "two.svg")]
+    for file in files:
+        draw([*OURS, *THEIRS, *OURS[:1]], TOLD, file)
+    one, two = (file.read_text("utf-8") for file in files)
+    assert one == two
+    assert "PPO" in one and "snapo" in one and "SAC" not in one
+
+
 def test_the_clock_stands_still_while_paused():
     clock = Clock()
     with clock.paused():

@@ -9,8 +9,14 @@ from snapo.domains.inventory.read.case import read_case
 MEAN = 5.0
 
 
-def case(demand: dict[str, Any] | None = None, **item: Any) -> InventoryCase:
-    """A case with these keys of `[item]`; those of other tables by their names, as tables."""
+HERE = Path(__file__).parent
+
+
+def case(demand: dict[str, Any] | None = None, folder: Path = HERE, **item: Any) -> InventoryCase:
+    """A case with these keys of `[item]`; those of other tables by their names, as tables.
+
+    - `folder`: where its other files are.
+    """
     other = {name: item.pop(name) for name in ("horizon", "training", "season") if name in item}
     usual = {"unmet": "lost", "lead_time": 2, "holding": 1.0, "shortage": 4.0}
     tables = {
@@ -19,4 +25,4 @@ def case(demand: dict[str, Any] | None = None, **item: Any) -> InventoryCase:
         "demand": demand or {"kind": "poisson", "mean": MEAN},
         **other,
     }
-    return read_case(Path(__file__).parent / "case.toml", tables)
+    return read_case(folder / "case.toml", tables)

@@ -88,3 +88,29 @@ def test_spread_demand_is_continuous_and_keeps_the_mean():
 
 def test_every_kind_is_complete():
     assert set(kinds()) == {"poisson", "geometric", "negative-binomial", "normal", "empirical"}
+
+
+def test_normal_and_empirical_demand_have_the_derivatives_of_their_moments(tmp_path):
+    """Of a cost's mean, against differences; demand from a history is stretched and moved."""
+    history = "period,demand\n" + "\n".join(
+        f"{i},{d}" for i, d in enumerate([3, 8, 5, 6, 2, 7, 9, 4])
+    )
+    (tmp_path / "history.csv").write_text(history)
+    tables = (
+        {"kind": "normal", "mean": 5.0, "deviation": 1.6},
+        {"kind": "empirical", "history": "history.csv", "mean": 5.2, "deviation": 2.1},
+    )
+    for table in tables:
+        demand = case(table, folder=tmp_path).demand
+        with jax.enable_x64(True):
+
+            def mean(values, demand=demand):
+                left = jnp.maximum(6.3 - drawn(demand, values), 0.0)
+                return jnp.mean(5 * left - 4 * (6.3 - drawn(demand, values)))
+
+            values = demand.values()
+            slopes = jax.grad(mean)(values)
+            assert set(slopes) == {"demand_mean", "demand_deviation"}
+            for name, slope in slopes.items():
+                ends = [mean(values | {name: values[name] + way * 1e-6}) for way in (1, -1)]
+                assert float(slope) == pytest.approx(float(ends[0] - ends[1]) / 2e-6, rel=1e-5)

@@ -18,7 +18,7 @@ from snapo.engine import Native, Xla
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.certificate import certify_derivatives, in_the_mean
 from snapo.solver.evaluate import evaluate
@@ -191,3 +191,37 @@ def test_the_mean_of_whole_demand_has_a_smooth_derivative_near_that_of_the_value
             for mean in (5.25, 4.75)]  # fmt: skip
     found = float(slope.inputs["demand_mean"])
     assert found == pytest.approx((ends[0].value - ends[1].value) / 0.5, abs=0.15)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("lead", [0, 1, 3])
+def test_cycles_end_with_arrivals_and_are_met_without_unmet_demand(lead):
+    """An (s, S) rule: counted from the recorded orders and shortages of every path."""
+    periods = 40
+    of = problem(case(lead_time=lead, shortage=4.0, order=20.0, stock=9.0, coming=[5.0] * (lead - 1),
+                      horizon={"periods": periods, "warm_up": 0}))  # fmt: skip
+    numbers = [jnp.asarray(x) for x in (10.0, ENDLESS, 1.0)]
+    draws = of.sources.evaluation.draws(np.arange(32), of.simulator)
+    rule = Classical(*numbers, action=of.action)
+    found = Xla("float64").bind(of).values(rule, draws, Exact(), record=("outputs",))
+    shown = {
+        name: np.asarray(found.record["outputs"][name]) * periods for name in ("ordered", "short")
+    }
+    cycles = met = 0
+    for path in range(32):
+        arrivals = list(shown["ordered"][:, path])
+        if lead > 1:
+            arrivals = [5.0] * (lead - 1) + arrivals[: periods - lead + 1]
+        missed = False
+        for arrived, short in zip(arrivals, shown["short"][:, path]):
+            if lead > 0:
+                missed |= short > 0.5
+            if arrived > 0.5:
+                cycles, met, missed = cycles + 1, met + (not missed), False
+            if lead == 0:
+                missed |= short > 0.5
+    totals = {
+        name: float(np.sum(found.totals[name])) * periods for name in ("cycles", "cycles_met")
+    }
+    assert totals == pytest.approx({"cycles": cycles, "cycles_met": met}, abs=1e-6)
+    assert 0.2 * cycles < met < cycles and cycles < 0.8 * 32 * periods

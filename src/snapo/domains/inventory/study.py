@@ -61,7 +61,7 @@ def study(case: InventoryCase, options: Options) -> Study:
         MOVES,
         *([LEAD_TIME] if case.other_leads else []),
         distribution_part(units),
-        profile_part(units, without=("likelihood",)),
+        profile_part(units, without=("likelihood", "missed")),
         CERTIFICATE,
     ]
     return Study(
@@ -82,7 +82,8 @@ def units_of(case: InventoryCase) -> dict[str, str]:
     money = dict.fromkeys(OUTPUTS, case.value_unit)
     amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
     states = dict.fromkeys(("stock", "coming", "action"), case.unit)
-    return money | amounts | states | {"short": "", "orders": f"1/{case.period}"}
+    orders = dict.fromkeys(("orders", "cycles", "cycles_met"), f"1/{case.period}")
+    return money | amounts | states | {"short": ""} | orders
 
 
 def _about(case: InventoryCase, units: dict[str, str]) -> dict[str, Any]:

@@ -35,19 +35,22 @@ from .estimates import memory, safety_factor, usual_cost
 from .records import InventoryCase
 
 CORNER = 8.0  # of a corner in units of the standard deviation of demand, times the temperature
+LEAST = 1e-3  # of an arrival
 OUTPUTS = ("result", "holding", "shortage", "purchase", "ordering")
-AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered")
+AVERAGES = ("demand", "sold", "stock", "short", "orders", "ordered", "cycles", "cycles_met")
 
 
 class InventorySimulator(Simulator):
     """One path of an item; the inputs are those of `inputs_of(case)`.
 
-    State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first, and
-    with a cost of an order the "likelihood" of what training has drawn: 1, with a derivative.
+    State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
+    "missed" (1 if demand was unmet since the last arrival; of the value alone), and with a cost of
+    an order the "likelihood" of what training has drawn: 1, with a derivative.
 
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages of a period that counts: "demand", "sold" (met from stock at once),
-    "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered".
+    "stock" at the end, "short" (1 in a period with unmet demand), "orders", "ordered"; and of the
+    value alone "cycles", which end with an arrival, and "cycles_met", without unmet demand.
     """
 
     case: InventoryCase = eqx.field(static=True)
@@ -107,7 +110,7 @@ class InventorySimulator(Simulator):
         return jnp.round(usual) if self.case.item.whole else usual
 
     def initial(self, constants, noise):
-        state = {"stock": constants["stock"]}
+        state = {"stock": constants["stock"], "missed": jnp.zeros(())}
         if self.case.item.fixed:
             state["likelihood"] = jnp.ones(())
         return state | ({"coming": constants["coming"]} if self.case.item.lead > 1 else {})
@@ -148,13 +151,14 @@ class InventorySimulator(Simulator):
         }
         costs = {name: now["weight"] * part for name, part in parts.items()}
         unmet = smooth.indicator(short - (0.5 if self.case.demand.integral() else 1e-3), corner)
-        averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order)))
+        missed, cycles = _cycle(state, order, unmet, item.lead, smooth)
+        averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order, *cycles)))
         outputs = {"result": -sum(costs.values()), **costs}
         outputs |= {name: now["counted"] * each for name, each in averages.items()}
         if item.fixed:
             outputs = _weighted(outputs, likelihood, now["weight"] * usual_cost(self.case))
         after = left if item.lost else stock - demand
-        moved = _next(state, after, order, item.lead)
+        moved = _next(state, after, order, item.lead) | {"missed": missed}
         return moved | ({"likelihood": likelihood} if item.fixed else {}), outputs
 
     def _drawn(self, state, action, noise, smooth):
@@ -183,7 +187,7 @@ class InventorySimulator(Simulator):
 
     def state_scale(self, constants):
         unit = constants["usual"]
-        scale = {"stock": unit}
+        scale = {"stock": unit, "missed": jnp.ones(())}
         if self.case.item.fixed:
             scale["likelihood"] = jnp.ones(())
         if self.case.item.lead > 1:
@@ -207,6 +211,23 @@ def _weighted(outputs, likelihood, usual):
     surprise = outputs["result"] + usual
     weighted = {name: likelihood * each for name, each in outputs.items()}
     return weighted | {"result": outputs["result"] + (likelihood - 1) * surprise}
+
+
+def _cycle(state, order, unmet, lead: int, smooth):
+    """(whether the cycle that goes on has missed demand, (cycles that end, those without unmet
+    demand)): of the value alone; training has no use for them."""
+    nothing = jnp.zeros_like(unmet)
+    if not isinstance(smooth, Exact):
+        return state["missed"], (nothing, nothing)
+    arrived = state["coming"][0] if lead > 1 else order
+    ends = (arrived > LEAST).astype(unmet.dtype)
+    if lead == 0:  # it ends before the demand of this period
+        return jnp.maximum((1 - ends) * state["missed"], unmet), (
+            ends,
+            ends * (1 - state["missed"]),
+        )
+    missed = jnp.maximum(state["missed"], unmet)
+    return (1 - ends) * missed, (ends, ends * (1 - missed))
 
 
 def _next(state, after, order, lead: int):

@@ -80,6 +80,7 @@ class NetworkCase:
     objective: ObjectiveTable
     training: TrainingTable
     evaluation: EvaluationTable
+    other_leads: bool = False
 
     @property
     def horizon(self) -> int:

@@ -33,9 +33,8 @@ def service_and_places(run: StudyRun) -> dict[str, Any]:
     names = ("holding", "shortage", *(["transshipment"] if case.pools else []))
     costs = [{"name": name, **found.total(name)} for name in names]
     places = []
-    levels = run.setup.problem.schedule.constants["level"]
-    for place, level in zip(case.places, levels):
-        row: dict[str, Any] = {"name": place.name, "level": float(level)}
+    for place in case.places:
+        row: dict[str, Any] = {"name": place.name, "level": found.total(f"level_{place.name}")}
         row["supplier"] = "" if place.supplier is None else case.places[place.supplier].name
         row["stock"] = found.total(f"stock_{place.name}")
         if place.demand is not None:

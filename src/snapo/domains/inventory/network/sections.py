@@ -19,7 +19,7 @@ def places(run: Folder) -> Section:
         (
             str(row["name"]),
             str(row["supplier"]) or "outside",
-            number(row["level"], 2),
+            number(row["level"]["value"], 2),
             number(row["stock"]["value"], digits),
             plus_minus(row["stock"]["standard_error"], digits),
             number(row.get("demand", {}).get("value"), digits),
@@ -28,13 +28,13 @@ def places(run: Folder) -> Section:
         )
         for row in rows
     ]
-    head = [("Place", ""), ("Supplied by", ""), ("First level", unit), ("Stock", unit), ("", ""),
+    head = [("Place", ""), ("Supplied by", ""), ("Orders up to", unit), ("Stock", unit), ("", ""),
             ("Demand", unit), ("Fill rate", "")]  # fmt: skip
     head += [(way.capitalize(), unit) for way in ways]
     words = (
-        "Stock is the average on hand at the end of a period. The first level is that of the "
-        "echelon from which training starts: all goods at the place, on their way to it and "
-        "further down, less demand that waits."
+        "Stock is the average on hand at the end of a period. The level up to which a place orders "
+        "is the mean over periods of all goods at the place, on their way to it and further down, "
+        "less demand that waits, with its order."
     )
     if ways:
         words += " Sent and received is what stores send one another in a period."

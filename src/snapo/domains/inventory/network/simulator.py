@@ -33,7 +33,7 @@ from .transshipment import in_pieces, move_after, move_before
 
 CORNER = 8.0  # of a corner in deviations of demand, times the temperature
 OUTPUTS = ("result", "holding", "shortage", "transshipment")
-AVERAGES = ("demand", "sold", "stock", "short", "moved")
+AVERAGES = ("demand", "sold", "stock", "short", "moved", "level")
 
 
 class NetworkSimulator(Simulator):
@@ -46,8 +46,8 @@ class NetworkSimulator(Simulator):
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
     "demand", "sold" (met at once), "stock" and "short" (1 where any place falls short), and
-    "stock_NAME", "sold_NAME", "demand_NAME" by place. With pools also the cost "transshipment",
-    and on average "moved", "sent_NAME", "received_NAME".
+    "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
+    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME".
     """
 
     case: NetworkCase = eqx.field(static=True)
@@ -145,12 +145,17 @@ class NetworkSimulator(Simulator):
         units in units, the standard deviation of the demand that a place serves."""
         unit, stock = constants["unit"], state["stock"]
         coming = state.get("coming", jnp.zeros((len(self.case.places), 0)))
-        echelon = jnp.asarray(self.case.serves, stock.dtype) @ (stock + coming.sum(1))
-        gap = (constants["level"] - echelon) / unit
+        gap = (constants["level"] - self._echelon(state)) / unit
         seen = [gap, unit, (stock - constants["stock"]) / unit]
         for i, place in enumerate(self.case.places):
             seen.append((coming[i, : place.lead] - constants["mean"][i]) / unit[i])
         return jnp.concatenate(seen)
+
+    def _echelon(self, state):
+        """[n] goods at a place, on their way there and further down, less demand that waits."""
+        stock = state["stock"]
+        own = stock + state["coming"].sum(1) if self.longest else stock
+        return jnp.asarray(self.case.serves, stock.dtype) @ own
 
     def step(self, constants, now, state, action, noise, smooth):
         case, n, corner = self.case, len(self.case.places), constants["corner"]
@@ -178,6 +183,8 @@ class NetworkSimulator(Simulator):
         short = left - stock
         sold = smooth.positive_part(asked - short, corner)  # goods that waited were met first
         costs, means = self._counted(constants, after, left, short, moves)
+        levels = self._echelon(state) + parts["order"]
+        means |= {f"level_{place.name}": levels[i] for i, place in enumerate(case.places)}
         means |= {"demand": asked.sum(), "sold": sold[jnp.asarray(case.sellers)].sum()}
         means["short"] = smooth.indicator(jnp.max(short) - 1e-3, corner[0])
         for i in case.sellers:

@@ -10,6 +10,7 @@ from snapo.study.parts.profile import profile_part
 from snapo.study.study import Study
 from snapo.study.training import TRAINING
 
+from ..results.lead_time import LEAD_TIMES
 from ..results.shown import service_and_costs
 from ..told import about, result, without_references
 from .records import NetworkCase
@@ -42,8 +43,9 @@ def study(case: NetworkCase, options: Options) -> Study:
     without_references(options)
     setup = make_setup(case, options.engine)
     units = units_of(case)
-    parts = [TRAINING, SERVICE, RIVALS, MOVES, distribution_part(units), profile_part(units),
-             CERTIFICATE]  # fmt: skip
+    leads = [LEAD_TIMES] if case.other_leads else []
+    parts = [TRAINING, SERVICE, RIVALS, MOVES, *leads, distribution_part(units),
+             profile_part(units), CERTIFICATE]  # fmt: skip
     return Study(
         "inventory",
         _about(case, units),
@@ -68,4 +70,5 @@ def units_of(case: NetworkCase) -> dict[str, str]:
 def _about(case: NetworkCase, units: dict[str, str]) -> dict[str, Any]:
     sells = [case.places[i] for i in case.sellers]
     demand = "; ".join(f"{each.name}: {each.demand.words()}" for each in sells if each.demand)
-    return about(case, units) | {"network": True, "lost": case.lost, "demand": demand}
+    more = {"network": True, "lost": case.lost, "demand": demand, "other_leads": case.other_leads}
+    return about(case, units) | more

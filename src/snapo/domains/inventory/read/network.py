@@ -43,6 +43,12 @@ class PlaceTable(Table):
     demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
 
 
+class ReportTable(Table):
+    """`[report]` of a case with places."""
+
+    lead_time: bool = Field(False, description="true or false")
+
+
 class TransshipmentTable(Table):
     """One `[[transshipment]]`."""
 
@@ -63,6 +69,7 @@ class NetworkFile(Table):
     place: list[Any] = Field(description="a list of tables, [[place]]")
     transshipment: list[Any] = Field([], description="a list of tables, [[transshipment]]")
     horizon: dict = Field({}, description="the table [horizon]")
+    report: dict = Field({}, description="the table [report]")
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")
@@ -118,6 +125,7 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
         discount=horizon.discount,
+        other_leads=parse(ReportTable, top.report, name, "report").lead_time,
     )
 
 

@@ -40,11 +40,16 @@ class Measured:
         return said(statistics.ratio(self.totals[top], self.totals[bottom], self.groups))
 
     def service(self) -> dict[str, dict[str, float]]:
-        """Fill rate (demand met from stock at once), cycle service (periods without unmet demand),
-        stock at the end of a period, demand of a period."""
+        """Fill rate (demand met from stock at once), of one item cycle service (replenishment
+        cycles without unmet demand), periods without unmet demand, stock at the end of a period,
+        demand of a period."""
+        cycles = {}
+        if "cycles" in self.totals:
+            cycles["cycle_service"] = self.ratio("cycles_met", "cycles")
         return {
             "fill_rate": self.ratio("sold", "demand"),
-            "cycle_service": self.mean(1 - np.asarray(self.totals["short"], np.float64)),
+            **cycles,
+            "period_service": self.mean(1 - np.asarray(self.totals["short"], np.float64)),
             "stock": self.total("stock"),
             "demand": self.total("demand"),
         }

@@ -12,8 +12,9 @@ COSTS = ("holding", "shortage", "purchase", "ordering")
 
 def work(run: StudyRun) -> dict[str, Any]:
     """ "service": {name: {"value", "standard_error"}} of fill rate (demand met from stock at once),
-    cycle service (periods without unmet demand), stock at the end of a period, orders a period,
-    units of an order, demand a period; "costs": one row per part of the cost."""
+    cycle service (replenishment cycles without unmet demand), periods without unmet demand, stock
+    at the end of a period, orders a period, units of an order, demand a period; "costs": one row
+    per part of the cost."""
     case, found = case_of(run.setup), Measured.of(run)
     more = {"orders": found.total("orders"), "order_size": found.ratio("ordered", "orders")}
     kept = [name for name in COSTS if case.item.cost(name) > 0]

@@ -14,7 +14,7 @@ COSTS = ("holding", "shortage", "purchase", "ordering", "transshipment")
 
 
 def service_and_costs(found: study.Measured) -> Sequence[Shown]:
-    """Fill rate, cycle service, stock and demand; and what a period costs by part."""
+    """Fill rate, service, stock and demand; and what a period costs by part."""
     case = found.setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
     assert isinstance(case, InventoryCase | NetworkCase)
     told = Measured(found.totals, found.groups)

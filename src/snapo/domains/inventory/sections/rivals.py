@@ -45,15 +45,17 @@ def lead_time(run: Folder) -> Section:
     """The cost of a period more or less of lead time."""
     title, short = "A period more or less of lead time", "Lead time"
     rows = run.get("lead_time_change", [])
-    if run.get("network") or not run.get("other_leads", True):
-        words = "This run trains no other lead times: solve with one, and use `snapo compare`."
+    if not run.get("other_leads", True):
+        words = "This run trains no other lead times: `lead_time = true` in [report] does."
         return Section("lead-time", title, short, [Missing(words)])
     if not rows:
         return Section("lead-time", title, short, [lacking(run, "lead time")])
     step = str(run.get("step", "period"))
     places = max(decimals([row["standard_error"] for row in rows], 2), 2)
+    by_place = any(row.get("place") for row in rows)
     cells = [
         (
+            *([str(row["place"])] if by_place else []),
             f"{row['lead']} {step}s",
             number(-float(row["change"]), places, sign=True),
             plus_minus(row["standard_error"], places),
@@ -61,6 +63,10 @@ def lead_time(run: Folder) -> Section:
         for row in rows
     ]
     head = [("Lead time", ""), ("Cost, change", run.unit), ("", "")]
+    head = [("Place", ""), *head] if by_place else head
     words = "The rule is trained anew for each, and compared on the same paths."
-    blocks: list[Block] = [Table(head, cells, "Other lead times", 1), Text(words, caveat=True)]
+    blocks: list[Block] = [
+        Table(head, cells, "Other lead times", len(head) - 2),
+        Text(words, caveat=True),
+    ]
     return Section("lead-time", title, short, blocks)

@@ -9,7 +9,8 @@ from snapo.report.sections.lacking import lacking
 
 SHARES = {
     "fill_rate": ("Fill rate", "of demand is met from stock at once"),
-    "cycle_service": ("Cycle service", "of periods have no unmet demand"),
+    "cycle_service": ("Cycle service", "of replenishment cycles have no unmet demand"),
+    "period_service": ("Periods without shortage", "of all periods"),
 }
 AMOUNTS = {
     "stock": ("Average stock", "at the end of a period"),
@@ -43,7 +44,9 @@ def service(run: Folder) -> Section:
 def _facts(run: Folder) -> Facts:
     found = []
     for name, (words, what) in SHARES.items():
-        each = run.get(f"service.{name}", {})
+        each = run.get(f"service.{name}")
+        if each is None:
+            continue
         error = finite(each.get("standard_error"))
         off = f" ({plus_minus(100 * error, 2)})" if error is not None else ""
         found.append((words, percent(each.get("value"), 2), f"{what}{off}"))
