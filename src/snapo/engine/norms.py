@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from typing import Any, NamedTuple
 
-import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +12,7 @@ from jaxtyping import Array, PyTree
 from snapo.problem.noise.counter import Draws, only
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.quickly import compiled_sooner
 
 from .packing import Packing
 from .totals import add, zero
@@ -57,7 +57,7 @@ def adjoint_norms(
     return Norms(whole, leaves)
 
 
-@eqx.filter_jit
+@compiled_sooner  # it runs a few times: in a pension fund compiling took 13 s of processor time
 def _norms(engine: Xla, call: Call, weights: dict[str, Array], memory: Array):
     def of_path(draws, own):
         return _of_path(engine, call, draws, own, memory)
