@@ -43,7 +43,8 @@ def draw(points: Sequence[Point], told: Mapping[str, Told], file: Path) -> None:
 def _panel(panel: Axes, points: Sequence[Point], told: Told, column: str) -> None:
     values = []
     for (_, method, _), run in sorted(runs(points).items()):
-        x = [max(getattr(point, column), 1e-3) for point in run]
+        least = min(getattr(point, column) for point in points if getattr(point, column))
+        x = [max(getattr(point, column), least / 2) for point in run]  # no step yet: at the edge
         y = [told.shown(point.value) for point in run]
         values.append(y)
         alone = "o" if len(run) == 1 else "."

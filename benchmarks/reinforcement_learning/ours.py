@@ -19,8 +19,9 @@ from .yardstick import Yardstick
 def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
     """Tells the points of one run of `steps` updates (None: the settings').
 
-    The clock starts before the problem is made: what snapo prepares, such as the guide of a gas
-    store, and what it compiles counts. So do the paths on which it validates.
+    The first is the rule before any training, for which nothing was simulated. The clock starts
+    before the problem is made: what snapo prepares, such as the guide of a gas store, and what it
+    compiles counts. So do the paths on which it validates.
     """
     clock = Clock()
     task = TASKS[problem](seed)
@@ -31,6 +32,8 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
     policy = task.policy.for_problem(lessons[0][0].interface, jax.random.key(seed))
     with clock.paused():
         yardstick = Yardstick(task.problem, task.paths)
+        value = yardstick.value(policy)
+    tell(Point(problem, "snapo", seed, 0, *clock.read(), value))
     made = 0  # steps of the simulator in the lessons before
     for lesson, settings in lessons:
 

@@ -72,8 +72,9 @@ def lines(points: Sequence[Point], shown: dict) -> Iterator[str]:
         if one.other_steps is None or one.other_processor is None:
             yield head + " never | never | | |"
             continue
-        fewer, sooner = one.steps / one.other_steps, one.processor / one.other_processor
+        # The rule that snapo begins with may be as good already.
+        fewer = f"{one.steps / one.other_steps:.3g}" if one.other_steps else "none needed"
+        sooner = one.processor / one.other_processor
         yield (
-            f"{head} {one.other_steps:,.0f} | {one.other_processor:.1f} "
-            f"| {fewer:.3g} | {sooner:.3g} |"
+            f"{head} {one.other_steps:,.0f} | {one.other_processor:.1f} | {fewer} | {sooner:.3g} |"
         )

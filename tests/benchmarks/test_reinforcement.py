@@ -29,6 +29,12 @@ def test_the_table_tells_every_run():
     assert "never" in list(lines([*OURS[:1], *THEIRS], {"put": float}))[2]
 
 
+def test_a_rule_that_is_as_good_before_any_training_needs_no_step():
+    begun = curve("snapo", (0, 0.5, 3.5), (100, 1.0, 4.0))
+    told = list(lines([*begun, *THEIRS], {"put": float}))
+    assert told[2] == "| put | ppo, 0 | 3 | 9,000 | 40.0 | 0 | 0.5 | none needed | 80 |"
+
+
 def test_points_go_through_a_file(tmp_path):
     file = tmp_path / "points.csv"
     write(file, OURS)
