@@ -6,6 +6,7 @@ import os
 import subprocess
 import sys
 import tempfile
+from collections.abc import Sequence
 from pathlib import Path
 
 from .clock import Budget, Point, read, write
@@ -44,7 +45,8 @@ def run(problem: str, method: str, seed: int, asked: argparse.Namespace) -> None
     learn(problem, method, seed, steps, Budget(asked.seconds, asked.wall), tell)
 
 
-def main() -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Runs what the arguments ask for (None: those of the command line), and prints the table."""
     parser = argparse.ArgumentParser(prog="python -m benchmarks.reinforcement_learning")
     parser.add_argument("problems", nargs="*", metavar="PROBLEM", help=f"of {', '.join(TOLD)}")
     parser.add_argument("--algorithm", nargs="+", choices=METHODS, default=list(METHODS))
@@ -56,7 +58,7 @@ def main() -> None:
     parser.add_argument("--figure", type=Path, help="SVG of all curves in the file")
     parser.add_argument("--quick", action="store_true", help="a short run of everything")
     parser.add_argument("--alone", action="store_true", help=argparse.SUPPRESS)
-    asked = parser.parse_args()
+    asked = parser.parse_args(arguments)
     if unknown := set(asked.problems) - set(TOLD):
         parser.error(f"there is no {', '.join(sorted(unknown))}; known are {', '.join(TOLD)}")
     if asked.alone:
