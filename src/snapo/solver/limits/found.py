@@ -116,9 +116,9 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, en
     ]
     bound, source = engine.bind(problem), problem.sources.evaluation
     blocks = source.blocks(source.available(PATHS), BLOCKS)
+    draws = [source.draws(block, problem.simulator) for block in blocks]
     slopes = np.array([
-        [slope_of(bound, policy, source.draws(b, problem.simulator), smooth, each) for each in wanted]
-        for b in blocks
+        [slope_of(bound, policy, block, smooth, each) for each in wanted] for block in draws
     ])  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
     whole = _least_squares(slopes.mean(0))
     without = (slopes.sum(0) - slopes) / (len(slopes) - 1)
