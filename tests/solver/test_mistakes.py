@@ -10,6 +10,7 @@ from snapo.checker.first import first_mistakes
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
+from snapo.problem.limits import AtMost
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -90,6 +91,23 @@ def test_a_mistake_is_named_before_anything_compiles(kind, monkeypatch):
     with pytest.raises(ValueError, match="nothing was compiled") as refused:
         solve(problem(kind), policy=MLP(hidden=(4,)))
     assert REFUSED[kind] in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    "objective, limits, said",
+    [
+        (-Mean("costs"), (), "error: objective\n    There is no output 'costs'."),
+        (Mean("cost") + Mean("gain"), (), "no output 'gain'"),
+        (-Mean("cost"), (AtMost("costly", 1.0),), "error: limits[0]\n    There is no output 'costly'"),
+        ("cost", (), "It is no objective, such as Mean(output): 'cost'."),
+        (-Mean("cost"), ("cost",), "limits[0]\n    It is no limit, such as AtMost(output, level): 'cost'"),
+    ],
+)  # fmt: skip
+def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, limits, said):
+    with pytest.raises(ValueError, match="nothing was compiled") as refused:
+        solve(Drift(), INPUTS, MLP(hidden=(4,)), objective=objective, limits=limits, engine="xla")
+    assert said in str(refused.value)
+    assert "The outputs are ['cost']." in str(refused.value)
 
 
 def test_an_action_outside_of_its_set_is_named():

@@ -107,7 +107,8 @@ def whole(name: str, value: object, least: int) -> None:
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
     """Refuses what is no finite number, or not one of those allowed: a test and its words."""
     plain = isinstance(value, int | float | np.integer | np.floating)
-    if not plain or isinstance(value, bool) or not (np.isfinite(value) and allowed[0](value)):
+    known = float(value) if plain and not isinstance(value, bool) else np.nan
+    if not (np.isfinite(known) and allowed[0](known)):
         raise ValueError(f"{name} is {value!r}; allowed is {allowed[1]}.")
 
 
