@@ -10,6 +10,7 @@ from snapo.checker.first import first_mistakes
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
+from snapo.problem.limits import AtMost
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -92,6 +93,23 @@ def test_a_mistake_is_named_before_anything_compiles(kind, monkeypatch):
     assert REFUSED[kind] in str(refused.value)
 
 
+@pytest.mark.parametrize(
+    "objective, limits, said",
+    [
+        (-Mean("costs"), (), "error: objective\n    There is no output 'costs'."),
+        (Mean("cost") + Mean("gain"), (), "no output 'gain'"),
+        (-Mean("cost"), (AtMost("costly", 1.0),), "error: limits[0]\n    There is no output 'costly'"),
+        ("cost", (), "It is no objective, such as Mean(output): 'cost'."),
+        (-Mean("cost"), ("cost",), "limits[0]\n    It is no limit, such as AtMost(output, level): 'cost'"),
+    ],
+)  # fmt: skip
+def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, limits, said):
+    with pytest.raises(ValueError, match="nothing was compiled") as refused:
+        solve(Drift(), INPUTS, MLP(hidden=(4,)), objective=objective, limits=limits, engine="xla")
+    assert said in str(refused.value)
+    assert "The outputs are ['cost']." in str(refused.value)
+
+
 def test_an_action_outside_of_its_set_is_named():
     found = first_mistakes(problem(), Five())
     assert len(found.errors) == 1 and "Action 0 is 5, outside of 0 to 1" in str(found)
@@ -129,6 +147,18 @@ def test_a_print_is_not_dropped():
         (lambda: Training(paths=0), "paths is 0"),
         (lambda: Training(validation_every=0.5), "validation_every is 0.5"),  # pyright: ignore
         (lambda: Training(patience=0), "patience is 0"),
+        (lambda: Training(learning_rate=-1), "learning_rate is -1; allowed is a number above 0"),
+        (lambda: Training(learning_rate=float("nan")), "learning_rate is nan"),
+        (lambda: Training(learning_rate="fast"), "learning_rate is 'fast'"),  # pyright: ignore
+        (lambda: Training(average=2.0), "average is 2.0; allowed is a number above 0, at most 1"),
+        (lambda: Training(temperature_end=-1), "temperature_end is -1; allowed is a number above"),
+        (lambda: Training(temperature_start=np.inf), "temperature_start is inf"),
+        (lambda: Training(decay=-0.1), "decay is -0.1; allowed is a number, 0 or more"),
+        (lambda: Training(clip=0.0), "clip is 0.0; allowed is a number above 0, 'auto' or None"),
+        (lambda: Training(clip="often"), "clip is 'often'"),
+        (lambda: Training(seed=-1), "seed is -1; allowed is a whole number of at least 0"),
+        (lambda: Training(seed="a"), "seed is 'a'"),  # pyright: ignore
+        (lambda: Evaluation(judge_paths=-3), "judge_paths is -3; allowed is a whole number of at"),
         (lambda: Evaluation(sensitivity_paths=-1), "sensitivity_paths is -1"),
         (lambda: Evaluation(scenarios="halton"), "'halton'"),
     ],

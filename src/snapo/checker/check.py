@@ -41,7 +41,7 @@ def check(
     try:
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)
-        observation = one_step(notes, simulator, schedule)
+        observation = one_step(notes, simulator, schedule).observation
         repeatable(notes, simulator, inputs, schedule)
         within(notes, simulator, schedule)
         runs = rolled(

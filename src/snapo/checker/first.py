@@ -14,10 +14,12 @@ from .findings import Findings, Notes, Stop
 from .indices import within
 from .precision import TABLE, tables
 from .shapes import declared, one_step
+from .wanted import wanted
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Mistakes in declarations, shapes, totals, indices, tables and actions; it never raises.
+    """Mistakes in declarations, shapes, totals, outputs that objective and limits name, indices,
+    tables and actions; it never raises.
 
     It takes tenths of a second; `snapo.check` looks at much more.
     """
@@ -25,11 +27,12 @@ def first_mistakes(problem: Problem, policy: Policy) -> Findings:
     try:
         declared(notes, simulator, problem.inputs)
         schedule = problem.schedule
-        observation = one_step(notes, simulator, schedule)
+        shapes = one_step(notes, simulator, schedule)
+        wanted(notes, problem.objective, problem.limits, shapes.outputs)
         within(notes, simulator, schedule)
         notes.stop_on_errors()
         _precisions(notes, problem)
-        _decides(notes, problem, policy, observation.shape[0])
+        _decides(notes, problem, policy, shapes.observation.shape[0])
     except Stop:
         pass
     except Exception as error:

@@ -1,5 +1,7 @@
 """Declarations, the schedule, and shapes and types of every method, by abstract evaluation."""
 
+from typing import Any, NamedTuple
+
 import jax
 import numpy as np
 from jaxtyping import PyTree
@@ -69,7 +71,14 @@ def prepared(notes: Notes, simulator: Simulator, inputs: PyTree) -> Schedule:
     return schedule
 
 
-def one_step(notes: Notes, simulator: Simulator, schedule: Schedule):
+class Shapes(NamedTuple):
+    """The observation in shape and type, and the names of all outputs."""
+
+    observation: Any
+    outputs: frozenset[str]
+
+
+def one_step(notes: Notes, simulator: Simulator, schedule: Schedule) -> Shapes:
     """Shapes and types of `initial`, `observe`, `step` and `terminal`, by abstract evaluation."""
     constants, now = schedule.constants, at(schedule.steps, 0)
     noise, action = np.zeros(simulator.noise_size), np.zeros(simulator.action.size)
@@ -116,9 +125,10 @@ def one_step(notes: Notes, simulator: Simulator, schedule: Schedule):
             f"The outputs {differ} exist only for Exact() or only for Smooth().",
             "Return the same names every time.",
         )
-    _declared_outputs(notes, simulator, names[0][0] | names[0][1])
+    outputs = frozenset(names[0][0] | names[0][1])
+    _declared_outputs(notes, simulator, outputs)
     notes.stop_on_errors()
-    return observation
+    return Shapes(observation, outputs)
 
 
 def _same_state(notes: Notes, before: PyTree, after: PyTree) -> None:
@@ -159,7 +169,7 @@ def _scalars(notes: Notes, method: str, outputs) -> None:
             )
 
 
-def _declared_outputs(notes: Notes, simulator: Simulator, names: set[str]) -> None:
+def _declared_outputs(notes: Notes, simulator: Simulator, names: frozenset[str]) -> None:
     for name, kind in simulator.totals().items():
         if kind not in ("sum", "max", "last"):
             notes.error(

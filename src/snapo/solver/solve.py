@@ -60,8 +60,9 @@ class Evaluation:
         if self.scenarios not in SCENARIOS:
             allowed = " or ".join(map(repr, SCENARIOS))
             raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
-        for name, least in (("paths", 2), ("sensitivity_paths", 0), ("smooth_paths", 0)):
-            whole(f"Evaluation: {name}", getattr(self, name), least)
+        least = {"paths": 2, "sensitivity_paths": 0, "smooth_paths": 0, "judge_paths": 0}
+        for name, number in least.items():
+            whole(f"Evaluation: {name}", getattr(self, name), number)
 
     def sources(self, seed: int) -> Sources:
         """Fresh scenarios for every role, those of the evaluation as they are asked for here."""

@@ -116,10 +116,10 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     """One step: fresh paths, one adjoint pass, one update."""
     step, training, problem = progress.step, loop.training, loop.problem
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
-    dual = _dual(loop, progress, draws)
-    loop = loop._replace(problem=problem.priced(dual.prices))
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
+    dual = _dual(loop, progress, draws, smooth)
+    loop = loop._replace(problem=problem.priced(dual.prices))
     progress = _chosen(loop, progress, smooth)
     if progress.window is None:
         moved, value, bad = _climbed(loop, progress, draws, smooth)
@@ -150,14 +150,17 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     )
 
 
-def _dual(loop: Loop, progress: Progress, draws) -> Dual:
+def _dual(loop: Loop, progress: Progress, draws, smooth: Smooth) -> Dual:
     """The prices of the limits for this step, from its exact paths."""
-    problem, training = loop.problem, loop.training
+    problem, training, dual = loop.problem, loop.training, progress.dual
     if not problem.limits:
-        return progress.dual
+        return dual
+    if dual.due(progress.step):
+        within = (problem.objective, problem.limits)
+        dual = dual.measured(loop.bound, progress.policy, draws, smooth, *within)
     totals = float64(loop.bound.values(progress.policy, draws, Exact()).totals)
     left = min(1.0, 4 * (1 - progress.step / max(1, training.steps)))  # in the last quarter
-    return moved_prices(progress.dual, problem.objective, problem.limits, totals, left)
+    return moved_prices(dual, problem.objective, problem.limits, totals, left)
 
 
 class Moved(NamedTuple):
@@ -221,7 +224,9 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
         return progress  # a window is short enough
     training, step, since = loop.training, progress.step, progress.since
     auto, paths = training.clip == "auto", training.paths
-    fell, leapt = clipping.fell(norms, since), clipping.leapt(norms, since)
+    # The price of a limit may lead to a bound of the decisions, where gradients are tiny, any time.
+    first = training.steps if progress.dual.prices else clipping.FIRST
+    fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
     wild = step == horizon.FIRST and horizon.wild(norms[since:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and auto):

@@ -33,7 +33,8 @@ def test_the_domain_fits_its_protocols():
 
 def test_a_case_is_read(folder):
     case = read(write(folder))
-    assert (case.title, case.step, case.unit, case.output) == ("Shop", "day", "EUR", "profit")
+    assert (case.title, case.step, case.unit) == ("Shop", "day", "EUR")
+    assert case.outputs == {"objective": "profit"}
     assert case.objective == snapo.Mean("profit")
     demand, price = case.inputs["demand"], case.inputs["price"]
     assert demand.value.tolist() == [10, 11, 12, 13, 14, 15, 16, 17]
@@ -85,6 +86,28 @@ def test_the_objective_has_its_own_keys(folder):
     assert case.objective_words == "mean of the worst 10 % of profit"
 
 
+def test_several_objectives_are_added_up(folder):
+    terms = """[[objective]]
+output = "profit"
+[[objective]]
+output = "profit"
+kind = "cvar"
+level = 0.9
+weight = 0.5
+[[objective]]
+output = "sold"
+weight = -2
+"""
+    case = read(write(folder, case=CASE.replace('[objective]\noutput = "profit"\n', terms)))
+    worst = 0.5 * snapo.CVaR("profit", 0.9)
+    found, wanted = case.objective, snapo.Mean("profit") + worst - 2 * snapo.Mean("sold")
+    totals = {"profit": np.arange(40.0) ** 2, "sold": np.arange(40.0)}
+    assert found.value(totals) == pytest.approx(wanted.value(totals))
+    words = "mean of profit + 0.5 × mean of the worst 10 % of profit - 2 × mean of sold"
+    assert case.objective_words == words
+    assert case.unit == ""  # euros and pieces
+
+
 MISTAKES = {
     "no code": ([], "", "", "does not name code to run", "simulator:Reservoir"),
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
@@ -92,6 +115,7 @@ MISTAKES = {
     "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a class made from snapo.Sim"),
     "python's own": (["--simulator", "json:Shop"], "", "", "a module of Python itself"),
     "no output": (PLACE, 'output = "profit"', "", "objective.output: this key is missing"),
+    "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input is a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; allowed is a"),
     "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),

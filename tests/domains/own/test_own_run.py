@@ -202,6 +202,16 @@ def test_an_output_that_is_not_there(tmp_path, capsys):
     assert "the nearest known key is stock" in capsys.readouterr().err
 
 
+@pytest.mark.prove
+def test_a_limit_of_an_output_that_is_not_there_is_found_by_check(tmp_path, capsys):
+    limits = 'horizon, noise_size = 8, 1\n    limits = (snapo.AtMost("solds", 1.0),)'
+    code = SIMULATOR.replace("horizon, noise_size = 8, 1", limits)
+    assert main(["check", str(write(tmp_path / "case", code)), *PLACE]) == 2
+    message = capsys.readouterr().err
+    assert "simulator:Shop" in message and "limits[0]" in message and "solds" in message
+    assert "the outputs of the simulator are profit, sold" in message
+
+
 def test_references_are_refused(tmp_path, capsys):
     folder = write(tmp_path / "case")
     assert main(["solve", str(folder), *PLACE, "--reference"]) == 2

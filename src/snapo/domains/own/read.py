@@ -5,20 +5,14 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.objective import make_objective
-from snapo.case.settings import (
-    ObjectiveTable,
-    check_window,
-    read_evaluation,
-    read_objective,
-    read_training,
-)
+from snapo.case.settings import check_window, read_evaluation, read_training
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
 from snapo.study.cores import use_every_core
 
 from .inputs import read_inputs
 from .load import beside, load_class, readable
+from .objective import objective_of, read_aims, unit_of, words_of
 from .records import OwnCase
 from .tables import OwnTable
 
@@ -30,10 +24,8 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     training = read_training(table.training, name)
     evaluation = read_evaluation(table.evaluation, name)
     inputs = read_inputs(table.inputs, file, notes)
-    output = _output(table.objective, name)
-    rest = {key: value for key, value in table.objective.items() if key != "output"}
-    objective = read_objective(rest, name)
-    check_window(training, [objective.kind], name)
+    aims = read_aims(table.objective, name)
+    check_window(training, [each.table.kind for each in aims], name)
     use_every_core()  # before the user's module computes anything
     code = load_class(*place, file.parent)
     simulator = _made(code.found, code.file, table, data, file)
@@ -47,31 +39,14 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
         code_hash=code.hash,
         simulator=simulator,
         inputs=inputs,
-        objective=make_objective(objective, output),
-        objective_words=_words(objective, output),
-        output=output,
-        unit=table.units.get(output, "") if objective.keeps_unit else "",
+        objective=objective_of(aims),
+        objective_words=words_of(aims),
+        outputs={each.key: each.output for each in aims},
+        unit=unit_of(aims, table.units),
         units=table.units,
         training=training,
         evaluation=evaluation,
     )
-
-
-def _output(objective: Mapping[str, Any], name: str) -> str:
-    found = objective.get("output")
-    if not isinstance(found, str) or not found:
-        what = "it is the name of the simulator's output that is made as large as possible"
-        what = f"this key is missing; {what}" if found is None else what
-        raise CaseError(name, "objective.output", found, what)
-    return found
-
-
-def _words(objective: ObjectiveTable, output: str) -> str:
-    """The objective as a phrase."""
-    name = output.replace("_", " ")
-    if objective.kind == "cvar":
-        return f"mean of the worst {100 * (1 - (objective.level or 0.95)):.3g} % of {name}"
-    return f"{objective.kind.replace('-', ' ').replace('crra', 'expected utility')} of {name}"
 
 
 def _made(

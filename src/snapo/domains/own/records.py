@@ -6,6 +6,7 @@ from pathlib import Path
 
 from snapo.case.settings import EvaluationTable, TrainingTable
 from snapo.problem.inputs import Input
+from snapo.problem.limits import Limit
 from snapo.problem.objective import Objective
 from snapo.problem.simulator import Simulator
 
@@ -17,7 +18,8 @@ class OwnCase:
     - `place`: module and class of the simulator; `code`: the file of the module, where it is one,
       and `code_hash`: of its bytes.
     - `unit`: of the value; `units`: by name of a state, of the action, of an output.
-    - `objective_words`: "mean of cash"; `output`: the output that is made as large as possible.
+    - `objective_words`: "mean of cash"; `outputs`: {place in the case: output} of all that is made
+      as large as possible.
     - `step`: the word for one step, "week".
     """
 
@@ -32,8 +34,13 @@ class OwnCase:
     inputs: Mapping[str, Input]
     objective: Objective
     objective_words: str
-    output: str
+    outputs: Mapping[str, str]
     unit: str
     units: Mapping[str, str]
     training: TrainingTable
     evaluation: EvaluationTable
+
+    @property
+    def limits(self) -> tuple[Limit, ...]:
+        """Those that the simulator's class holds."""
+        return tuple(getattr(self.simulator, "limits", ()))

@@ -7,6 +7,7 @@ import jax
 from snapo.case.error import CaseError, Unquoted, nearest
 from snapo.checker.check import check
 from snapo.checker.findings import Findings
+from snapo.checker.wanted import unknown_outputs
 from snapo.problem.inputs import named
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -42,15 +43,19 @@ class SimulatorError(CaseError):
 def checked(case: OwnCase) -> Findings:
     """The remarks of `snapo.check` on a simulator that can be trained.
 
-    **Raises:** `SimulatorError` where it cannot; `CaseError` where the case names no output of it.
+    **Raises:** `SimulatorError` where it cannot; `CaseError` where the case, or a limit of the
+    class, names no output of it.
     """
     findings = check(case.simulator, case.inputs)
     if not findings.ok:
         raise SimulatorError(findings)
     known = names(Problem(case.simulator, case.inputs, case.objective))
-    if case.output not in known["outputs"]:
-        what = f"the outputs of the simulator are {', '.join(known['outputs'])}"
-        raise CaseError(str(case.file), "objective.output", case.output, what)
+    there = f"the outputs of the simulator are {', '.join(known['outputs'])}"
+    for key, output in case.outputs.items():
+        if output not in known["outputs"]:
+            raise CaseError(str(case.file), f"{key}.output", output, there)
+    for mistake in unknown_outputs(case.objective, case.limits, known["outputs"]):
+        raise CaseError(":".join(case.place), mistake.of, Unquoted(mistake.got), there)
     every = [name for each in known.values() for name in each]
     for name in case.units:
         if name not in every:
@@ -106,7 +111,7 @@ def study(case: OwnCase, options: Options) -> Study:
         "horizon": case.simulator.horizon,
         "simulator": ":".join(case.place),
         "objective": case.objective_words,
-        "objective_output": case.output,
+        "objective_output": next(iter(case.outputs.values())),
         "notes": notes,
     }
     relaxation = _relaxation(setup.problem)
@@ -146,8 +151,7 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     training = Training(**case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
-    limits = tuple(getattr(case.simulator, "limits", ()))
-    problem = Problem(case.simulator, case.inputs, case.objective, sources, limits)
+    problem = Problem(case.simulator, case.inputs, case.objective, sources, case.limits)
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")

@@ -15,7 +15,9 @@ class OwnTable(Table):
     kind: str
     title: Title = Field("", description=TITLE)
     step: str = Field("step", description='the word for one step of the simulator, like "week"')
-    objective: dict[str, Any] = Field({}, description="a table, [objective]")
+    objective: dict[str, Any] | list[dict[str, Any]] = Field(
+        {}, description="a table, [objective], or several, [[objective]]"
+    )
     inputs: dict[str, Any] = Field({}, description="a table, [inputs]")
     units: dict[str, str] = Field(
         {}, description="a table of units by name of a state, of the action or of an output"

@@ -30,10 +30,10 @@ PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 FEW = 64  # of a bound, which is a median
 
 
-def fell(norms: Sequence[float], since: int) -> bool:
-    """Whether the last gradient is far below the largest of the first few steps after `since`."""
+def fell(norms: Sequence[float], since: int, first: int = FIRST) -> bool:
+    """Whether the last gradient is far below the largest of the `first` steps after `since`."""
     own = np.asarray(norms[since:])
-    return 0 < len(own) <= FIRST and bool(own[-1] * APART < own.max())
+    return 0 < len(own) <= first and bool(own[-1] * APART < own.max())
 
 
 def leapt(norms: Sequence[float], since: int) -> bool:

@@ -1,5 +1,6 @@
 """The settings of a training."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -72,18 +73,18 @@ class Training:
             given = value is not None and not follows(value)
             if given and (name, value) != ("window", "auto"):
                 whole(f"Training: {name}", value, least)
-        if not self.decay >= 0:
-            raise ValueError(f"Training: decay is {self.decay!r}; allowed is 0 or more.")
+        number("Training: learning_rate", self.learning_rate, ABOVE)
+        number("Training: decay", self.decay, NOT_BELOW)
+        number("Training: temperature_start", self.temperature_start, ABOVE)
+        number("Training: temperature_end", self.temperature_end, ABOVE)
+        number("Training: average", self.average, SHARE)
         if isinstance(self.window, str) and self.window != "auto":
             raise ValueError(
                 f"Training: window is {self.window!r}; allowed is a number of steps, 'auto' or "
                 "None."
             )
-        number = isinstance(self.clip, int | float) and self.clip > 0
-        if not number and self.clip not in ("auto", None):
-            raise ValueError(
-                f"Training: clip is {self.clip!r}; allowed is a number above 0, 'auto' or None."
-            )
+        if self.clip is not None and self.clip != "auto":
+            number("Training: clip", self.clip, (ABOVE[0], "a number above 0, 'auto' or None"))
 
     def temperature(self, step: int) -> float:
         """Geometric from start to end, which is reached at three quarters of the steps."""
@@ -93,7 +94,7 @@ class Training:
 
 COUNTS = {
     "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
-    "patience": 1, "window": 1, "starts": 1,
+    "patience": 1, "window": 1, "starts": 1, "seed": 0,
 }  # fmt: skip
 
 
@@ -101,3 +102,16 @@ def whole(name: str, value: object, least: int) -> None:
     """Refuses what is no whole number of at least `least`."""
     if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
         raise ValueError(f"{name} is {value!r}; allowed is a whole number of at least {least}.")
+
+
+def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:
+    """Refuses what is no finite number, or not one of those allowed: a test and its words."""
+    plain = isinstance(value, int | float | np.integer | np.floating)
+    known = float(value) if plain and not isinstance(value, bool) else np.nan
+    if not (np.isfinite(known) and allowed[0](known)):
+        raise ValueError(f"{name} is {value!r}; allowed is {allowed[1]}.")
+
+
+ABOVE = (lambda value: value > 0), "a number above 0"
+NOT_BELOW = (lambda value: value >= 0), "a number, 0 or more"
+SHARE = (lambda value: 0 < value <= 1), "a number above 0, at most 1"

@@ -3,8 +3,14 @@
 After every step each limit is measured on the exact simulator and on that step's paths. Its
 multiplier moves by a share of the excess, never below zero, and the price that the next step sees
 is the multiplier and a part in proportion to the excess, which damps what the multiplier alone
-would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020). Both count in deviations of a
-path's totals, so that they mean the same in any units.
+would overshoot (Hestenes 1969; Stooke, Achiam and Abbeel 2020).
+
+The unit of an excess is the deviation of a path's measure, or the excess itself where that is
+larger: a rule that decides nearly the same on all paths has a measure that hardly deviates. The
+unit of a price is that at which the limit pulls at the policy as hard as the objective does, the
+length of the one's derivative over that of the other. Totals do not tell it: the noise in an
+objective may be far larger than all that decisions change, and a price that is far too large
+drives decisions to a bound of their set, where no derivative leads out of again.
 """
 
 from collections.abc import Sequence
@@ -12,23 +18,57 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snapo.engine import Bound
 from snapo.problem.limits import Limit
+from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Totals
+from snapo.problem.policy import Policy
+
+from .slopes import slope_of
 
 MOVE, DAMP = 0.1, 3.0  # of a multiplier and of a price, for an excess of one deviation
+EVERY, KEPT = 5, 0.5  # steps between two measurements of a unit, and the share of those before
 LEAST = 1e-12
 
 
 class Dual(NamedTuple):
-    """For every limit its multiplier and its price now, empty before the first step."""
+    """For every limit its multiplier, its price and the unit of a price now, empty before the first
+    step."""
 
     multipliers: tuple[float, ...] = ()
     prices: tuple[float, ...] = ()
+    units: tuple[float, ...] = ()
 
     @classmethod
     def read(cls, plain) -> "Dual":
         """From its fields as lists."""
         return cls(*(tuple(each) for each in plain))
+
+    def due(self, step: int) -> bool:
+        """Whether it is time to measure units: their derivatives cost as much as a step."""
+        return not self.units or step % EVERY == 0
+
+    def measured(
+        self,
+        bound: Bound,
+        policy: Policy,
+        draws: Draws,
+        smooth,
+        objective: Objective,
+        limits: Sequence[Limit],
+    ) -> "Dual":
+        """With the units of prices on these paths, smoothed over the measurements before."""
+        lengths = np.array([
+            np.linalg.norm(slope_of(bound, policy, draws, smooth, each))
+            for each in (objective, *(limit.measure for limit in limits))
+        ])  # fmt: skip
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = lengths[0] / lengths[1:]
+        known = np.isfinite(found) & (found > 0)
+        before = np.array(self.units) if self.units else np.where(known, found, np.nan)
+        known_before = np.where(np.isnan(before), found, before)
+        smoothed = known_before**KEPT * np.where(known, found, known_before) ** (1 - KEPT)
+        return self._replace(units=tuple(np.where(known, smoothed, before).tolist()))
 
 
 def moved(
@@ -36,17 +76,22 @@ def moved(
 ) -> Dual:
     """The prices after a step with these exact totals; `slower`, 1 to 0, slows multipliers down
     towards the end."""
-    old = dual.multipliers or (0.0,) * len(limits)
+    old = np.array(dual.multipliers or (0.0,) * len(limits))
     excess = np.array([each.excess(totals) for each in limits])
     if not np.all(np.isfinite(excess)):
         return dual
-    spread = np.array([_deviation(each.measure, totals) for each in limits])
-    spread = np.maximum(spread, 0.1 * np.abs(excess))
-    # An excess of one deviation, in the unit of a price: objective by measure.
-    far = _deviation(objective, totals) / spread * excess / spread
-    multipliers = np.maximum(np.array(old) + slower * MOVE * far, 0.0)
+    own = np.array([_deviation(each.measure, totals) for each in limits])
+    # Where no derivative tells a unit, deviations do.
+    units = np.array(dual.units) if dual.units else np.full(len(limits), np.nan)
+    units = np.where(np.isnan(units), _deviation(objective, totals) / own, units)
+    far = units * excess / np.maximum(own, np.abs(excess))
+    # On a long way to the level the damping part leads alone: a multiplier that adds up all the way
+    # goes far beyond. With much room it falls by a tenth at least, whatever the unit has become.
+    move = far * own / np.maximum(own, np.abs(excess))
+    move = np.where(excess < -own, np.minimum(far, -old), move)
+    multipliers = np.maximum(old + slower * MOVE * move, 0.0)
     prices = np.maximum(multipliers + DAMP * far, 0.0)
-    return Dual(tuple(multipliers.tolist()), tuple(prices.tolist()))
+    return dual._replace(multipliers=tuple(multipliers.tolist()), prices=tuple(prices.tolist()))
 
 
 def _deviation(objective: Objective, totals: Totals) -> float:

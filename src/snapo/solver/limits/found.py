@@ -7,21 +7,21 @@ others, on independent blocks of fresh paths: with a standard error that knows n
 
 from typing import Any, NamedTuple
 
-import jax
 import numpy as np
 
 from snapo.engine import Engine
 from snapo.problem.objective import Totals
-from snapo.problem.policy import Policy, trainable
+from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
-from ..adjoint import weighted_adjoint
 from ..evaluate import worth_of_groups
 from ..statistics import of_shares
 from .dual import Dual
+from .slopes import slope_of
 
 BLOCKS, PATHS = 16, 4096  # of the shadow prices
 NEARLY = 1e-3  # of a path's deviation in the measure
+ROOM = 0.1  # of it: training's own paths place a measure no better than that
 
 
 class LimitFound(NamedTuple):
@@ -29,7 +29,8 @@ class LimitFound(NamedTuple):
 
     - `name`, `level`: it; `value`, `standard_error`, `low`, `high`: the measure, 95 % interval.
     - `price`, `price_error`: what one unit more of the level is worth to the objective (negative
-      for a lower limit); zero where the limit does not bind. `multiplier`: the one in training.
+      for a lower limit); zero where the limit does not bind: where training gave it no multiplier,
+      or the measure keeps a distance from the level. `multiplier`: the one in training.
     - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, or
       by less than a thousandth of one path's deviation.
     """
@@ -45,11 +46,16 @@ class LimitFound(NamedTuple):
     multiplier: float
     met: str
 
+    @property
+    def binds(self) -> bool:
+        """Whether it has a price."""
+        return bool(self.price_error > 0 or self.price != 0)
+
     def __str__(self) -> str:
+        worth = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
         return (
             f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
-            f"to {self.high:,.6g}), {self.met}; one more of it is worth {self.price:,.5g} ± "
-            f"{self.price_error:,.3g}"
+            f"to {self.high:,.6g}), {self.met}; {worth if self.binds else 'it has no price'}"
         )
 
 
@@ -61,34 +67,43 @@ def limits_found(
     limits, source = problem.limits, problem.sources.evaluation
     if not limits:
         return ()
-    binds = np.array([each > 0 for each in dual.multipliers], bool)
-    binds = binds if binds.size else np.zeros(len(limits), bool)
+    measured = [of_shares(worth_of_groups(each.measure, totals, source)) for each in limits]
+    multipliers = dual.multipliers or (0.0,) * len(limits)
+    binds = np.zeros(len(limits), bool)
+    met = []
+    for i, (each, found) in enumerate(zip(limits, measured)):
+        excess, half = each.sign * (found.value - each.level), found.value - found.interval()[0]
+        deviation = float(each.measure.influence(totals).std())
+        binds[i] = multipliers[i] > 0 and -excess <= max(half, ROOM * deviation)
+        beyond = excess > max(half, NEARLY * deviation)
+        met.append("met" if excess <= 0 else "not met" if beyond else "met nearly")
     prices, errors = _prices(problem, policy, binds, smooth, engine)
-    found = []
-    for i, each in enumerate(limits):
-        measured = of_shares(worth_of_groups(each.measure, totals, source))
-        low, high = measured.interval()
-        excess = each.sign * (measured.value - each.level)
-        near = NEARLY * float(each.measure.influence(totals).std())
-        beyond = excess > max(measured.value - low, near)
-        met = "met" if excess <= 0 else "not met" if beyond else "met nearly"
-        found.append(
-            LimitFound(
-                each.name, each.level, measured.value, measured.standard_error, low, high,
-                each.sign * prices[i], errors[i],
-                each.sign * (dual.multipliers[i] if dual.multipliers else 0.0), met,
-            )
-        )  # fmt: skip
-    return tuple(found)
+    return tuple(
+        LimitFound(
+            each.name, each.level, found.value, found.standard_error, *found.interval(),
+            each.sign * prices[i], errors[i], each.sign * multipliers[i], met[i],
+        )
+        for i, (each, found) in enumerate(zip(limits, measured))
+    )  # fmt: skip
 
 
 def notes_of(found: tuple[LimitFound, ...]) -> tuple[str, ...]:
-    """The limits that are not met, in sentences."""
-    return tuple(
-        f"Limit not met on fresh paths: {each}. Try more steps; or no policy may meet it."
-        for each in found
-        if each.met == "not met"
-    )
+    """The limits that are not met, and those that have room, in sentences."""
+    return tuple(sentence for each in found if (sentence := _note(each)))
+
+
+def _note(found: LimitFound) -> str:
+    if found.met == "not met":
+        return f"Limit not met on fresh paths: {found}. Try more steps; or no policy may meet it."
+    if found.binds:
+        return ""
+    room = f"Limit with room, and so without a price: {found.name}, and it is {found.value:,.6g}."
+    if found.multiplier:
+        room += (
+            f" Training ended at a price of {found.multiplier:,.4g} for it: its decisions may be "
+            "caught at a bound of their set. Try more steps or a lower learning_rate."
+        )
+    return room
 
 
 def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, engine: Engine):
@@ -101,9 +116,9 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, en
     ]
     bound, source = engine.bind(problem), problem.sources.evaluation
     blocks = source.blocks(source.available(PATHS), BLOCKS)
+    draws = [source.draws(block, problem.simulator) for block in blocks]
     slopes = np.array([
-        [_slope(bound, policy, source.draws(b, problem.simulator), smooth, each) for each in wanted]
-        for b in blocks
+        [slope_of(bound, policy, block, smooth, each) for each in wanted] for block in draws
     ])  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
     whole = _least_squares(slopes.mean(0))
     without = (slopes.sum(0) - slopes) / (len(slopes) - 1)
@@ -111,13 +126,6 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, en
     spread = (len(left) - 1) / len(left) * np.sum((left - left.mean(0)) ** 2, axis=0)
     prices[binds], errors[binds] = whole, np.sqrt(spread)
     return prices, errors
-
-
-def _slope(bound, policy, draws, smooth, objective) -> np.ndarray:
-    """The derivative of an objective by all numbers of the policy, in one row."""
-    result = weighted_adjoint(bound, policy, draws, smooth, objective, wrt=("policy",))[1]
-    leaves = jax.tree.leaves(trainable(result.policy)[0])
-    return np.concatenate([np.ravel(np.asarray(leaf, np.float64)) for leaf in leaves])
 
 
 def _least_squares(slopes: np.ndarray) -> np.ndarray:

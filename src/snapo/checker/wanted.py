@@ -1,0 +1,51 @@
+"""The outputs that objective and limits name, against those that there are."""
+
+from collections.abc import Collection, Iterator, Sequence
+from typing import Any, NamedTuple
+
+from snapo.problem.limits import Limit
+from snapo.problem.objective import Objective
+
+from .findings import Notes
+
+
+class Unknown(NamedTuple):
+    """What is wrong with `of`, the objective or a limit: the name or thing that it has in place of
+    an output."""
+
+    of: str
+    got: str
+    what: str
+
+
+def unknown_outputs(
+    objective: Any, limits: Sequence[Any], outputs: Collection[str]
+) -> Iterator[Unknown]:
+    """Every output that is named and is not there; what is no objective or limit at all."""
+    if not isinstance(objective, Objective):
+        yield Unknown("objective", repr(objective), "It is no objective, such as Mean(output).")
+    else:
+        yield from _missing("objective", objective, outputs)
+    for k, limit in enumerate(limits):
+        if not isinstance(limit, Limit):
+            what = "It is no limit, such as AtMost(output, level)."
+            yield Unknown(f"limits[{k}]", repr(limit), what)
+        elif not isinstance(limit.measure, Objective):
+            what = "It limits neither an output nor an objective."
+            yield Unknown(f"limits[{k}]", repr(limit.of), what)
+        else:
+            yield from _missing(f"limits[{k}]", limit.measure, outputs)
+
+
+def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[Unknown]:
+    for name in dict.fromkeys(measure.outputs):
+        if name not in outputs:
+            yield Unknown(of, repr(name), f"There is no output {name!r}.")
+
+
+def wanted(notes: Notes, objective: Any, limits: Sequence[Any], outputs: Collection[str]) -> None:
+    """Writes them down, and stops where there are any."""
+    for each in unknown_outputs(objective, limits, outputs):
+        said = each.what if each.got in each.what else f"{each.what[:-1]}: {each.got}."
+        notes.error(each.of, said, f"The outputs are {sorted(outputs)}.")
+    notes.stop_on_errors()

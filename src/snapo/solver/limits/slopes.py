@@ -1,0 +1,20 @@
+"""The derivative of an objective, or of a limit's measure, by all numbers of a policy."""
+
+import jax
+import numpy as np
+
+from snapo.engine import Bound
+from snapo.problem.noise import Draws
+from snapo.problem.objective import Objective
+from snapo.problem.policy import Policy, trainable
+
+from ..adjoint import weighted_adjoint
+
+
+def slope_of(
+    bound: Bound, policy: Policy, draws: Draws, smooth, objective: Objective
+) -> np.ndarray:
+    """In one row, in float64."""
+    result = weighted_adjoint(bound, policy, draws, smooth, objective, wrt=("policy",))[1]
+    leaves = jax.tree.leaves(trainable(result.policy)[0])
+    return np.concatenate([np.ravel(np.asarray(leaf, np.float64)) for leaf in leaves])
