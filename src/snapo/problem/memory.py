@@ -150,7 +150,8 @@ class Recent(Memory):
             raise ValueError(f"Recent: made for observations and decisions of {self.width}.")
         seen = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, seen), key)
-        return Recent(self.steps, inner, width)
+        made = self.width == width and inner is self.policy
+        return self if made else Recent(self.steps, inner, width)
 
 
 def remembered(policy: Policy | None) -> int:

@@ -27,7 +27,7 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
-from .learning.features import scale_of
+from .learning.features import scale_of, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
@@ -124,9 +124,8 @@ def solve(
         engines = choose(engine, problem, policy)
         training = fitted(training, problem, policy)
         with _meanwhile(problem, evaluation):
-            if progress is None or (progress.step == 0 and training.starts > 1):
-                fresh = progress is None and policy is not recipe
-                progress = _begun(problem, policy, training, engines.train, fresh)
+            if progress is None:
+                progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
             clock.stage("evaluate")
             progress = train(problem, progress, training, engines.train, callbacks)
             clock.stage("train")

@@ -7,6 +7,7 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
 from snapo.case.settings import (
+    FollowingTable,
     ObjectiveTable,
     check_window,
     read_evaluation,
@@ -27,7 +28,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     """Reads all tables, then the code, so that a mistake in the file is found first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
     notes: list[str] = []
-    training = read_training(table.training, name)
+    training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
     inputs = read_inputs(table.inputs, file, notes)
     output = _output(table.objective, name)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from snapo.case.settings import EvaluationTable, TrainingTable
+from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.inputs import Input
 from snapo.problem.objective import Objective
 from snapo.problem.simulator import Simulator
@@ -35,5 +35,5 @@ class OwnCase:
     output: str
     unit: str
     units: Mapping[str, str]
-    training: TrainingTable
+    training: FollowingTable
     evaluation: EvaluationTable

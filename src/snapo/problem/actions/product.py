@@ -11,6 +11,17 @@ from jaxtyping import Array, Float
 from .base import Actions
 
 
+def holds(action: Actions, kind: type[Actions]) -> bool:
+    """Whether a decision, or one of those in a `Product`, lies in a set of this kind.
+
+    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(1)), snapo.Stop)
+    True
+    """
+    if isinstance(action, Product):
+        return any(holds(each, kind) for each in action.sets)
+    return isinstance(action, kind)
+
+
 class Product(Actions):
     """Several decisions at once, by name: `Product(run=Choice(2), power=Box(1, 0.0, 1.0))`.
 
