@@ -170,8 +170,8 @@ def _begun(
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)
 
-    left, values = race(begun, training.steps, run)
-    return replace(left, raced=values if len(begun) > 1 else ())
+    left, rounds = race(begun, training.steps, run)
+    return replace(left, raced=rounds)
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:
@@ -277,7 +277,7 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
 
 def _chosen(progress: Progress) -> tuple[str, ...]:
     """Which start went on, and all that training chose since the horizon is chaotic, and why."""
-    raced = (words(progress.raced, progress.step),) if progress.raced else ()
+    raced = (words(progress.raced),) if progress.raced else ()
     if progress.window is None or progress.growth is None:
         return raced
     return (
