@@ -86,7 +86,7 @@ def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.nd
     if isinstance(policy, Recent):  # past observations, each with the decision taken there
         memory = (policy.steps - 1) * (*features, *(policy.width - len(features)) * (other,))
     elif isinstance(policy, GRU):
-        memory = policy.hidden * (other,)
+        memory = policy.memory * (other,)
     return np.asarray((*features, *memory), np.float32)
 
 
