@@ -1,7 +1,7 @@
 """The tables that every case has: `[training]`, `[evaluation]` and `[objective]`."""
 
 from collections.abc import Iterable, Mapping
-from typing import Annotated, Literal
+from typing import Annotated, Literal, TypeVar
 
 from pydantic import Field
 
@@ -43,6 +43,33 @@ class TrainingTable(Table):
     clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
     starts: Count = Field(1, description="a number of first weights, 1 or more")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
+
+
+FOLLOWS = "or left out: then it follows the problem"
+
+
+class FollowingTable(TrainingTable):
+    """`[training]` of a plant or of a simulator of one's own: four keys follow the problem.
+
+    They do so where they are left out, as in `snapo.Training`.
+    """
+
+    steps: Annotated[int, Field(ge=0, le=MOST_STEPS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a whole number, 0 to 1,000,000,000, {FOLLOWS}"
+    )
+    paths: Annotated[int, Field(ge=2, le=MOST_PATHS)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None,
+        description=f"a whole number, 2 to 100,000,000, as more do not fit in memory, {FOLLOWS}",
+    )
+    learning_rate: Positive | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a number above 0, {FOLLOWS}"
+    )
+    decay: Annotated[float, Field(ge=0, le=1e6)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a number, 0 or more, {FOLLOWS}"
+    )
+
+
+AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 
 
 class EvaluationTable(Table):
@@ -109,9 +136,11 @@ def read_objective(
     return objective
 
 
-def read_training(data: Mapping, file: str) -> TrainingTable:
+def read_training(
+    data: Mapping, file: str, table: type[AnyTraining] = TrainingTable
+) -> AnyTraining:
     """Reads `[training]`; the temperature may only fall."""
-    training = parse(TrainingTable, data, file, "training")
+    training = parse(table, data, file, "training")
     if training.temperature_end > training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
         what = f"allowed is at most temperature_start, {training.temperature_start:g}"

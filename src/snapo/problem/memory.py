@@ -14,7 +14,7 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from .actions import Actions, Box
-from .policy import MLP, Network, Policy
+from .policy import MLP, Network, Policy, widths
 from .problem import Problem
 from .simulator import Around, Interface, Simulator
 
@@ -49,13 +49,15 @@ class GRU(Memory):
 
     Its decision is linear in the observation and in its units, squashed into the action set.
     `GRU(hidden=16)` is a recipe, as `MLP(hidden=…)` is: `solve` makes it for the simulator.
+    `hidden` by default: 16 units, and where more than eight numbers are decided, half the width of
+    an `MLP`.
     """
 
     gates: Network | None
     fresh: Network | None
     readout: Network | None
     action: Actions | None
-    hidden: int = eqx.field(static=True)
+    hidden: int | None = eqx.field(static=True)
 
     def __init__(
         self,
@@ -63,15 +65,17 @@ class GRU(Memory):
         features: int | None = None,
         *,
         key=None,
-        hidden: int = 16,
+        hidden: int | None = None,
     ):
-        if not isinstance(hidden, int) or hidden < 1:
+        if hidden is not None and (not isinstance(hidden, int) or hidden < 1):
             raise ValueError(f"GRU: hidden is {hidden!r}; allowed is a whole number above 0.")
+        if hidden is None and action is not None:
+            hidden = widths(action)[0] // 2
         self.hidden, self.action = hidden, action
         self.gates = self.fresh = self.readout = None
         if action is None and features is None and key is None:
             return
-        if action is None or features is None or key is None:
+        if action is None or features is None or key is None or hidden is None:
             raise ValueError(
                 "GRU: give the action set, the number of features and a key together, or none of "
                 "them: then solve finds them."
@@ -85,7 +89,7 @@ class GRU(Memory):
 
     @property
     def memory(self) -> int:
-        return self.hidden
+        return self.hidden or 0
 
     def decide(self, observation, memory, smooth):
         if self.gates is None or self.fresh is None or self.readout is None or self.action is None:
@@ -94,7 +98,7 @@ class GRU(Memory):
                 "for_problem(simulator.interface(schedule), key), as solve does."
             )
         gates = jax.nn.sigmoid(self.gates(jnp.concatenate([observation, memory])))
-        keep, reset = gates[: self.hidden], gates[self.hidden :]
+        keep, reset = gates[: self.memory], gates[self.memory :]
         fresh = jnp.tanh(self.fresh(jnp.concatenate([observation, reset * memory])))
         kept = keep * memory + (1 - keep) * fresh
         raw = self.readout(jnp.concatenate([observation, kept]))
@@ -104,7 +108,7 @@ class GRU(Memory):
         _no_stages(self, interface)
         if self.gates is None:
             return GRU(interface.action, interface.features, key=key, hidden=self.hidden)
-        features = self.gates.weights[0].shape[1] - self.hidden
+        features = self.gates.weights[0].shape[1] - self.memory
         if self.action is None or (features, self.action.size) != (
             interface.features,
             interface.action.size,
@@ -129,7 +133,7 @@ class Recent(Memory):
         if not isinstance(steps, int) or steps < 2:
             raise ValueError(f"Recent: steps is {steps!r}; allowed is a whole number of 2 or more.")
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
-        if remembered(self.policy):
+        if isinstance(self.policy, Memory):
             raise ValueError("Recent: its inner policy has a memory of its own already.")
 
     @property
@@ -150,7 +154,8 @@ class Recent(Memory):
             raise ValueError(f"Recent: made for observations and decisions of {self.width}.")
         seen = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, seen), key)
-        return Recent(self.steps, inner, width)
+        made = self.width == width and inner is self.policy
+        return self if made else Recent(self.steps, inner, width)
 
 
 def remembered(policy: Policy | None) -> int:

@@ -142,14 +142,14 @@ class Residual(Policy):
 
     For a `Box` the sum is clipped (rounded while training), for a `Simplex` the network moves
     the logarithms of the base's shares. The base is not trained. Without action set, features and
-    key it is a recipe, as `MLP` is; its base may be one too.
+    key it is a recipe, as `MLP` is; its base may be one too. `hidden` by default: see `widths`.
     """
 
     base: Frozen
     network: Network | None
     action: Actions | None
     scale: float = eqx.field(static=True)
-    hidden: tuple[int, ...] = eqx.field(static=True)
+    hidden: tuple[int, ...] | None = eqx.field(static=True)
     activation: Callable = eqx.field(static=True)
 
     def __init__(
@@ -160,12 +160,15 @@ class Residual(Policy):
         *,
         key=None,
         scale: float = 1.0,
-        hidden: tuple[int, ...] = (32, 32),
+        hidden: tuple[int, ...] | None = None,
         activation: Callable = jax.nn.silu,
     ):
         without_memory(base, "Residual")
+        if hidden is None and action is not None:
+            hidden = widths(action)
         self.base, self.scale = Frozen(base), scale
-        self.hidden, self.activation, self.action = tuple(hidden), activation, action
+        self.hidden = None if hidden is None else tuple(hidden)
+        self.activation, self.action = activation, action
         self.network = _network(self, action, features, key)
 
     def __call__(self, observation, smooth):

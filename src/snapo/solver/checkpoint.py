@@ -16,7 +16,7 @@ from snapo.problem.describe import described, difference
 
 from .learning.features import Scale
 from .learning.growth import Growth
-from .learning.progress import Progress, Record
+from .learning.progress import Progress, Record, Round
 from .limits.dual import Dual
 from .windows.critic import blank
 
@@ -65,7 +65,7 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         plain = {name: state[name] for name in PLAIN}
         history = tuple(Record(*record) for record in state["history"])
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
-        raced = tuple(state.get("raced", ()))
+        raced = tuple(map(Round.read, state.get("raced", ())))
         scale = Scale.read(state.get("scale"))
     except CheckpointError:
         raise

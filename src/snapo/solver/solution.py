@@ -46,8 +46,9 @@ class Solution:
     - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
       infinity, "not finite" where it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
-    - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit) or
-      "barely moved" (an untrained rule does as well); empty where the value is no number.
+    - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit),
+      "constant" (a constant decision does as well) or "barely moved" (an untrained rule does as
+      well); empty where the value is no number.
     - `growth`: adjoints by step and by part of the state, where training measured them.
     - `problem`: what was solved, None in one that was loaded: figures over time need it.
     - `limits`: each of the problem's limits on fresh paths, with its shadow price.

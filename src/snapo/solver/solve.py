@@ -27,7 +27,7 @@ from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
-from .learning.features import scale_of
+from .learning.features import scale_of, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
@@ -125,9 +125,8 @@ def solve(
         engines = choose(engine, problem, policy)
         training = fitted(training, problem, policy)
         with _meanwhile(problem, evaluation):
-            if progress is None or (progress.step == 0 and training.starts > 1):
-                fresh = progress is None and policy is not recipe
-                progress = _begun(problem, policy, training, engines.train, fresh)
+            if progress is None:
+                progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
             clock.stage("evaluate")
             progress = train(problem, progress, training, engines.train, callbacks)
             clock.stage("train")
@@ -172,8 +171,8 @@ def _begun(
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until)
 
-    left, values = race(begun, training.steps, run)
-    return replace(left, raced=values if len(begun) > 1 else ())
+    left, rounds = race(begun, training.steps, run)
+    return replace(left, raced=rounds)
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:
@@ -279,7 +278,7 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
 
 def _chosen(progress: Progress) -> tuple[str, ...]:
     """Which start went on, and all that training chose since the horizon is chaotic, and why."""
-    raced = (words(progress.raced, progress.step),) if progress.raced else ()
+    raced = (words(progress.raced),) if progress.raced else ()
     if progress.window is None or progress.growth is None:
         return raced
     return (

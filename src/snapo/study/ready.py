@@ -3,11 +3,16 @@
 from collections.abc import Callable
 from typing import Any
 
+import jax
+
 from snapo.case.error import CaseError
 from snapo.engine import Choice, Engines, choose
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator
+from snapo.solver.learning.following import fitted
+from snapo.solver.solve import Evaluation
+from snapo.solver.train import Training
 
 from .same import same_program
 from .study import Setup
@@ -23,6 +28,20 @@ def engines_for(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
     except ValueError as error:
         what = str(error).removeprefix("engine: ")
         raise CaseError("--engine", "", wanted, what) from None
+
+
+def following(
+    engine: Choice, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
+) -> Setup:
+    """The setup of a general policy, in which all that is not given follows the problem, as it
+    does in `snapo.solve`.
+
+    **Raises:** `CaseError` where the engine cannot take the problem.
+    """
+    policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
+    engines = engines_for(engine, problem, policy)
+    training = fitted(training, problem, policy)
+    return Setup(problem, policy, training, evaluation, engines, recipe)
 
 
 def at_values(

@@ -26,13 +26,18 @@ Tell = Callable[[str], None]
 
 
 class Setup(NamedTuple):
-    """All that training takes, settled: the arguments of `snapo.solve`."""
+    """All that training takes, settled: the arguments of `snapo.solve`.
+
+    `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
+    None: training begins from `policy` as it is.
+    """
 
     problem: Problem
     policy: Policy
     training: Training
     evaluation: Evaluation
     engines: Engines
+    recipe: Policy | None = None
 
 
 class Today(NamedTuple):

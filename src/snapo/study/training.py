@@ -6,8 +6,6 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.problem.policy import Policy
-from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
@@ -18,20 +16,20 @@ from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
 
 from .run_folder import CHECKPOINT, GROUPS
-from .study import Part, StudyRun
+from .study import Part, Setup, StudyRun
 
 
 def train(run: StudyRun) -> dict[str, Any]:
     """Solves the study's problem into the run folder."""
-    problem, policy, training, evaluation, engines = run.setup
+    setup = run.setup
     solution = solve(
-        problem,
-        policy=policy,
-        training=training,
-        evaluation=evaluation,
-        engine=engines,
-        callbacks=[lambda state: _keep(run, state, training)],
-        progress=_state(run, problem, policy, training),
+        setup.problem,
+        policy=setup.policy if setup.recipe is None else setup.recipe,
+        training=setup.training,
+        evaluation=setup.evaluation,
+        engine=setup.engines,
+        callbacks=[lambda state: _keep(run, state, setup.training)],
+        progress=_resumed(run, setup),
     )
     run.trained = solution
     solution.save(run.folder)
@@ -107,16 +105,16 @@ def fingerprint(source: Scenarios) -> str:
     return f"supplied {source.step_noise.shape} {digest.hexdigest()}"
 
 
-def _state(run: StudyRun, problem: Problem, policy: Policy, training: Training) -> Progress:
-    """Where training starts: at the checkpoint when asked and there is one, else at the start."""
-    file = run.folder / CHECKPOINT
+def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
+    """The state of the checkpoint, where one is asked for and there is one; else None."""
+    file, training = run.folder / CHECKPOINT, setup.training
     try:
-        fresh = begin(policy, training, problem)
+        fresh = begin(setup.policy, training, setup.problem)
     except ValueError as error:
         what = str(error).removeprefix("Training: window ").rstrip(".")
         raise CaseError("case.toml", "training.window", training.window, what) from None
     if not (run.resume and file.exists()):
-        return fresh
+        return None
     state = load_checkpoint(file, fresh, run.mark)
     run.tell(f"resuming after step {state.step}")
     return state

@@ -98,6 +98,14 @@ def test_a_wrong_action_is_named(action, wrong, said):
 
 
 @pytest.mark.parametrize(
+    "action", [Box(2), Box(2, 0.0, 1.0), Whole(2, 0, 5), Product(much=Box(2, 0.0, 1.0))], ids=repr
+)
+def test_what_is_no_number_is_refused(action):
+    assert action.fault(np.array([1.0, 1.0])) is None
+    assert "Action 1 is not a number" in " ".join(action.fault(np.array([1.0, np.nan])))
+
+
+@pytest.mark.parametrize(
     "make, said",
     [
         (lambda: Choice(1), "at least two options"),

@@ -5,6 +5,7 @@ from dataclasses import replace
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from examples import american_put
 
 import snapo
 from snapo.engine import Native, Xla
@@ -14,7 +15,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
-from snapo.solver.learning import clipping
+from snapo.solver.learning import clipping, constant
 from snapo.solver.learning.convergence import Gain
 
 STEPS, SPREAD = 100, 0.1**0.5
@@ -194,7 +195,7 @@ SHORT = snapo.Training(steps=60, paths=64, validation_paths=1024, validation_eve
 @pytest.mark.parametrize(
     "price, steps, word, said",
     [
-        (0.3, 60, None, "A constant decision does as well"),
+        (0.3, 60, "constant", "A constant decision (0.3"),
         (20.0, 120, "saturated", "at its limit"),
         (0.5, 1, "barely moved", "Training gained nothing over the rule"),
         (0.8, 8, "still improving", "try steps=16"),
@@ -208,5 +209,69 @@ def test_a_result_that_is_not_good_says_so(price, steps, word, said):
         Press(), {"price": snapo.Input(price)}, training=plan, evaluation=SMALL, engine="xla"
     )
     assert said in " ".join(solution.notes), solution.notes
-    assert word in (None, solution.convergence)
+    assert word == solution.convergence
     assert solution.summary()["convergence"] == solution.convergence
+
+
+class Sell(american_put.Put):
+    """The put with a choice between two options where a `Stop` belongs."""
+
+    action = snapo.Choice(2)
+
+    def initial(self, terms, noise):
+        return {"spot": terms["spot"], "alive": jnp.ones(())}
+
+    def step(self, terms, now, state, action, noise, smooth):
+        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
+        spot = state["spot"] * jnp.exp(terms["drift"] + terms["deviation"] * noise[0])
+        cash = state["alive"] * action[1] * now["discount"] * payoff
+        return {"spot": spot, "alive": state["alive"] * action[0]}, {"cash": cash}
+
+    def terminal(self, terms, state, smooth):
+        payoff = jnp.maximum(terms["strike"] - state["spot"], 0.0)
+        return {"cash": state["alive"] * jnp.exp(-terms["rate"]) * payoff}
+
+
+@pytest.mark.prove
+def test_a_put_that_stops_at_once_is_constant_and_is_told_what_to_try():
+    """It is worth 4.478. After the first step its decisions vary, since they change nothing."""
+    solution = snapo.solve(Sell(), american_put.inputs, training=SHORT, evaluation=SMALL)
+    assert solution.value == pytest.approx(4.0, abs=1e-6)
+    assert solution.convergence == "constant"
+    said = " ".join(solution.notes)
+    assert "A constant decision (0, 1) does as well" in said
+    assert "snapo.Stop" in said and "starts=4" in said
+
+
+def test_a_decision_of_several_that_never_changes_is_found_by_name():
+    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0, 1.0))
+    rng = np.random.default_rng(0)
+    on = (rng.random((3, 8)) > 0.5).astype(float)
+    taken = np.stack([on, 1 - on, np.full((3, 8), 1.0)], axis=-1)
+    found = constant.constant_decisions(both, taken)
+    assert constant.words(found, 2) == "Decision 2 of 2 (size) never changes (1, at its limit)"
+    assert constant.at_limit(found)
+    # An option that is never taken is no decision that never changes, and a bare set has no names.
+    assert not constant.constant_decisions(snapo.Choice(3), np.insert(taken[..., :2], 1, 0.0, -1))
+    many = constant.constant_decisions(
+        snapo.Box(6), np.insert(np.full((2, 2, 5), 0.5), 5, on[:2, :2], -1)
+    )
+    assert constant.words(many, 6) == (
+        "5 of 6 decisions never change: 1 (0.5), 2 (0.5), 3 (0.5) and 2 more"
+    )
+    assert constant.words(many, 5) == "The decision never changes (0.5, 0.5, 0.5, 0.5, 0.5)"
+    assert not constant.at_limit(many)
+
+
+def test_a_rule_is_compared_with_its_mean_and_with_the_limits_where_they_are_few():
+    def of(action, mean):
+        taken = np.broadcast_to(np.asarray(mean, float), (2, 3, action.size))
+        return [each.tolist() for each in constant.rivals(action, taken)]
+
+    assert of(snapo.Box(1, 0.0, 2.0), [0.5]) == [[0.5], [0.0], [2.0]]
+    assert of(snapo.Stop(), [0.2]) == [[0.0], [1.0]]  # the mean, settled, is one of both
+    assert of(snapo.Box(1, 0.0), [0.5]) == [[0.5]]
+    assert of(snapo.Simplex(2), [0.5, 0.5]) == [[0.5, 0.5], [1.0, 0.0], [0.0, 1.0]]
+    assert len(of(snapo.Box(24, 0.0, 1.0), [0.5] * 24)) == 3
+    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0))
+    assert of(both, [0.3, 0.7, 4.0]) == [[0.0, 1.0, 4.0], [1.0, 0.0, 4.0]]

@@ -8,6 +8,7 @@ from tests.solver.twelve import Regulator, policy, problem
 
 import snapo
 from snapo.problem.policy import widths
+from snapo.problem.simulator import Interface
 from snapo.solver.learning.following import fitted
 from snapo.solver.learning.settings import follows
 from snapo.solver.train import Training
@@ -65,3 +66,15 @@ def test_hidden_layers_grow_with_the_numbers_that_are_decided():
     assert widths(snapo.Box(1)) == widths(snapo.Box(8)) == (32, 32)
     assert widths(snapo.Box(9)) == (64, 64)
     assert widths(snapo.Box(1000)) == (128, 128)
+
+
+@pytest.mark.parametrize("count, hidden", [(1, 32), (12, 64), (40, 128)])
+def test_so_do_the_networks_of_residuals_and_of_recurrent_policies(count, hidden):
+    interface = Interface(snapo.Box(count), 3)
+    key = jax.random.key(0)
+    residual = snapo.Residual(snapo.Constant()).for_problem(interface, key)
+    recurrent = snapo.GRU().for_problem(interface, key)
+    assert residual.hidden == (hidden, hidden) and residual.network.weights[1].shape[0] == hidden
+    assert recurrent.memory == hidden // 2 and recurrent.for_problem(interface, key) is recurrent
+    assert snapo.GRU(hidden=5).for_problem(interface, key).memory == 5
+    assert snapo.GRU().memory == 0

@@ -9,6 +9,7 @@ import numpy as np
 from snapo.case.error import CaseError, nearest
 from snapo.case.objective import make_objective
 from snapo.case.settings import (
+    FollowingTable,
     ObjectiveTable,
     check_window,
     read_evaluation,
@@ -31,7 +32,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     plant = _plant(table.plant, name)
     chosen = parse(plant_table(plant), table.plant, name, "plant")
     cost = parse(cost_table(plant), table.cost, name, "cost")
-    training = read_training(table.training, name)
+    training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
@@ -51,7 +52,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         inputs=inputs,
         objective=make_objective(objective, "reward"),
         objective_words=_words(objective),
-        hidden=tuple(hidden),
+        hidden=None if hidden is None else tuple(hidden),
         training=training,
         evaluation=evaluation,
     )

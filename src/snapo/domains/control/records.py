@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from snapo.case.settings import EvaluationTable, TrainingTable
+from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.objective import Objective
 
 from .inputs import Inputs
@@ -14,7 +14,7 @@ from .plants.plant import Plant
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `hidden`: widths of the policy's layers; `objective_words`: "mean reward".
+    - `hidden`: widths of the policy's layers, if they are given; `objective_words`: "mean reward".
     """
 
     file: Path
@@ -24,6 +24,6 @@ class ControlCase:
     inputs: Inputs
     objective: Objective
     objective_words: str
-    hidden: tuple[int, ...]
-    training: TrainingTable
+    hidden: tuple[int, ...] | None
+    training: FollowingTable
     evaluation: EvaluationTable

@@ -2,7 +2,6 @@
 
 from typing import Any
 
-import jax
 import numpy as np
 
 from snapo.case.error import CaseError
@@ -16,7 +15,7 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import profile_part
-from snapo.study.ready import at_values, engines_for
+from snapo.study.ready import at_values, following
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -115,10 +114,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
 
 def make_setup(case: ControlCase, engine: str) -> Setup:
     """The problem with its policy and engines."""
-    training = Training(**case.training.model_dump())
+    training = Training(**case.training.model_dump(exclude_none=True))
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
-    policy = MLP(hidden=case.hidden).for_problem(problem.interface, jax.random.key(training.seed))
-    engines = engines_for(engine, problem, policy)
-    return Setup(problem, policy, training, evaluation, engines)
+    return following(engine, problem, MLP(hidden=case.hidden), training, evaluation)

@@ -34,8 +34,8 @@ class CaseTable(Table):
 class PolicyTable(Table):
     """`[policy]`: the network."""
 
-    hidden: list[Width] = Field(
-        [32, 32], min_length=1, max_length=8, description="a list of widths, [32, 32]"
+    hidden: Annotated[list[Width], Field(min_length=1, max_length=8)] | None = Field(
+        None, description="a list of widths, [32, 32], or left out: then it follows the problem"
     )
 
 

@@ -5,7 +5,12 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.settings import check_window, read_evaluation, read_training
+from snapo.case.settings import (
+    FollowingTable,
+    check_window,
+    read_evaluation,
+    read_training,
+)
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
 from snapo.study.cores import use_every_core
@@ -21,7 +26,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     """Reads all tables, then the code, so that a mistake in the file is found first."""
     table, name = parse(OwnTable, data, str(file), ""), str(file)
     notes: list[str] = []
-    training = read_training(table.training, name)
+    training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
     inputs = read_inputs(table.inputs, file, notes)
     aims = read_aims(table.objective, name)

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from snapo.case.settings import EvaluationTable, TrainingTable
+from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.inputs import Input
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Objective
@@ -37,7 +37,7 @@ class OwnCase:
     outputs: Mapping[str, str]
     unit: str
     units: Mapping[str, str]
-    training: TrainingTable
+    training: FollowingTable
     evaluation: EvaluationTable
 
     @property

@@ -22,7 +22,7 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import leaves, profile_part
-from snapo.study.ready import at_values, engines_for
+from snapo.study.ready import at_values, following
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -148,7 +148,7 @@ def _relaxation(problem: Problem):
 
 def make_setup(case: OwnCase, engine: str) -> Setup:
     """The problem with its policy and engines."""
-    training = Training(**case.training.model_dump())
+    training = Training(**case.training.model_dump(exclude_none=True))
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.simulator, case.inputs, case.objective, sources, case.limits)
@@ -156,6 +156,4 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")
         raise CaseError(":".join(case.place), "policy", got, "allowed is a policy, snapo.MLP()")
-    policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
-    engines = engines_for(engine, problem, policy)
-    return Setup(problem, policy, training, evaluation, engines)
+    return following(engine, problem, recipe, training, evaluation)

@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import Float
 
 from snapo.problem.policy import MLP
-from snapo.solver.learning.features import layer, plain, scaled
+from snapo.solver.learning.features import layers, plain, scaled
 
 from .real import Act, Episode, Real
 from .transitions import Transitions, circles, joined, scale_of
@@ -79,9 +79,10 @@ class Known:
 
 def _layer(policy: MLP) -> tuple[np.ndarray, np.ndarray]:
     """Weights and biases of the first layer, in float64: what is far from zero loses no digits."""
-    weights, bias = layer(policy)
+    weights, bias = layers(policy)[0]
     return np.asarray(weights, np.float64), np.asarray(bias, np.float64)
 
 
 def _with_layer(policy: MLP, numbers) -> MLP:
-    return eqx.tree_at(layer, policy, tuple(jnp.asarray(each, jnp.float32) for each in numbers))
+    first = tuple(jnp.asarray(each, jnp.float32) for each in numbers)
+    return eqx.tree_at(lambda each: layers(each)[0], policy, first)

@@ -107,6 +107,11 @@ class Box(Actions):
         return smooth.clip(base + correction, low, high, scale=width)
 
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
+        for i in np.flatnonzero(np.isnan(action))[:1]:
+            return (
+                f"Action {i} is not a number.",
+                "Look for 0 / 0, or a logarithm or root of a negative number, before it.",
+            )
         low, high = self.bounds()
         beyond = (action < low - ROUNDING * np.abs(low)) | (action > high + ROUNDING * np.abs(high))
         for i in np.flatnonzero(beyond)[:1]:

@@ -11,6 +11,32 @@ from jaxtyping import Array, Float
 from .base import Actions
 
 
+def holds(action: Actions, kind: type[Actions]) -> bool:
+    """Whether a decision, or one of those in a `Product`, lies in a set of this kind.
+
+    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(1)), snapo.Stop)
+    True
+    """
+    if isinstance(action, Product):
+        return any(holds(each, kind) for each in action.sets)
+    return isinstance(action, kind)
+
+
+def decision_names(action: Actions) -> list[str]:
+    """The names of all decisions, which `together` counts, in a `Product`; empty ones elsewhere.
+
+    >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(2)))
+    ['run', 'power[0]', 'power[1]']
+    """
+    if not isinstance(action, Product):
+        return [""] * len(action.together())
+    return [
+        f"{name}.{part}" if part else name if len(inner) == 1 else f"{name}[{i}]"
+        for name, inner in zip(action.names, map(decision_names, action.sets))
+        for i, part in enumerate(inner)
+    ]
+
+
 class Product(Actions):
     """Several decisions at once, by name: `Product(run=Choice(2), power=Box(1, 0.0, 1.0))`.
 

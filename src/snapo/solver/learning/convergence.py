@@ -1,7 +1,7 @@
 """How a training ended, in one word, and what speaks against its result.
 
 "trained" only says that all steps were taken. Here the policy is compared with the untrained one
-and with a constant decision on the same paths, in kernels that are there already.
+and with constant decisions on the same paths, in kernels that are there already.
 """
 
 from typing import NamedTuple
@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from snapo.engine import Engine
+from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -19,13 +20,17 @@ from ..adjoint import float64
 from ..evaluate import chunks, worth
 from ..finite_paths import finite
 from ..train import Progress
+from .constant import at_limit, constant_decisions, rivals, told, words
 
 CONVERGED, IMPROVING = "converged", "still improving"
-SATURATED, UNMOVED = "saturated", "barely moved"
+SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
 SURE = 2.0  # standard errors of a gain
 LATE = 0.01  # of all that was gained, in the last quarter of the steps: more is still improving
-SAME = 1e-3  # of the width of its set, or of its size: a decision that varies less never changes
 ENOUGH = 2048  # paths on which two rules are compared
+TRY = (
+    "write a decision of when to stop with snapo.Stop, or try starts=4, features of mean 0 and "
+    "deviation 1, wider starting states, or a higher temperature_start"
+)
 
 
 class Ending(NamedTuple):
@@ -73,29 +78,45 @@ def ending(
             "is a good rule already, try more steps, another learning_rate, wider starting states "
             "or features that tell states apart."
         )
-    stays = None
+    still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
-        actions, over_constant = _over_constant(problem, progress.best, exact, held_paths, engine)
-        stays = _stays(problem, actions)
-        if stays:
-            notes.append(
-                f"The decision never changes{stays}: if that is not meant, try scaled features, a "
-                "higher temperature_start, or another start of the policy."
-            )
-        elif not over_constant.sure:
-            notes.append(
-                f"A constant decision does as well (the trained rule gains {over_constant}): what "
-                "the policy observes does not help it."
-            )
+        taken = _decisions(problem, progress.best, held_paths, engine)
+        actions = np.concatenate([each[2] for each in taken], axis=1)
+        still = constant_decisions(problem.action, actions)
+        constant, over_constant = _over_constants(problem, exact, taken, engine)
+        if still:
+            notes.append(f"{words(still, of)}: if that is not meant, {TRY}.")
+        if len(still) < of and not over_constant.sure:
+            notes.append(_as_well(constant, over_constant))
     late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
     if late:
         notes.append(
             f"Still improving: the last quarter of the {progress.step} steps gained {late:,.3g}; "
             f"try steps={2 * progress.step}."
         )
-    word = IMPROVING if late else CONVERGED
-    word = SATURATED if stays and "limit" in stays else word
-    return Ending(UNMOVED if not over_start.sure else word, tuple(notes))
+    if not over_start.sure:
+        word = UNMOVED
+    elif len(still) == of and at_limit(still):
+        word = SATURATED
+    elif late:
+        word = IMPROVING
+    else:
+        same = over_constant is not None and not over_constant.sure
+        word = CONSTANT if same or len(still) == of else CONVERGED
+    return Ending(word, tuple(notes))
+
+
+def _as_well(constant: np.ndarray, gain: Gain) -> str:
+    """The sentence on a constant decision that is as good as the trained rule, or better."""
+    if Gain(-gain.value, gain.error).sure:
+        return (
+            f"A constant decision ({told(constant)}) does better, by {-gain.value:,.3g} ± "
+            f"{gain.error:,.2g}: {TRY}."
+        )
+    return (
+        f"A constant decision ({told(constant)}) does as well (the trained rule gains {gain}): "
+        f"what the policy observes does not help it. If it should, {TRY}."
+    )
 
 
 def _over_untrained(problem: Problem, untrained: Policy, exact: Totals, engine: Engine) -> Gain:
@@ -109,27 +130,40 @@ def _over_untrained(problem: Problem, untrained: Policy, exact: Totals, engine: 
     return _gain(problem, exact, [float64(each) for each in found], np.concatenate(blocks))
 
 
-def _over_constant(
-    problem: Problem, policy: Policy, exact: Totals, held_paths: int, engine: Engine
-) -> tuple[np.ndarray, Gain]:
-    """The decisions [T, paths, size], and the gain over the mean of them all, taken everywhere."""
+def _decisions(
+    problem: Problem, policy: Policy, held_paths: int, engine: Engine
+) -> list[tuple[np.ndarray, Draws, np.ndarray]]:
+    """The paths, their scenarios and the decisions [T, paths, size], by block."""
     bound, source = engine.bind(problem, controls=False), problem.sources.evaluation
-    blocks = _first(source.blocks(source.available(held_paths)))
-    drawn = [source.draws(block, problem.simulator) for block in blocks]
-    taken = [
-        np.asarray(bound.values(policy, draws, Exact(), record=("action",)).record["action"])
-        for draws in drawn
-    ]
-    actions = np.concatenate(taken, axis=1)
-    constant = problem.action.settle(actions.mean((0, 1)), Exact())
-    parts: list[Totals] = []
-    for draws, like in zip(drawn, taken):
-        each = np.full(like.shape[1], 1 / like.shape[1])
-        weights = dict.fromkeys(problem.objective.outputs, each)
-        same = np.broadcast_to(np.asarray(constant), like.shape)
-        found = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
-        parts.append(float64(found.totals))
-    return actions, _gain(problem, exact, parts, np.concatenate(blocks))
+    found = []
+    for paths in _first(source.blocks(source.available(held_paths))):
+        draws = source.draws(paths, problem.simulator)
+        taken = bound.values(policy, draws, Exact(), record=("action",)).record["action"]
+        found.append((paths, draws, np.asarray(taken)))
+    return found
+
+
+def _over_constants(
+    problem: Problem,
+    exact: Totals,
+    taken: list[tuple[np.ndarray, Draws, np.ndarray]],
+    engine: Engine,
+) -> tuple[np.ndarray, Gain]:
+    """The best constant decision [size] of some, and the gain over it: see `rivals`."""
+    bound = engine.bind(problem, controls=False)
+    paths = np.concatenate([each[0] for each in taken])
+    found = []
+    for constant in rivals(problem.action, np.concatenate([each[2] for each in taken], axis=1)):
+        parts: list[Totals] = []
+        for _, draws, like in taken:
+            each = np.full(like.shape[1], 1 / like.shape[1])
+            weights = dict.fromkeys(problem.objective.outputs, each)
+            same = np.broadcast_to(constant.astype(like.dtype), like.shape)
+            # The held derivatives have this kernel compiled already.
+            passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
+            parts.append(float64(passed.totals))
+        found.append((constant, _gain(problem, exact, parts, paths)))
+    return min(found, key=lambda each: each[1].value)
 
 
 def _first(blocks: list[np.ndarray]) -> list[np.ndarray]:
@@ -155,19 +189,6 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
         return Gain(np.inf, 0.0)
     groups = np.unique(problem.sources.evaluation.groups(paths), return_inverse=True)[1]
     return Gain(float(value), float(statistics.mean(spread, groups).standard_error))
-
-
-def _stays(problem: Problem, actions: np.ndarray) -> str:
-    """Where the decision stays: " (at its limit)", " (0.3)"; empty where it changes."""
-    flat = actions.reshape(-1, actions.shape[-1])
-    low, high = problem.action.bounds()
-    width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(flat).max(0), 1e-12))
-    if np.any(np.ptp(flat, axis=0) > SAME * width):
-        return ""
-    value = flat[0]
-    near = np.minimum(np.abs(value - low), np.abs(value - high)) <= SAME * width
-    where = np.array2string(value, precision=4, separator=", ")
-    return f" ({where}, at its limit)" if near.all() else f" ({where})"
 
 
 def _late(progress: Progress, gained: float, totals: np.ndarray) -> float:

@@ -16,8 +16,12 @@ waiting, so the first steps lower the hazard everywhere. Where features are smal
 before the network tells states apart, and training never comes back: a max-call of five shares
 ended at its European value, 23.10 for 26.14, with one seed of three, and at 26.14 with scaled
 features.
+
+A policy with a memory sees past observations again, or numbers of its own: the first are scaled as
+the present ones are, the others are left.
 """
 
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import equinox as eqx
@@ -26,8 +30,9 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Bound, Xla
-from snapo.problem.actions import Stop
-from snapo.problem.policy import MLP, Policy, Residual
+from snapo.problem.actions import Stop, holds
+from snapo.problem.memory import GRU, Recent
+from snapo.problem.policy import MLP, Network, Policy, Residual
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at
 from snapo.problem.smooth import Exact
@@ -44,7 +49,8 @@ class Scale(NamedTuple):
     """Mean and deviation of every feature; 0 and 1 where a decision moves it.
 
     A network's first layer has weights for features as they are. Training moves those for scaled
-    features, which say the same: `scaled` and `plain` go there and back.
+    features, which say the same: `scaled` and `plain` go there and back. So do all first layers of
+    a policy that has several.
     """
 
     mean: tuple[float, ...]
@@ -52,36 +58,59 @@ class Scale(NamedTuple):
 
     def plain(self, policy: Policy) -> Policy:
         """The policy of features as they are that does what `policy` does with scaled ones."""
-        return eqx.tree_at(layer, policy, plain(*layer(policy), self._mean, self._deviation))
+        return self._applied(policy, plain)
 
     def scaled(self, policy: Policy) -> Policy:
         """The inverse of `plain`."""
-        return eqx.tree_at(layer, policy, scaled(*layer(policy), self._mean, self._deviation))
+        return self._applied(policy, scaled)
 
     def slope(self, gradient: Policy) -> Policy:
         """The gradient by the numbers of `scaled`, from that by the numbers of `plain`."""
-        weights, bias = layer(gradient)
-        both = (weights - np.outer(bias, self._mean)) / self._deviation
-        return eqx.tree_at(layer, gradient, (both, bias))
+        return self._applied(gradient, slope)
 
     @classmethod
     def read(cls, stored) -> "Scale | None":
         """From plain data, as JSON gives it."""
         return None if stored is None else cls(*map(tuple, stored))
 
-    @property
-    def _mean(self) -> np.ndarray:
-        return np.asarray(self.mean, np.float32)
-
-    @property
-    def _deviation(self) -> np.ndarray:
-        return np.asarray(self.deviation, np.float32)
+    def _applied(self, policy: Policy, work: Callable[..., tuple[Any, Any]]) -> Policy:
+        """The policy with other first layers: `work` takes weights, biases, mean and deviation."""
+        columns = _columns(policy, self.mean, 0.0), _columns(policy, self.deviation, 1.0)
+        moved = [number for each in layers(policy) for number in work(*each, *columns)]
+        return eqx.tree_at(lambda tree: [x for each in layers(tree) for x in each], policy, moved)
 
 
-def layer(policy: Any) -> tuple[np.ndarray, np.ndarray]:
-    """The first layer of a policy's network: weights and biases."""
-    network = policy.network
-    return network.weights[0], network.biases[0]
+def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.ndarray:
+    """Numbers of the features for all that the first layers of a policy see."""
+    memory: tuple[float, ...] = ()
+    if isinstance(policy, Recent):  # past observations, each with the decision taken there
+        memory = (policy.steps - 1) * (*features, *(policy.width - len(features)) * (other,))
+    elif isinstance(policy, GRU):
+        memory = policy.memory * (other,)
+    return np.asarray((*features, *memory), np.float32)
+
+
+def networks(policy: Policy) -> list[Network | None]:
+    """The networks of a policy that see the features; None in place of each that is not drawn.
+
+    Empty for a policy without any, such as a rule, and for one of which that is not known: the
+    stages of a chain, a class of one's own.
+    """
+    if isinstance(policy, Recent):
+        return networks(policy.policy)
+    if isinstance(policy, GRU):
+        return [policy.gates, policy.fresh, policy.readout]
+    return [policy.network] if isinstance(policy, MLP | Residual) else []
+
+
+def undrawn(policy: Policy) -> bool:
+    """Whether a policy is a recipe, whose networks are still to be drawn."""
+    return all(each is None for each in networks(policy))
+
+
+def layers(policy: Policy) -> list[tuple[Any, Any]]:
+    """Weights and biases of the first layers of a policy's networks."""
+    return [(each.weights[0], each.biases[0]) for each in networks(policy) if each is not None]
 
 
 def plain(weights, bias, mean, deviation) -> tuple[Any, Any]:
@@ -95,12 +124,17 @@ def scaled(weights, bias, mean, deviation) -> tuple[Any, Any]:
     return weights * deviation, bias + weights @ mean
 
 
+def slope(weights, bias, mean, deviation) -> tuple[Any, Any]:
+    """The gradient by a layer for scaled features, from that by the layer of `plain`."""
+    return (weights - np.outer(bias, mean)) / deviation, bias
+
+
 def scale_of(policy: Policy, problem: Problem) -> Scale | None:
     """The scale of the features that no decision moves; None where there is none to be seen, for
-    a policy that is no `MLP` or `Residual`, and where few numbers are decided, none a `Stop`."""
-    if not isinstance(policy, MLP | Residual) or policy.network is None:
+    a policy without a network that sees them, and where few numbers are decided, none a `Stop`."""
+    if not layers(policy):
         return None
-    if problem.action.size <= MANY and not isinstance(problem.action, Stop):
+    if problem.action.size <= MANY and not holds(problem.action, Stop):
         return None
     return fixed(problem)
 

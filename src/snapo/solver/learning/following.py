@@ -5,8 +5,8 @@ a short horizon costs little, so there is time for more of them. Work counts the
 network takes over a path: horizon times parameters. It is the same on every machine.
 
 More steps bear a higher rate, which falls to zero in the end; wider layers a lower one, since all
-their weights move at once. A `Stop` keeps the usual rate: its features are scaled, and a put ended
-at 4.459 with the higher one, at 4.472 without.
+their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate: its features are
+scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
 
 Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
 leads out of: a battery that always discharges at midnight, when it is empty. A decay of weights
@@ -19,7 +19,7 @@ from dataclasses import replace
 
 import jax
 
-from snapo.problem.actions import Stop
+from snapo.problem.actions import Stop, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
@@ -49,7 +49,7 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
         # The gradient of fewer paths is noisier, which more steps average out.
         noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] else 1.0
         steps = round(noisy * _within(STEPS, LONG // horizon))
-        if follows(rate) and not isinstance(problem.action, Stop):
+        if follows(rate) and not holds(problem.action, Stop):
             usual = _within(STEPS, RATED // horizon)
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)

@@ -38,6 +38,22 @@ class Record(NamedTuple):
     exact_error: float = 0.0
 
 
+class Round(NamedTuple):
+    """What a race of several starts compared at one step: the exact value of each that was there.
+
+    `values`: (number of the start from 0, value), the best one first.
+    """
+
+    step: int
+    values: tuple[tuple[int, float], ...]
+
+    @classmethod
+    def read(cls, stored) -> "Round":
+        """From plain data, as JSON gives it."""
+        step, values = stored
+        return cls(step, tuple((number, value) for number, value in values))
+
+
 @dataclass(frozen=True)
 class Progress:
     """Everything that a stopped run needs to go on: the whole state of the loop.
@@ -48,7 +64,7 @@ class Progress:
     `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
     began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
     `dual`: the prices of the problem's limits.
-    `raced`: the exact values of all starts, where there were several, when each was last compared.
+    `raced`: the rounds in which starts fell out, where there were several.
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """
 
@@ -69,7 +85,7 @@ class Progress:
     since: int = 0
     growth: Growth | None = None
     dual: Dual = Dual()
-    raced: tuple[float, ...] = ()
+    raced: tuple[Round, ...] = ()
     scale: Scale | None = None
 
     @property

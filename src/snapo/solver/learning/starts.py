@@ -3,6 +3,9 @@
 Successive halving (Jamieson and Talwalkar 2016): starts differ in the first weights of their
 networks alone and see the same scenarios, so they are told apart by the exact value on the
 validation's paths, which all share. The last one goes on as a run of one start would.
+
+They run one after another: the paths of one start are work for all cores already, so that several
+at once would take as long, in more memory; and all of them share the kernels of the first one.
 """
 
 from collections.abc import Callable
@@ -15,9 +18,10 @@ from jaxtyping import PyTree
 
 from snapo.problem.policy import Network, Policy
 
-from .progress import Progress
+from .progress import Progress, Round
 
 ROUND = 0.1  # of the steps of a run, between two halvings: four starts cost .4 of a run more
+APART = 1.0  # percent between two starts at the same step, from which more of them are worth a try
 
 
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
@@ -38,33 +42,55 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
 
 def race(
     begun: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
-) -> tuple[Progress, tuple[float, ...]]:
-    """The start that is left, and the value of each when it was last compared.
+) -> tuple[Progress, tuple[Round, ...]]:
+    """The start that is left, and the rounds in which the others fell out.
 
     - `begun`: the starts before their first step.
     - `steps`: of a whole run; `run(progress, until)` trains up to step `until` and validates.
     """
     every = max(1, round(ROUND * steps))
-    values = np.full(len(begun), np.nan)
-    left = dict(enumerate(begun))
+    left, rounds = dict(enumerate(begun)), []
     while len(left) > 1:
         until = every + next(iter(left.values())).step
         left = {number: run(each, until) for number, each in left.items()}
-        for number, each in left.items():
-            values[number] = each.best_value
+        values = {number: float(each.best_value) for number, each in left.items()}
         ranked = sorted(left, key=lambda number: -np.nan_to_num(values[number], nan=-np.inf))
+        rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))
         left = {number: left[number] for number in ranked[: (len(left) + 1) // 2]}
-    return next(iter(left.values())), tuple(values.tolist())
+    return next(iter(left.values())), tuple(rounds)
 
 
-def words(values: tuple[float, ...], steps: int) -> str:
-    """One sentence on a race: who won, and how far apart the starts were."""
-    best, worst = int(np.nanargmax(values)), float(np.nanmin(values))
-    every = max(1, round(ROUND * steps))
-    return (
-        f"Of {len(values)} starts, halved every {every} steps, number {best + 1} went on: it had "
-        f"{values[best]:,.5g}, the worst of them {worst:,.5g}."
+def words(rounds: tuple[Round, ...]) -> str:
+    """Who won a race, how far apart the starts were at equal steps, and what to try."""
+    count, winner = len(rounds[0].values), rounds[-1].values[0][0]
+    told, furthest = [], 0.0
+    for step, values in rounds:
+        mine = dict(values)[winner]
+        others = [value - mine for number, value in values if number != winner]
+        size = abs(mine)
+        if not np.isfinite([size, *others]).all() or not size:
+            told.append(f"at step {step} not all of them had a value to compare with")
+            continue
+        ends = [100 * each / size for each in (min(others), max(others))]
+        furthest = max(furthest, *map(abs, ends))
+        both = list(dict.fromkeys(map(_percent, ends)))
+        who = "the other was" if len(others) == 1 else "the others were"
+        told.append(f"{who} {' to '.join(both)} at step {step}")
+    said = "; ".join(told)
+    more = (
+        f" Where a policy starts matters here: try more of them (starts={2 * count})."
+        if furthest > APART
+        else ""
     )
+    return (
+        f"Of {count} starts, halved every {rounds[0].step} steps, number {winner + 1} went on: "
+        f"{said}.{more}"
+    )
+
+
+def _percent(share: float) -> str:
+    """ "4.1 % lower"."""
+    return f"{abs(share):.2g} % {'lower' if share < 0 else 'higher'}"
 
 
 def _redrawn(policy: Policy, rng: np.random.Generator) -> Policy:

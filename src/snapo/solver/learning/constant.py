@@ -1,0 +1,111 @@
+"""Constant decisions: those that a trained rule takes itself, and those that it should beat."""
+
+import itertools
+import math
+from typing import NamedTuple
+
+import jax
+import numpy as np
+
+from snapo.problem.actions import Actions
+from snapo.problem.actions.product import decision_names
+from snapo.problem.smooth import Exact
+
+SAME = 1e-3  # of the width of its set, or of its size: a decision that varies less never changes
+CORNERS = 4  # constant decisions at the limits that are tried at most
+TOLD = 3  # decisions that are named at most
+LONG = 6  # numbers that are told at most
+
+
+class Constant(NamedTuple):
+    """A decision, one of those of a step, that is the same on all paths at all times.
+
+    - `number`: from 1, as `Actions.together` counts; `name`: in a `Product`, else empty.
+    - `value`: its numbers; `limit`: whether each lies at a limit.
+    """
+
+    number: int
+    name: str
+    value: np.ndarray
+    limit: bool
+
+    @property
+    def named(self) -> str:
+        """Its name behind a space, where it has one."""
+        return f" ({self.name})" if self.name else ""
+
+    @property
+    def where(self) -> str:
+        """ "0.9, at its limit"."""
+        return told(self.value) + (", at its limit" if self.limit else "")
+
+
+def constant_decisions(action: Actions, actions: np.ndarray) -> list[Constant]:
+    """Those of the recorded decisions [T, paths, size] that never change."""
+    flat = actions.reshape(-1, actions.shape[-1])
+    low, high = action.bounds()
+    width = np.where(np.isfinite(high - low), high - low, np.maximum(np.abs(flat).max(0), 1e-12))
+    still = np.ptp(flat, axis=0) <= SAME * width
+    near = np.minimum(np.abs(flat[0] - low), np.abs(flat[0] - high)) <= SAME * width
+    groups = zip(action.together(), decision_names(action))
+    return [
+        Constant(number + 1, name, flat[0][group], bool(near[group].all()))
+        for number, (group, name) in enumerate(groups)
+        if still[group].all()
+    ]
+
+
+def words(found: list[Constant], of: int) -> str:
+    """A sentence on decisions that never change, of so many."""
+    if len(found) == of:
+        limit = ", at its limit" if at_limit(found) else ""
+        where = told(np.concatenate([each.value for each in found]))
+        return f"The decision never changes ({where}{limit})"
+    if len(found) == 1:
+        one = found[0]
+        return f"Decision {one.number} of {of}{one.named} never changes ({one.where})"
+    more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
+    listed = ", ".join(f"{each.number}{each.named} ({each.where})" for each in found[:TOLD])
+    return f"{len(found)} of {of} decisions never change: {listed}{more}"
+
+
+def at_limit(found: list[Constant]) -> bool:
+    """Whether all of these decisions lie at limits."""
+    return all(each.limit for each in found)
+
+
+def rivals(action: Actions, actions: np.ndarray) -> list[np.ndarray]:
+    """Constant decisions [size] that a rule should beat: the mean of the decisions [T, paths, size]
+    that it takes, and where limits are finite the few decisions at all of them."""
+    mean = actions.mean((0, 1))
+    ends = [_ends(action, group, mean) for group in action.together()]
+    if math.prod(map(len, ends)) > CORNERS:
+        corners = [[each[0] for each in ends], [each[-1] for each in ends]]
+    else:
+        corners = list(itertools.product(*ends))
+    found = [mean]
+    for corner in corners:
+        each = mean.copy()
+        for group, numbers in zip(action.together(), corner):
+            each[group] = numbers
+        found.append(each)
+    with jax.enable_x64(True):
+        settled = [np.asarray(action.settle(each, Exact())) for each in found]
+    return [np.asarray(each) for each in dict.fromkeys(tuple(each.tolist()) for each in settled)]
+
+
+def _ends(action: Actions, group: list[int], mean: np.ndarray) -> list[np.ndarray]:
+    """The extreme values of one decision; its mean where they are not finite or not known."""
+    low, high = (bound[group] for bound in action.bounds())
+    if len(group) == 1:
+        return [low, high] if np.isfinite(high - low).all() else [mean[group]]
+    # Shares and weights: all on one of them.
+    shares = (low == 0).all() and (high == 1).all()
+    return list(np.eye(len(group))) if shares else [mean[group]]
+
+
+def told(numbers: np.ndarray) -> str:
+    """The numbers of a decision in words."""
+    if numbers.size > LONG:
+        return f"{numbers.size} numbers"
+    return ", ".join(f"{each:.4g}" for each in numbers)
