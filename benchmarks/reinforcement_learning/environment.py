@@ -22,7 +22,7 @@ class Paths(VecEnv):
 
     def __init__(self, task: Task, count: int, seed: int, options: bool):
         self.task, self.options = task, options
-        self.dynamics = Dynamics(task.played or task.problem)
+        self.dynamics = Dynamics(task.played or task.problem, task.endless)
         seen = gymnasium.spaces.Box(-np.inf, np.inf, (self.dynamics.features,), np.float32)
         chosen = gymnasium.spaces.Box(-1.0, 1.0, (task.size,), np.float32)
         super().__init__(
@@ -45,12 +45,11 @@ class Paths(VecEnv):
         sizes = self.dynamics.simulator
         noise = self._normals(sizes.initial_noise_size), self._normals(sizes.noise_size)
         found = self._step(self._t, self._state, self._chosen, noise)
-        self._state, seen, rewards, over, last = found
-        over, last = np.asarray(over), np.asarray(last)
+        self._state, seen, rewards, over, late, last = found
+        over, late, last = np.asarray(over), np.asarray(late), np.asarray(last)
         infos: list[dict[str, Any]] = [{} for _ in range(self.num_envs)]
         for i in np.flatnonzero(over):
-            late = self.task.endless and self._t[i] + 1 >= self.dynamics.horizon
-            infos[i] = {"terminal_observation": last[i], "TimeLimit.truncated": bool(late)}
+            infos[i] = {"terminal_observation": last[i], "TimeLimit.truncated": bool(late[i])}
         self._t = np.where(over, 0, self._t + 1).astype(np.int32)
         return np.array(seen), np.array(rewards, np.float32), over, infos
 
@@ -65,7 +64,7 @@ class Paths(VecEnv):
 
         state = jax.tree.map(either, fresh, moved.state)
         seen, reward = either(first, moved.observation), moved.reward / self.task.unit
-        return state, seen, reward, moved.over, moved.observation
+        return state, seen, reward, moved.over, moved.late, moved.observation
 
     def _normals(self, size: int) -> np.ndarray:
         return self._random.standard_normal((self.num_envs, size), np.float32)

@@ -46,7 +46,8 @@ class Yardstick:
 
     def value(self, rule: "Rule | Policy") -> float:
         """The mean over all paths."""
-        act = snapo.gym.Agent(rule) if isinstance(rule, Policy) else rule
+        # The simulator takes decisions as they are, without the space of an environment.
+        act = snapo.gym.Agent(rule, action=np.asarray) if isinstance(rule, Policy) else rule
         return float(self.totals(act).mean())
 
     def error(self, totals: np.ndarray) -> float:

@@ -15,6 +15,8 @@ from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
 from snapo.problem.actions import Whole as Whole
+from snapo.problem.angle import turned as turned
+from snapo.problem.angle import wrapped as wrapped
 from snapo.problem.carry.export import to_onnx as to_onnx
 from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.carry.save import load_policy as load_policy

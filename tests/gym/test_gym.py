@@ -7,12 +7,17 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.special import ndtri
+from tests.domains.inventory.inventory_cases import case
+from tests.gym.normals import on_the_noise_of
 
 import snapo
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.pendulum import Pendulum
 from snapo.domains.control.rules import rivals
 from snapo.domains.control.twin import agent
+from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
+from snapo.domains.inventory.setup import first_policy
+from snapo.problem.actions import Actions
 from snapo.problem.simulator import Schedule
 from snapo.solver.evaluate import path_totals
 
@@ -50,6 +55,21 @@ class Walk(snapo.Simulator):
         return state["place"] > 3
 
 
+class Odd(Actions):
+    """A set of one's own."""
+
+    size: int = 1
+
+    def squash(self, raw, smooth):
+        return raw
+
+    def near(self, base, correction, smooth):
+        return base + correction
+
+    def fault(self, action):
+        return None
+
+
 @pytest.fixture(scope="module")
 def walk():
     return snapo.Problem(Walk(), None, 3 * snapo.Mean("cash"))
@@ -68,8 +88,13 @@ def test_sets_of_actions_have_spaces():
     assert np.allclose(read(np.array([[0.2, 0.6], [0.0, 0.0]])), [[0.25, 0.75], [0.5, 0.5]])
     _, read = space_of(snapo.Whole(1, 0, 9))
     assert read(np.array([[3.6]])) == 4
-    with pytest.raises(ValueError, match="a Product has no space"):
-        space_of(snapo.Product(a=snapo.Box(1), b=snapo.Choice(2)))
+    several, read = space_of(snapo.Product(b=snapo.Box(1, 0.0, 1.0), a=snapo.Choice(2)))
+    assert set(several) == {"a", "b"} and several["a"].n == 2
+    given = {"a": np.array([1, 0]), "b": np.array([[0.5], [7.0]])}
+    assert np.array_equal(read(given), [[0.5, 0, 1], [1, 1, 0]])
+
+    with pytest.raises(ValueError, match="a Odd has no space"):
+        space_of(Odd())
 
 
 @pytest.mark.prove
@@ -80,12 +105,41 @@ def test_an_objective_without_rewards_is_refused():
 
 
 @pytest.mark.prove
-def test_gymnasiums_own_checker_passes(walk):
+def test_gymnasiums_own_checker_passes(walk, item):
     from gymnasium.utils.env_checker import check_env
 
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # unbounded observations, and no registered name
         check_env(snapo.gym.Environment(walk), skip_render_check=True)
+        check_env(snapo.gym.Environment(item[0]), skip_render_check=True)
+
+
+@pytest.fixture(scope="module")
+def item():
+    """Demand that waits, with a cost of an order: whether to order, and how much."""
+    given = case(order=10.0, unmet="waits", horizon={"periods": 6, "warm_up": 1})
+    problem = snapo.Problem(InventorySimulator(given), inputs_of(given), snapo.Mean("result"))  # pyright: ignore
+    return problem, first_policy(problem, given, 0)
+
+
+@pytest.mark.prove
+def test_an_item_with_a_cost_of_an_order_is_an_environment(item):
+    """Its decision is a dictionary; the (s, S) rule earns in it what it earns in the engine, and
+    so does a rule that does not say its set."""
+
+    class Untold(snapo.Policy):
+        rule: snapo.Policy
+
+        def __call__(self, observation, smooth):
+            return self.rule(observation, smooth)
+
+    problem, policy = item
+    assert set(snapo.gym.Environment(problem).action_space) == {"order", "size"}
+    totals = path_totals(on_the_noise_of(problem, 16), policy, 16)["result"]
+    for each in (policy, Untold(policy)):
+        played = snapo.gym.play(each, lambda: snapo.gym.Environment(problem), 16)
+        np.testing.assert_allclose(played.rewards, totals, rtol=1e-4)
+    assert np.ptp(totals) > 1
 
 
 @pytest.mark.prove
@@ -102,10 +156,82 @@ def test_rewards_add_up_to_the_objective(walk):
             assert not late
         assert count == steps or (place[-1] > 3 >= place[-2] and count < 12)
         assert total == pytest.approx(3 * (2 * place[-1] - count * push**2), rel=1e-5)
-    endless = snapo.gym.Environment(walk, endless=True)
-    endless.reset(seed=1)
-    ends = [endless.step(np.zeros(1, np.float32))[2:4] for _ in range(12)]
-    assert ends == [(False, False)] * 11 + [(False, True)]
+
+
+@pytest.mark.prove
+def test_an_endless_problem_pays_its_last_state_at_an_end_of_its_own_alone(walk):
+    """At the horizon time is up and nothing more is paid; where the walk passes 3 with its last
+    step, it is at its end: terminated, and paid."""
+
+    def pushes(seen, t, at_end):
+        """Up to 2.3 and, with the last step, beyond 3; or nothing."""
+        wanted = np.where(t < 11, np.clip(2.3 - seen[:, :1], -1, 1), 1.0)
+        return np.where(np.asarray(at_end)[:, None], wanted, 0.0).astype(np.float32)
+
+    one, many = (
+        snapo.gym.Environment(walk, endless=True),
+        snapo.gym.VectorEnvironment(walk, 4, endless=True),
+    )
+    for at_end in (False, True):
+        seen, _ = one.reset(seed=1)
+        for t in range(12):
+            push = pushes(seen[None], t, [at_end])[0]
+            seen, reward, ended, late, told = one.step(push)
+            assert (ended, late) == (at_end and t == 11, not at_end and t == 11), t
+            last = 2 * seen[0] if ended else 0.0
+            assert reward == pytest.approx(3 * (last - push[0] ** 2), abs=1e-5)
+            assert told["cash"] == pytest.approx(reward / 3, abs=1e-5)
+        assert (seen[0] > 3) == at_end
+    seen, _ = many.reset(seed=1)
+    at_ends = [False, True, True, False]
+    for t in range(12):
+        push = pushes(seen, t, at_ends)
+        seen, rewards, ended, late, _ = many.step(push)
+        assert t == 11 or not np.any(ended | late)
+    assert ended.tolist() == at_ends and np.all(late == ~ended)
+    assert np.allclose(rewards, 3 * (2 * seen[:, 0] * ended - push[:, 0] ** 2), atol=1e-5)
+
+
+@pytest.mark.prove
+def test_information_holds_the_outputs_and_they_add_up_to_their_totals():
+    """By each one's kind of total, names of the last state alone among them; after it ended at its
+    horizon."""
+
+    class Told(Walk):
+        def step(self, constants, now, state, action, noise, smooth):
+            after, outputs = super().step(constants, now, state, action, noise, smooth)
+            place = after["place"]
+            return after, outputs | {"most": place, "final": place, "best": place}
+
+        def terminal(self, constants, state, smooth):
+            found = super().terminal(constants, state, smooth)
+            return found | {"rest": state["place"] ** 2, "final": jnp.float32(7.0), "best": 9.0}
+
+        def totals(self):
+            return {"most": "max", "final": "last", "best": "max"}
+
+    problem = snapo.Problem(Told(), None, snapo.Mean("cash"))
+    environment = snapo.gym.Environment(problem)
+    environment.reset(seed=4)
+    rows = [environment.step(np.array([0.05], np.float32))[4] for _ in range(12)]
+    assert all("rest" not in row for row in rows[:-1]) and set(rows[-1]) - set(rows[0]) == {"rest"}
+    assert rows[-1]["final"] == 7 and rows[-1]["best"] == 9 and rows[-2]["best"] < 3
+    place = [row["other"] for row in rows]
+    assert sum(row["cash"] for row in rows) == pytest.approx(2 * place[-1] - 12 * 0.05**2, rel=1e-5)
+    assert rows[-1]["rest"] == pytest.approx(place[-1] ** 2) and rows[-1]["most"] == place[-1]
+    many = snapo.gym.VectorEnvironment(problem, 2)
+    many.reset(seed=4)
+    steps = [many.step(np.full((2, 1), 0.05, np.float32)) for _ in range(13)]
+    assert not steps[10][4]["_rest"].any() and steps[11][4]["_rest"].all()
+    assert steps[11][4]["_cash"].all() and not steps[12][4]["_cash"].any()
+    assert np.all(steps[12][4]["cash"] == 0)
+
+
+@pytest.mark.prove
+def test_environments_of_one_problem_are_compiled_once(walk):
+    one, other = (snapo.gym.Environment(walk) for _ in range(2))
+    assert one._step is other._step
+    assert snapo.gym.Environment(walk, endless=True)._step is not one._step
 
 
 @pytest.mark.prove
@@ -151,7 +277,9 @@ def test_the_same_policy_earns_the_same_in_both_pendulums():
     given = snapo.Supplied(np.zeros((STEPS, STARTS, 0)), ndtri(shares))
     problem = snapo.Problem(plant, inputs, snapo.Mean("reward"), snapo.Sources(given, given, given))
     network = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
-    for policy in (rivals(plant, inputs)["linear regulator"], network):
+    recurrent = snapo.GRU(hidden=6).for_problem(problem.interface, jax.random.key(1))
+    recent = snapo.Recent(3).for_problem(problem.interface, jax.random.key(2))
+    for policy in (rivals(plant, inputs)["linear regulator"], network, recurrent, recent):
         totals = path_totals(problem, policy, STARTS)["reward"]
         played = snapo.gym.play(agent(plant, policy, inputs), made, STARTS)
         assert np.all(played.steps == STEPS)

@@ -9,13 +9,16 @@ from tests.problem.test_chain import HEAT, INPUTS, Grow, Heat, move
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.actions import Box
+from snapo.problem.actions import Actions, Box, Choice, Product, Simplex, Stop, Whole
 from snapo.problem.chain import Chain
+from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP, Constant, Linear, parameters, trainable
 from snapo.problem.prepare import prepare
 from snapo.problem.scenarios import Pseudo
+from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
 from snapo.problem.stages import Stages
+from snapo.solver.adjoint import pull_back
 
 PATHS = 16
 WEIGHTS = {name: np.full(PATHS, 1 / PATHS) for name in ("cost", "peak", "width", "end")}
@@ -129,6 +132,79 @@ def test_gradients_of_both_policies_against_central_differences():
             shifted.append(value(eqx.combine(jax.tree.unflatten(tree, new), fixed)))
         difference = (shifted[0] - shifted[1]) / 2e-5
         assert abs(difference - gradient[i]) < 1e-6 * np.abs(gradient).max(), (i, k)
+
+
+class Mixed(Simulator):
+    """Any set: every number of a decision pushes in its own way."""
+
+    action: Actions = Simplex(3)
+    inputs: str = eqx.field(static=True, default="all")
+    horizon: int = 3
+    noise_size: int = 1
+    initial_noise_size: int = 1
+
+    def prepare(self, inputs):
+        return Schedule({"pull": inputs["pull"]}, {"push": inputs[self.inputs]})
+
+    def initial(self, constants, noise):
+        return jnp.stack([noise[0], 0.5])
+
+    def observe(self, constants, now, state):
+        return jnp.append(state, now["push"])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        pushes = jnp.arange(1.0, 1 + action.shape[0]) / action.shape[0]
+        pushed = jnp.stack([pushes @ action, jnp.sum(action**2)]) * now["push"]
+        after = constants["pull"] * state + pushed + 0.3 * noise
+        return after, {"cost": after[0] ** 2 + after[1] - jnp.sum(pushes * action)}
+
+
+PUSH = np.array([0.1, 0.3, 0.2, 0.4, 0.1, 0.2])
+MIXED = {"pull": Input(0.7), "first": Input(PUSH[:3]), "then": Input(PUSH[3:]), "all": Input(PUSH)}
+SEVERAL = Product(run=Choice(2), lots=Whole(1, 0, 3), size=Box(1, -1.0, 1.0))
+WARM = Smooth(np.float64(0.1))
+SETS = {
+    "simplex": (Simplex(3), WARM),
+    "stop": (Stop(2), WARM),
+    "product": (SEVERAL, WARM),
+    "product, exact": (SEVERAL, Exact()),
+}
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("action, smooth", SETS.values(), ids=SETS)
+def test_stages_of_one_set_of_any_kind_equal_one_simulator(action, smooth):
+    """In both engines: totals to 1e-12, gradients by inputs and by the policy to 1e-9."""
+    parts = [Mixed(action=action, inputs=name) for name in ("first", "then")]
+    chain, whole = Chain(parts, [lambda c, state, n: state]), Mixed(action=action, horizon=6)
+    assert chain.action == action
+    rng = np.random.default_rng(1)
+    schedules = [prepare(each, MIXED) for each in (chain, whole)]
+    mlp = MLP(hidden=(4,)).for_problem(whole.interface(schedules[1]), jax.random.key(2))
+    mlp = jax.tree.map(lambda x: np.float64(x) + rng.normal(size=x.shape), mlp)
+    stages = Stages([mlp, mlp], chain.interface(schedules[0]))
+    found = []
+    for simulator, schedule, policy in ((chain, schedules[0], stages), (whole, schedules[1], mlp)):
+        assert unsupported(simulator, schedule, policy, smooth) is None
+        draws = Pseudo(3).draws(np.arange(PATHS), simulator)
+        for engine in (Xla("float64"), Native("float64"))[: 2 if simulator is chain else 1]:
+            weights = {"cost": np.full(PATHS, 1 / PATHS)}
+            run = engine.adjoint(simulator, policy, schedule, draws, smooth, weights)
+            slopes = pull_back(simulator, MIXED, [run.schedule])
+            slope = parameters(run.policy).reshape(2 if simulator is chain else 1, -1).sum(0)
+            found.append((run.totals["cost"], slope, slopes))
+    pushes = [
+        np.concatenate([slopes["first"][0], slopes["then"][0]])
+        if np.any(slopes["first"][0])
+        else slopes["all"][0]
+        for _, _, slopes in found
+    ]
+    for (totals, slope, slopes), push in zip(found[1:], pushes[1:]):
+        np.testing.assert_allclose(totals, found[0][0], rtol=1e-12)
+        np.testing.assert_allclose(slope, found[0][1], rtol=1e-9, atol=1e-12)
+        np.testing.assert_allclose(slopes["pull"], found[0][2]["pull"], rtol=1e-9)
+        np.testing.assert_allclose(push, pushes[0], rtol=1e-9)
+    assert np.ptp(found[0][0]) > 0.1
 
 
 def test_recipes_and_wrong_numbers_of_policies_are_refused():

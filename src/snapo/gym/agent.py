@@ -1,40 +1,95 @@
 """A policy as a plain function from an environment's observation to its action."""
 
 from collections.abc import Callable
+from typing import Any
 
 import equinox as eqx
 import jax
 import numpy as np
 
+from snapo.problem.actions import Actions
+from snapo.problem.memory import Recent, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 
-Map = Callable[[np.ndarray], np.ndarray]
+from .spaces import element, space_of, writer
+
+Map = Callable[[np.ndarray], Any]
 
 
 class Agent:
     """Plays any environment: `agent(observation)` is the action, for one or for many.
 
     - `features`: from the environment's observations [N, k] to those that the policy was trained
-      on; `action`: from decisions [N, size] to the environment's actions. By default the same.
+      on; by default the same.
+    - `action`: from decisions [N, size] to N actions of the environment; or its `action_space`, or
+      the set of the problem whose environment it is. By default the policy's own set: the number
+      of an option of a `Choice`, a dictionary for a `Product`, else the numbers.
+
+    An agent whose policy remembers keeps the memory of every episode, [N, m] in `memory`; call
+    `reset` where episodes begin. One of which the number of observations changes must be reset.
     """
 
     def __init__(
-        self, policy: Policy, features: Map | None = None, action: Map | None = None
+        self, policy: Policy, features: Map | None = None, action: "Map | Actions | Any" = None
     ) -> None:
-        self.policy = policy
-        self._features, self._action = features, action
+        self.policy, self._features = policy, features
+        self.memory: np.ndarray | None = None
+        self._given = action
+        self._write = action if callable(action) else _writer(policy, action)
 
-    def __call__(self, observation: np.ndarray) -> np.ndarray:
-        """The action [m] at an observation [k]; or [N, m] at [N, k]."""
+    def __call__(self, observation: np.ndarray) -> Any:
+        """The action at an observation [k]; or N of them at [N, k]."""
         given = np.asarray(observation)
         seen = np.atleast_2d(given)
         seen = self._features(seen) if self._features else seen
-        decided = np.asarray(_decided(self.policy, np.asarray(seen, np.float32)))
-        decided = self._action(decided) if self._action else decided
-        return decided if given.ndim > 1 else decided[0]
+        decided = np.asarray(self._decide(np.asarray(seen, np.float32)))
+        actions = self._write(decided)
+        return actions if given.ndim > 1 else element(actions, 0)
+
+    def reset(self, began: np.ndarray | None = None) -> None:
+        """Forgets: all episodes, or those of N that begin anew, `began` [N] of truth values."""
+        if began is None or self.memory is None:
+            self.memory = None
+        else:
+            self.memory = np.where(np.asarray(began, bool)[:, None], 0.0, self.memory)
+
+    def on(self, space: Any) -> "Agent":
+        """One like it without a memory yet, for these actions unless it was made for some."""
+        return Agent(self.policy, self._features, space if self._given is None else self._given)
+
+    def _decide(self, seen: np.ndarray) -> np.ndarray:
+        """[N, size] decisions, which move the memory on."""
+        size = remembered(self.policy)
+        memory = np.zeros((len(seen), size), np.float32) if self.memory is None else self.memory
+        if size and len(memory) != len(seen):
+            raise ValueError(
+                f"Agent: it remembers {len(memory)} episodes, and here are {len(seen)} "
+                "observations; call reset() where other episodes begin."
+            )
+        decided = np.asarray(_decided(self.policy, np.concatenate([seen, memory], 1)))
+        self.memory = decided[:, decided.shape[1] - size :] if size else None
+        return decided[:, : decided.shape[1] - size]
 
 
 @eqx.filter_jit
 def _decided(policy: Policy, seen):
     return jax.vmap(lambda each: policy(each, Exact()))(seen)
+
+
+def _writer(policy: Policy, given: Any) -> Map:
+    """From decisions to elements of the space given, of the set given, or of the policy's set."""
+    action = given if isinstance(given, Actions) else set_of(policy)
+    if given is not None and given is not action:
+        return writer(given, action)
+    if action is None:
+        return lambda decided: decided
+    return writer(space_of(action)[0], action)
+
+
+def set_of(policy: Policy) -> Actions | None:
+    """The set that a policy decides in; None where it does not say."""
+    if isinstance(policy, Recent):
+        return set_of(policy.policy)
+    found = getattr(policy, "action", None)
+    return found if isinstance(found, Actions) else None

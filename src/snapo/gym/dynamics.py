@@ -1,6 +1,7 @@
 """One step of a problem at a time, for an environment: state, observation, reward, end."""
 
 from typing import Any, NamedTuple, Protocol, runtime_checkable
+from weakref import WeakKeyDictionary
 
 import jax
 import jax.numpy as jnp
@@ -10,6 +11,8 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import flat_weights
+
+Outputs = dict[str, Float[Array, ""]]
 
 
 @runtime_checkable
@@ -22,27 +25,41 @@ class Ends(Protocol):
 
 
 class Moved(NamedTuple):
-    """After a step: the state, its observation, the reward, and whether the episode is over."""
+    """After a step: the state, its observation, the reward and all outputs.
+
+    - `ended`: the problem is at its end: the simulator says so (`over`), or it is the horizon's.
+    - `late`: a limit of time cuts the episode off, and the problem would go on.
+    - `outputs`: of the step, and at an end those of the last state as well; a name that only the
+      last state has is 0 before.
+    """
 
     state: PyTree
     observation: Float[Array, " features"]
     reward: Float[Array, ""]
-    over: Bool[Array, ""]
+    outputs: Outputs
+    ended: Bool[Array, ""]
+    late: Bool[Array, ""]
+
+    @property
+    def over(self) -> Bool[Array, ""]:
+        """Whether the episode goes no further, for one reason or the other."""
+        return self.ended | self.late
 
 
 class Dynamics:
     """The exact simulator of a problem in single precision, step by step.
 
     The rewards of a path add up to its share of the objective; those of the last state come with
-    the last step.
+    the step that ends the problem. With `endless` the horizon is a limit of time, after which the
+    problem would go on: nothing is paid for a state that is the last one for its sake alone.
 
     **Raises:** `ValueError` where the objective is no mean of sums, which has no reward of a step.
     """
 
-    def __init__(self, problem: Problem):
+    def __init__(self, problem: Problem, endless: bool = False):
         self.simulator, objective = problem.simulator, problem.objective
-        kinds = self.simulator.totals()
-        summed = all(kinds.get(name, "sum") == "sum" for name in objective.outputs)
+        self.endless, self.kinds = endless, dict(self.simulator.totals())
+        summed = all(self.kinds.get(name, "sum") == "sum" for name in objective.outputs)
         if not objective.linear or not summed:
             raise ValueError(
                 "Environment: the objective must be a mean of outputs summed over the path; "
@@ -65,12 +82,27 @@ class Dynamics:
         # A state may start as a whole number and go on as a float of the same meaning.
         after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, state)
         last = self.simulator.terminal(constants, after, Exact())
-        done = t + 1 >= self.horizon
-        over = done
+        due = t + 1 >= self.horizon
+        ended = jnp.zeros((), bool) if self.endless else due
         if isinstance(self.simulator, Ends):
-            over = over | self.simulator.over(constants, after)
-        reward = self._worth(outputs) + jnp.where(over, self._worth(last), 0.0)
-        return Moved(after, self._seen(t + 1, after), reward, over)
+            ended = ended | self.simulator.over(constants, after)
+        reward = self._worth(outputs) + jnp.where(ended, self._worth(last), 0.0)
+        told = self._told(outputs, last, ended)
+        return Moved(after, self._seen(t + 1, after), reward, told, ended, due & ~ended)
+
+    def only_last(self) -> tuple[str, ...]:
+        """The outputs that the last state alone has, none of a step."""
+
+        def both():
+            constants, now = self.schedule.constants, at(self.schedule.steps, 0)
+            simulator = self.simulator
+            state = simulator.initial(constants, jnp.zeros(simulator.initial_noise_size))
+            action, noise = jnp.zeros(simulator.action.size), jnp.zeros(simulator.noise_size)
+            _, outputs = simulator.step(constants, now, state, action, noise, Exact())
+            return outputs, simulator.terminal(constants, state, Exact())
+
+        outputs, last = jax.eval_shape(both)
+        return tuple(name for name in last if name not in outputs)
 
     def _seen(self, t: Array, state: PyTree) -> Array:
         """The observation; after the last step nothing is decided, and the last schedule holds."""
@@ -80,3 +112,35 @@ class Dynamics:
     def _worth(self, outputs: dict[str, Any]) -> Array:
         zero = jnp.zeros((), jnp.float32)
         return sum((w * outputs[k] for k, w in self.weights.items() if k in outputs), zero)
+
+    def _told(self, outputs: Outputs, last: Outputs, ended: Array) -> Outputs:
+        """The outputs of a step joined with those of the last state, by the kind of total."""
+        told = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
+        for name, value in last.items():
+            before, kind = told.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
+            if kind == "sum" or name not in told:
+                joined = before + value
+            else:
+                joined = jnp.maximum(before, value) if kind == "max" else value
+            told[name] = jnp.where(ended, joined, before)
+        return told
+
+
+class Compiled(NamedTuple):
+    """The dynamics with its two compiled functions, of one path."""
+
+    dynamics: Dynamics
+    first: Any
+    step: Any
+
+
+_known: "WeakKeyDictionary[Problem, dict[bool, Compiled]]" = WeakKeyDictionary()
+
+
+def compiled(problem: Problem, endless: bool) -> Compiled:
+    """Compiled once for all environments of a problem: `play` makes one for every start."""
+    made = _known.setdefault(problem, {})
+    if endless not in made:
+        dynamics = Dynamics(problem, endless)
+        made[endless] = Compiled(dynamics, jax.jit(dynamics.first), jax.jit(dynamics.step))
+    return made[endless]

@@ -9,7 +9,9 @@ from snapo.problem.policy import Policy
 from snapo.solver import statistics
 
 from .agent import Agent
+from .environment import Environment
 from .installed import gymnasium
+from .spaces import element
 
 
 class Played(NamedTuple):
@@ -33,7 +35,8 @@ def play(
 
     **Arguments:**
 
-    - `agent`: an `Agent`, a policy, or any function from observations [N, k] to actions [N, m].
+    - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. A policy
+      writes its actions for the environment's space (see `Agent`); a memory begins anew.
     - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
     - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1: the
       same ones for every agent, so that agents are compared on common starts.
@@ -41,8 +44,8 @@ def play(
     seeds = range(starts) if isinstance(starts, int) else starts
     if not len(seeds):
         raise ValueError("play: give at least one start.")
-    act = Agent(agent) if isinstance(agent, Policy) else agent
     worlds = [made(environment) for _ in seeds]
+    act = _for_world(agent, worlds[0])
     firsts = [each.reset(seed=int(seed))[0] for each, seed in zip(worlds, seeds)]
     seen = np.stack([np.asarray(each, np.float32) for each in firsts])
     rewards, steps = np.zeros(len(worlds)), np.zeros(len(worlds), int)
@@ -51,7 +54,7 @@ def play(
         actions = act(seen)  # of all: one compiled shape
         left = []
         for i in going:
-            seen[i], reward, ended, late, _ = worlds[i].step(actions[i])
+            seen[i], reward, ended, late, _ = worlds[i].step(element(actions, i))
             rewards[i] += reward
             steps[i] += 1
             if not (ended or late):
@@ -61,6 +64,15 @@ def play(
         each.close()
     found = statistics.mean(rewards, np.arange(rewards.size))
     return Played(float(np.mean(rewards)), found.standard_error, rewards, steps)
+
+
+def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
+    """The agent, or that of a policy, for the actions of the environment; it remembers nothing."""
+    if not isinstance(agent, Agent | Policy):
+        return agent
+    act = Agent(agent) if isinstance(agent, Policy) else agent
+    own = isinstance(world.unwrapped, Environment)
+    return act.on(world.unwrapped.decisions if own else world.action_space)
 
 
 def made(environment: "str | Callable[[], Any]"):

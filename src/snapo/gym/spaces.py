@@ -1,28 +1,42 @@
-"""Sets of actions as Gymnasium's spaces, and the way back."""
+"""Sets of actions as Gymnasium's spaces, and the ways between both.
+
+Elements of a space come N at a time, as vectorised environments have them: an array [N, …], or of a
+`Dict` one for each name.
+"""
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
-from snapo.problem.actions import Actions, Box, Choice, Simplex, Stop, Whole
+from snapo.problem.actions import Actions, Box, Choice, Product, Simplex, Stop, Whole
 
 from .installed import gymnasium
 
 Space = Any  # of Gymnasium, which has no types of its own for all of them
-Reader = Callable[[np.ndarray], np.ndarray]  # from [N, …] of the space to [N, size] of the set
+Elements = Any  # N of a space
+Reader = Callable[[Elements], np.ndarray]  # to [N, size] of the set
+Writer = Callable[[np.ndarray], Elements]  # and back
 
 
 def space_of(action: Actions) -> tuple[Space, Reader]:
     """The space of a set of actions, and the function from its elements to the exact set.
 
-    A `Choice` is `Discrete`, of a `Simplex` any numbers from 0 to 1 are taken in proportion, whole
-    numbers are rounded; bounds are kept by clipping.
+    A `Choice` is `Discrete`, a `Product` a `Dict` of its sets by name; of a `Simplex` any numbers
+    from 0 to 1 are taken in proportion, whole numbers are rounded; bounds are kept by clipping.
 
     **Raises:** `ValueError` for a set that has no space.
     """
+    if isinstance(action, Product):
+        parts = {name: space_of(action[name]) for name in action.names}
+        space = gymnasium.spaces.Dict({name: part for name, (part, _) in parts.items()})
+
+        def read_all(given: Elements) -> np.ndarray:
+            return np.concatenate([read(given[name]) for name, (_, read) in parts.items()], -1)
+
+        return space, read_all
     if isinstance(action, Choice):
-        return gymnasium.spaces.Discrete(action.size), lambda n: np.eye(action.size)[n]
+        return gymnasium.spaces.Discrete(action.size), lambda n: np.eye(action.size)[np.asarray(n)]
     if not isinstance(action, Box | Whole | Stop | Simplex):
         raise ValueError(f"Environment: a {type(action).__name__} has no space of Gymnasium.")
     low, high = (np.asarray(bound, np.float32) for bound in action.bounds())
@@ -36,3 +50,78 @@ def space_of(action: Actions) -> tuple[Space, Reader]:
         return inside if isinstance(action, Box) else np.round(inside)
 
     return space, read
+
+
+def writer(space: Space, action: Actions | None = None) -> Writer:
+    """The function from decisions [N, size] of the exact set to N elements of the space.
+
+    - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from its
+      start; `MultiDiscrete` and `MultiBinary` take whole numbers.
+    - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers as they are.
+    - `action`: the set, where it is known; without it the number of decisions tells.
+
+    **Raises:** `ValueError` where the set and the space have nothing in common.
+    """
+    spaces = gymnasium.spaces
+    if isinstance(space, spaces.Dict):
+        if not isinstance(action, Product) or set(action.names) != set(space.keys()):
+            _refuse(space, action)
+        parts = {name: writer(space[name], action[name]) for name in action.names}
+        return lambda decided: {
+            name: parts[name](part) for name, part in action.parts(decided).items()
+        }
+    if isinstance(space, spaces.Discrete):
+        options = int(space.n)
+        if action is not None and not isinstance(action, Choice) and action.size > 1:
+            _refuse(space, action)
+        if isinstance(action, Choice) and action.size != options:
+            _refuse(space, action)
+        return lambda decided: space.start + _option(decided, options)
+    counts = isinstance(space, spaces.MultiDiscrete | spaces.MultiBinary)
+    if not counts and not isinstance(space, spaces.Box):
+        _refuse(space, action)
+    shape = tuple(space.shape)
+    if action is not None and action.size != int(np.prod(shape)):
+        _refuse(space, action)
+    start = getattr(space, "start", 0) if counts else 0
+
+    def write(decided: np.ndarray) -> np.ndarray:
+        numbers = np.round(decided) if counts else decided
+        return numbers.astype(space.dtype).reshape(len(decided), *shape) + np.asarray(
+            start, space.dtype
+        )
+
+    return write
+
+
+def batched(element: Any) -> Elements:
+    """One element as N = 1 of them."""
+    if isinstance(element, dict):
+        return {name: batched(part) for name, part in element.items()}
+    return np.asarray(element)[None]
+
+
+def element(elements: Elements, i: int) -> Any:
+    """The element `i` of N."""
+    if isinstance(elements, dict):
+        return {name: element(part, i) for name, part in elements.items()}
+    return elements[i]
+
+
+def _option(decided: np.ndarray, options: int) -> np.ndarray:
+    """[N] numbers of options, from weights on all [N, options] or from the numbers [N, 1]."""
+    size = decided.shape[-1]
+    if size == 1:
+        return np.round(decided[:, 0]).astype(np.int64)
+    if size != options:
+        raise ValueError(
+            f"Agent: the policy decides {size} numbers, and there are {options} options."
+        )
+    return np.argmax(decided, -1)
+
+
+def _refuse(space: Space, action: Actions | None) -> NoReturn:
+    raise ValueError(
+        f"Agent: decisions in {action} have no place in the space {space}; give "
+        "snapo.gym.Agent(policy, action=…) a function from decisions [N, size] to its elements."
+    )

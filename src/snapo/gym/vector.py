@@ -8,7 +8,7 @@ import numpy as np
 
 from snapo.problem.problem import Problem
 
-from .dynamics import Dynamics
+from .dynamics import Dynamics, Moved
 from .installed import gymnasium
 from .spaces import space_of
 
@@ -17,11 +17,13 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
     """`num_envs` paths of the exact simulator side by side (see `Environment`).
 
     A path that has ended starts anew at its next step, whose action is not used and whose reward
-    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`).
+    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` holds [N] of every output and, under its
+    name after an underscore, for which paths it counts.
     """
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
-        self.dynamics, self.endless, self.num_envs = Dynamics(problem), endless, num_envs
+        self.dynamics, self.endless = Dynamics(problem, endless), endless
+        self.decisions, self.num_envs = problem.action, num_envs
         mode = gymnasium.vector.AutoresetMode.NEXT_STEP
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = None
@@ -31,6 +33,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         batch = gymnasium.vector.utils.batch_space
         self.observation_space = batch(self.single_observation_space, num_envs)
         self.action_space = batch(self.single_action_space, num_envs)
+        self._only_last = self.dynamics.only_last()
         self._first = jax.jit(jax.vmap(self.dynamics.first))
         self._step = jax.jit(self._moved)
         self._t = np.zeros(num_envs, np.int32)
@@ -45,23 +48,24 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(seen), {}
 
     def step(self, actions):
-        """One decision for every path: [N, features], [N] rewards, terminated, truncated."""
+        """One decision for every path: [N, features], [N] rewards, terminated, truncated, info."""
         if self._state is None:
             raise gymnasium.error.ResetNeeded("VectorEnvironment: call reset before a step.")
         size = self.dynamics.simulator
         noise = self._normals(size.initial_noise_size), self._normals(size.noise_size)
-        chosen = self._read(np.asarray(actions)).astype(np.float32)
+        chosen = self._read(actions).astype(np.float32)
         again = self._done.copy()
-        found = self._step(self._t, self._state, chosen, noise, again)
-        self._state, seen, rewards, over = found
+        self._state, moved = self._step(self._t, self._state, chosen, noise, again)
         self._t = np.where(again, 0, self._t + 1).astype(np.int32)
-        late = self.endless & (self._t >= self.dynamics.horizon)
-        ended = np.asarray(over) & ~late
+        ended, late = np.asarray(moved.ended), np.asarray(moved.late)
         self._done = ended | late
-        return np.asarray(seen), np.asarray(rewards, np.float64), ended, late, {}
+        told = {name: np.asarray(value) for name, value in moved.outputs.items()}
+        counts = {f"_{name}": ended if name in self._only_last else ~again for name in told}
+        rewards = np.asarray(moved.reward, np.float64)
+        return np.asarray(moved.observation), rewards, ended, late, told | counts
 
     def _moved(self, t, state, actions, noise, again):
-        """All paths moved; those to start `again` at their first state."""
+        """All paths moved; those to start `again` at their first state, where nothing counts."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 
@@ -69,8 +73,10 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
             return jnp.where(again.reshape(-1, *[1] * (old.ndim - 1)), new, old)
 
         state = jax.tree.map(either, fresh, moved.state)
-        seen, rewards = either(first, moved.observation), jnp.where(again, 0.0, moved.reward)
-        return state, seen, rewards, moved.over & ~again
+        reward, outputs, *ends = jax.tree.map(
+            lambda old: either(jnp.zeros((), old.dtype), old), tuple(moved[2:])
+        )
+        return state, Moved((), either(first, moved.observation), reward, outputs, *ends)
 
     def _normals(self, size: int) -> np.ndarray:
         return self.np_random.standard_normal((self.num_envs, size), np.float32)

@@ -13,7 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from .actions import Box
+from .actions import Actions, Box
 from .simulator import Interface, Schedule, Simulator, Total, at
 
 Map = Callable[[PyTree, PyTree, PyTree], PyTree]
@@ -24,9 +24,10 @@ class Chain(Simulator):
 
     **Arguments:**
 
-    - `stages`: the simulators. Their action sets must be Boxes; the chain's is the smallest Box
-      that holds them all, and a stage reads the first numbers of an action and of the noise. Where
-      its own bounds are narrower, the action is clipped to them.
+    - `stages`: the simulators. They all decide in the same set, of any kind, or in Boxes of their
+      own: then the chain's set is the smallest Box that holds them all, a stage reads the first
+      numbers of an action, and where its own bounds are narrower, the action is clipped to them.
+      Of the noise too a stage reads the first numbers.
     - `maps`: one fewer than stages. `maps[i](constants, state, next_constants)` turns the final
       state of stage i into the first state of stage i + 1, whose own `initial` is not asked.
     - `names`: prefixes of the stages' outputs ("reactor.yield"). Without them, outputs of the same
@@ -53,8 +54,10 @@ class Chain(Simulator):
                 f"Chain: names are {self.names}; give {len(self.stages)} different ones."
             )
         sets = [stage.action for stage in self.stages]
-        if not all(isinstance(each, Box) for each in sets):
-            raise ValueError(f"Chain: the stages' action sets are {sets}; all must be Boxes.")
+        if not self._alike and not all(isinstance(each, Box) for each in sets):
+            raise ValueError(
+                f"Chain: the stages' action sets are {sets}; all must be Boxes, or the same set."
+            )
         self.totals()  # refuses one name with two kinds of total
 
     @property
@@ -62,12 +65,19 @@ class Chain(Simulator):
         return sum(stage.horizon for stage in self.stages)
 
     @property
-    def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
+    def _alike(self) -> bool:
+        """Whether all stages decide in the same set."""
+        return all(stage.action == self.stages[0].action for stage in self.stages)
+
+    @property
+    def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
+        if self._alike:
+            return self.stages[0].action
         size = max(stage.action.size for stage in self.stages)
         low, high = np.full(size, np.inf), np.full(size, -np.inf)
         for stage in self.stages:
             own = slice(stage.action.size)
-            least, most = stage.action.bounds()  # pyright: ignore[reportAttributeAccessIssue]
+            least, most = stage.action.bounds()
             low[own], high[own] = np.minimum(low[own], least), np.maximum(high[own], most)
         return Box(size, low, high)
 
@@ -235,8 +245,10 @@ class Chain(Simulator):
 
     def _own(self, i: int, action):
         """The numbers of an action that stage i reads, within its own bounds."""
+        if self._alike:
+            return action
         own = self.stages[i].action
-        low, high = own.bounds()  # pyright: ignore[reportAttributeAccessIssue]
+        low, high = own.bounds()
         least, most = (bound[: own.size] for bound in self.action.bounds())
         chosen = action[: own.size]
         if np.array_equal(low, least) and np.array_equal(high, most):

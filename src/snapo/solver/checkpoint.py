@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.problem.carry import archive
-from snapo.problem.describe import described, difference
+from snapo.problem.carry.describe import described, difference
 
 from .learning.features import Scale
 from .learning.growth import Growth

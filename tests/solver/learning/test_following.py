@@ -58,7 +58,7 @@ def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_
     assert fitted(Training(), of, made).decay == 0
     assert fitted(Training(steps=50), many, made).decay == 0
     assert fitted(Training(steps=50, decay=0.3), many, made).decay == 0.3
-    with pytest.raises(ValueError, match="decay is -1; allowed is 0 or more"):
+    with pytest.raises(ValueError, match="decay is -1; allowed is a number, 0 or more"):
         Training(decay=-1)
 
 

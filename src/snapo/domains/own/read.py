@@ -5,12 +5,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.settings import (
-    FollowingTable,
-    check_window,
-    read_evaluation,
-    read_training,
-)
+from snapo.case.settings import FollowingTable, check_window, read_evaluation, read_training
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
 from snapo.study.cores import use_every_core

@@ -5,6 +5,8 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.angle import turned
+
 from .integrate import runge_kutta
 from .plant import Parameter, Plant, Quantity
 
@@ -65,8 +67,7 @@ class CartPole(Plant):
 
     def features(self, p, state):
         place = jnp.stack([state["position"], state["speed"] / 2])
-        turn = jnp.stack([jnp.cos(state["angle"]), jnp.sin(state["angle"]), state["spin"] / 5])
-        return jnp.concatenate([place, turn])
+        return jnp.concatenate([place, turned(state["angle"]), state["spin"][None] / 5])
 
     def recover(self, p, features):
         x, v, cosine, sine, spin = features[:5]

@@ -5,7 +5,9 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from .plant import Parameter, Plant, Quantity, wrapped
+from snapo.problem.angle import turned, wrapped
+
+from .plant import Parameter, Plant, Quantity
 
 
 class Pendulum(Plant):
@@ -57,8 +59,7 @@ class Pendulum(Plant):
         }
 
     def features(self, p, state):
-        angle = state["angle"]
-        return jnp.stack([jnp.cos(angle), jnp.sin(angle), state["speed"] / p["max_speed"]])
+        return jnp.append(turned(state["angle"]), state["speed"] / p["max_speed"])
 
     def recover(self, p, features):
         angle = jnp.arctan2(features[1], features[0])

@@ -225,11 +225,6 @@ def outputs(parts: State) -> State:
     return {"reward": -total, **{f"{name}_cost": value for name, value in parts.items()}}
 
 
-def wrapped(angle: Array) -> Array:
-    """The angle between -pi and pi; its derivative is 1 everywhere."""
-    return angle - 2 * np.pi * jnp.round(angle / (2 * np.pi))
-
-
 def _any(given: Values) -> Any:
     """One of the arrays of a distribution: all have the shape of the state."""
     found = next(iter(given.values()))
