@@ -71,8 +71,12 @@ from snapo.solver.evaluate import evaluate as evaluate
 from snapo.solver.learning import log as log
 from snapo.solver.learning.imitate import imitate as imitate
 from snapo.solver.relaxations.known import Relaxation as Relaxation
+from snapo.solver.seeds import Seeds as Seeds
+from snapo.solver.seeds import solve_seeds as solve_seeds
 from snapo.solver.sensitivity import second_order as second_order
 from snapo.solver.sensitivity import sensitivities as sensitivities
+from snapo.solver.simulate import Simulation as Simulation
+from snapo.solver.simulate import simulate as simulate
 from snapo.solver.solution import Solution as Solution
 from snapo.solver.solve import Evaluation as Evaluation
 from snapo.solver.solve import solve as solve

@@ -48,6 +48,11 @@ class Policy(eqx.Module):
 
         save(self, file)
 
+    def __reduce__(self):
+        from .carry.pickling import reduced
+
+        return reduced(self)
+
 
 class Network(eqx.Module):
     """A fully connected network with float32 weights: `widths` are features, hidden …, outputs.
@@ -64,6 +69,11 @@ class Network(eqx.Module):
         self.weights = _weights(key, list(zip(widths[1:], widths[:-1])))
         self.biases = [jnp.zeros(out, jnp.float32) for out in widths[1:]]
         self.activation = activation
+
+    def __reduce__(self):
+        from .carry.pickling import reduced
+
+        return reduced(self)
 
     def __call__(self, x: Float[Array, " features"]) -> Float[Array, " outputs"]:
         for weight, bias in zip(self.weights[:-1], self.biases[:-1]):

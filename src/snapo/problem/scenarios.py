@@ -251,6 +251,14 @@ class Sources:
         training, validation, evaluation = fresh
         return cls(training, validation, given or evaluation)
 
+    def reseeded(self, seed: int) -> "Sources":
+        """Sources with other paths for training and validation; the evaluation's stay."""
+        training, validation = (
+            replace(each, seed=seed) if isinstance(each, Pseudo | Sobol | Supplied) else each
+            for each in (self.training, self.validation)
+        )
+        return Sources(training, validation, self.evaluation)
+
     def roles(
         self, training: int, validation: int, evaluation: int, sensitivities: int
     ) -> dict[str, str]:

@@ -8,6 +8,7 @@ from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from typing import Any
 
+import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
@@ -17,6 +18,7 @@ from snapo.engine import Choice, Engine, Engines, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective, Totals
+from snapo.problem.plain import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sobol, Sources
@@ -73,7 +75,7 @@ class Evaluation:
 def solve(
     problem: Problem | Simulator,
     inputs: PyTree = None,
-    policy: Policy | Solution | None = None,
+    policy: Policy | eqx.Module | Solution | None = None,
     *,
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
@@ -93,7 +95,8 @@ def solve(
     - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
       itself; by default an `MLP` with two hidden layers of 32, and of more where more than eight
       numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
-      on from where it stands.
+      on from where it stands. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
+      as `network(observation)`, whose numbers are squashed into the action set.
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
@@ -146,13 +149,13 @@ def solve(
     )
 
 
-def _recipe(policy: Policy | Solution | None) -> Policy:
+def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
     """The policy to train: the one given, or that of an earlier solution."""
     if isinstance(policy, Solution):
         policy = policy.policy
         if policy is None:
             raise ValueError("solve: this solution was loaded without its policy.")
-    return policy or MLP()
+    return MLP() if policy is None else as_policy(policy)
 
 
 def _begun(

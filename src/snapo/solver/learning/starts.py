@@ -27,7 +27,8 @@ APART = 1.0  # percent between two starts at the same step, from which more of t
 def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     """`count` untrained policies: the given one, and others with first weights of their own.
 
-    Each weight is drawn anew, as large as those of its layer for the same feature are.
+    Each weight of a `Network`, or of a layer of Equinox, is drawn anew, as large as those of its
+    layer for the same feature are; numbers of one axis, such as biases, stay.
 
     **Raises:** `ValueError` where the policy has no network: its starts would all be one.
     """
@@ -95,13 +96,12 @@ def _percent(share: float) -> str:
 
 def _redrawn(policy: Policy, rng: np.random.Generator) -> Policy:
     def draw(leaf: Any) -> Any:
-        if not _is_network(leaf):
+        return jax.tree.map(weight, leaf) if _is_network(leaf) else leaf
+
+    def weight(leaf: Any) -> Any:
+        if not eqx.is_inexact_array(leaf) or leaf.ndim < 2:
             return leaf
-        fresh = [
-            (rng.standard_normal(each.shape) * _size(np.asarray(each))).astype(np.float32)
-            for each in leaf.weights
-        ]
-        return eqx.tree_at(lambda tree: tree.weights, leaf, fresh)
+        return (rng.standard_normal(leaf.shape) * _size(np.asarray(leaf))).astype(leaf.dtype)
 
     return jax.tree.map(draw, policy, is_leaf=_is_network)
 
@@ -116,4 +116,4 @@ def _nodes(policy: PyTree) -> list[Any]:
 
 
 def _is_network(node: Any) -> bool:
-    return isinstance(node, Network)
+    return isinstance(node, Network) or type(node).__module__.startswith("equinox.nn")

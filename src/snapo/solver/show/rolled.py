@@ -15,25 +15,15 @@ from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
+from ..simulate import simulate
+
 PATHS, POINTS, CELLS = 1024, 121, 61
-KINDS = ("state", "action", "outputs")
 
 
 def rolled(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
     """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
-    source = problem.sources.evaluation
-    draws = source.draws(np.arange(source.available(paths)), problem.simulator)
-    found = Xla("float64").bind(problem).values(policy, draws, Exact(), record=KINDS)
-    series: dict[str, np.ndarray] = {}
-    for kind in KINDS:
-        for way, leaf in jax.tree_util.tree_flatten_with_path(found.record[kind])[0]:
-            name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
-            values = np.asarray(leaf, np.float64)
-            values = values.reshape(*values.shape[:2], -1)
-            for i in range(values.shape[2]):
-                full = f"{name or kind}.{i}" if values.shape[2] > 1 else name or kind
-                series[full] = values[:, :, i]
-    return series
+    course = simulate(problem, policy, paths)
+    return {**course.states, **course.actions, **course.outputs}
 
 
 def chosen(series: dict[str, np.ndarray], name: str, what: str) -> np.ndarray:

@@ -1,0 +1,114 @@
+"""The same problem with several seeds: how much of a result is the luck of one training."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import equinox as eqx
+import numpy as np
+from jaxtyping import PyTree
+
+from snapo.problem.objective import Objective
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Scenarios, Sources
+from snapo.problem.simulator import Simulator
+
+from . import statistics
+from .evaluate import worth_of_groups
+from .learning.settings import Training
+from .solution import Solution
+from .solve import Evaluation, _only_output, solve
+
+
+@dataclass(frozen=True, eq=False)
+class Seeds:
+    """Solutions by seed, all valued on the same paths: they differ by their policies alone.
+
+    - `solutions`: {seed: solution}, in the order in which they were asked for.
+    - `best`: the seed with the highest value. It is the best of several on the paths of its value:
+      a fresh evaluation of `solutions[best].policy` is free of that choice.
+    """
+
+    solutions: dict[int, Solution]
+
+    @property
+    def values(self) -> dict[int, float]:
+        """{seed: value}."""
+        return {seed: each.value for seed, each in self.solutions.items()}
+
+    @property
+    def best(self) -> int:
+        values = self.values
+        return max(values, key=lambda seed: np.nan_to_num(values[seed], nan=-np.inf))
+
+    def behind(self, seed: int) -> statistics.Sampled:
+        """By how much a seed's value lies below the best one, paired path by path."""
+        one, other = self.solutions[self.best], self.solutions[seed]
+        assert one.problem is not None
+        objective, source = one.problem.objective, one.problem.sources.evaluation
+        shares = [worth_of_groups(objective, each.totals, source) for each in (one, other)]
+        return statistics.of_shares(shares[0] - shares[1])
+
+    def __str__(self) -> str:
+        values = np.array(list(self.values.values()))
+        spread = f", standard deviation {values.std(ddof=1):.3g}" if len(values) > 1 else ""
+        lines = [
+            f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
+            f"mean {values.mean():.6g}{spread}"
+        ]
+        for seed, each in self.solutions.items():
+            behind = self.behind(seed)
+            below = f"{behind.value:.3g} ± {behind.standard_error:.2g} below the best"
+            lines.append(
+                f"  seed {seed}: {each.value:.6g} ± {each.standard_error:.2g}, "
+                f"{'the best' if seed == self.best else below}; {each.status}, {each.convergence}, "
+                f"{each.seconds['total']:.1f} s"
+            )
+        return "\n".join(lines)
+
+
+def solve_seeds(
+    seeds: int | Iterable[int],
+    problem: Problem | Simulator,
+    inputs: PyTree = None,
+    policy: Policy | eqx.Module | Solution | None = None,
+    *,
+    objective: Objective | None = None,
+    scenarios: Scenarios | Sources | None = None,
+    training: Training | None = None,
+    evaluation: Evaluation | None = None,
+    **more: Any,
+) -> Seeds:
+    """`solve`, once for every seed; what is compiled for the first one serves all.
+
+        found = snapo.solve_seeds(5, Reservoir(), inputs, objective=snapo.Mean("cash"))
+        print(found)
+
+    A seed draws first weights, and the scenarios of training and validation, but for `Supplied`
+    ones; those of the evaluation are the same for all, of the problem or of the first seed.
+
+    **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
+    are those of `solve`.
+    """
+    training, evaluation = training or Training(), evaluation or Evaluation()
+    if isinstance(seeds, int):
+        seeds = range(training.seed, training.seed + seeds)
+    chosen = tuple(seeds)
+    if not chosen or len(set(chosen)) < len(chosen):
+        raise ValueError(f"solve_seeds: seeds is {chosen}; allowed is one or more, each once.")
+    if isinstance(problem, Simulator):
+        given = evaluation.sources(chosen[0]) if scenarios is None else scenarios
+        sources = Sources.of(given, chosen[0])
+        limits = tuple(more.pop("limits", ()))
+        problem = Problem(
+            problem, inputs, objective or _only_output(problem, inputs), sources, limits
+        )
+    elif any(each is not None for each in (inputs, objective, scenarios)):
+        raise ValueError("solve_seeds: a Problem has its own inputs, objective and scenarios.")
+    found = {}
+    for seed in chosen:
+        own = replace(problem, sources=problem.sources.reseeded(seed)).prepared(problem.schedule)
+        settings = replace(training, seed=seed)
+        found[seed] = solve(own, policy=policy, training=settings, evaluation=evaluation, **more)
+    return Seeds(found)
