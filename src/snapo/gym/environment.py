@@ -21,6 +21,7 @@ class Environment(gymnasium.Env):
     - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
       (`terminated`), and outputs of the last state are not paid there. An end of the simulator's
       own (`over`) terminates in both, also at the last step.
+    - `decisions`: the set that its actions are elements of.
     """
 
     metadata: ClassVar = {"render_modes": []}

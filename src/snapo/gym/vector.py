@@ -23,7 +23,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
         self.dynamics, self.endless = Dynamics(problem, endless), endless
-        self.decisions, self.num_envs = problem.action, num_envs
+        self.num_envs = num_envs
         mode = gymnasium.vector.AutoresetMode.NEXT_STEP
         self.metadata = {"render_modes": [], "autoreset_mode": mode}
         self.render_mode = None

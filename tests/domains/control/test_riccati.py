@@ -98,21 +98,23 @@ def differences(name: str, base: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.study
-def test_a_trained_network_comes_within_a_hundredth():
+@pytest.mark.parametrize("seed", range(10))
+def test_a_trained_network_comes_within_three_thousandths(seed):
     """Noise and first states of order one; the network sees the time that is left.
 
-    Seen: 0.64 % above the best cost. The aim is 0.3 %, which these settings do not reach.
+    By default settings, on the same paths as the best rule. Seen with seeds 0 and 1: .003 % above
+    it (800 steps of 256 paths at a rate of .02 end .6 to .7 % above).
     """
     made = make_inputs(
         LinearQuadratic, {"A": A, "B": B}, {"Q": np.eye(2), "R": np.eye(1), "Q_T": np.eye(2)},
         {"x": {"mean": np.zeros(2), "deviation": np.ones(2)}}, {"x": 0.3 * np.eye(2)},
     )  # fmt: skip
     plant = LinearQuadratic(made)
-    training = snapo.Training(steps=800, paths=256, learning_rate=0.02)
     solution = snapo.solve(
-        plant, made, objective=snapo.Mean("reward"), training=training,
-        evaluation=snapo.Evaluation(paths=65536, sensitivity_paths=0),
+        plant, made, objective=snapo.Mean("reward"), training=snapo.Training(seed=seed),
+        evaluation=snapo.Evaluation(65536, 0, 0, 0),
     )  # fmt: skip
-    problem = snapo.Problem(plant, made, snapo.Mean("reward"), snapo.Sources.of(None, 0))
+    problem = snapo.Problem(plant, made, snapo.Mean("reward"), snapo.Sources.of(None, seed))
     best = snapo.evaluate(problem, rivals(plant, made)["linear regulator"], 65536).value
-    assert solution.value > best - 0.01 * abs(best)
+    print(f"seed {seed}: {solution.value / best - 1:.4%} above the best rule")
+    assert solution.value > best - 0.003 * abs(best)

@@ -159,7 +159,7 @@ def test_a_model_stays_on_its_circle_and_within_its_range():
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(10))
 def test_pendulum_as_a_black_box(seed):
     learned = snapo.learn("Pendulum-v1", steps=20_000, seed=seed)
     played = learned.play(2000)
@@ -168,7 +168,7 @@ def test_pendulum_as_a_black_box(seed):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", [0, 1, 2])
+@pytest.mark.parametrize("seed", range(10))
 def test_mountain_car_as_a_black_box(seed):
     learned = snapo.learn("MountainCarContinuous-v0", steps=20_000, seed=seed)
     played = learned.play(200)
