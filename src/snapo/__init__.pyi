@@ -27,9 +27,6 @@ from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
 from snapo.problem.limits import AtLeast as AtLeast
 from snapo.problem.limits import AtMost as AtMost
-from snapo.problem.memory import GRU as GRU
-from snapo.problem.memory import Memory as Memory
-from snapo.problem.memory import Recent as Recent
 from snapo.problem.noise import Noise as Noise
 from snapo.problem.objective import CRRA as CRRA
 from snapo.problem.objective import CVaR as CVaR
@@ -40,6 +37,10 @@ from snapo.problem.objective import MeanVariance as MeanVariance
 from snapo.problem.objective import Objective as Objective
 from snapo.problem.objective import Probability as Probability
 from snapo.problem.objective import Target as Target
+from snapo.problem.policies.memory import GRU as GRU
+from snapo.problem.policies.memory import Memory as Memory
+from snapo.problem.policies.memory import Recent as Recent
+from snapo.problem.policies.stages import Stages as Stages
 from snapo.problem.policy import MLP as MLP
 from snapo.problem.policy import BaseStock as BaseStock
 from snapo.problem.policy import Constant as Constant
@@ -59,7 +60,6 @@ from snapo.problem.simulator import Schedule as Schedule
 from snapo.problem.simulator import Simulator as Simulator
 from snapo.problem.smooth import Exact as Exact
 from snapo.problem.smooth import Smooth as Smooth
-from snapo.problem.stages import Stages as Stages
 from snapo.solver.adjoint import Gradient as Gradient
 from snapo.solver.adjoint import value_and_gradient as value_and_gradient
 from snapo.solver.bound import Bound as Bound

@@ -12,12 +12,12 @@ from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Actions, Box, Choice, Product, Simplex, Stop, Whole
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
+from snapo.problem.policies.stages import Stages
 from snapo.problem.policy import MLP, Constant, Linear, parameters, trainable
 from snapo.problem.prepare import prepare
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
-from snapo.problem.stages import Stages
 from snapo.solver.adjoint import pull_back
 
 PATHS = 16

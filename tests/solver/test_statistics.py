@@ -11,8 +11,8 @@ import snapo
 from snapo.problem.objective import CVaR, Mean
 from snapo.solver import statistics
 from snapo.solver.by_block.changes import plan
-from snapo.solver.clock import Clock
 from snapo.solver.evaluate import estimate, worth, worth_of_groups
+from snapo.solver.provenance.clock import Clock
 from snapo.solver.statistics import Estimate
 
 RNG = np.random.default_rng(0)

@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.memory import remembered
+from snapo.problem.policies.memory import remembered
 from snapo.problem.policy import Constant, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at

@@ -7,7 +7,7 @@ Only who gives the simulator around it (`Remembering`), as training does, gets t
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.memory import Remembering, remembered, remembers
+from snapo.problem.policies.memory import Remembering, remembered, remembers
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Simulator
 

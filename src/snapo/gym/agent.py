@@ -8,7 +8,7 @@ import jax
 import numpy as np
 
 from snapo.problem.actions import Actions
-from snapo.problem.memory import Recent, remembered
+from snapo.problem.policies.memory import Recent, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 

@@ -18,14 +18,13 @@ from snapo.engine import Choice, Engine, Engines, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective, Totals
-from snapo.problem.plain import as_policy
+from snapo.problem.policies.plain import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sobol, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact, Smooth
 
-from .clock import Clock
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
 from .learning.convergence import ending
@@ -33,10 +32,11 @@ from .learning.features import scale_of, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race, words
 from .limits.found import limits_found, notes_of
+from .provenance.clock import Clock
+from .provenance.versions import versions
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train, whole
-from .versions import versions
 
 SCENARIOS = ("pseudo-random", "sobol")
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value

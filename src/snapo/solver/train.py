@@ -16,7 +16,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Bound, Clip, Engine
-from snapo.problem.memory import remembering
+from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact, Smooth

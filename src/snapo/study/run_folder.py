@@ -26,8 +26,8 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.whole import changed_files, checksum, is_sealed, sealed
 from snapo.solver.files import write_text
+from snapo.solver.provenance.versions import versions
 from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION
-from snapo.solver.versions import versions
 
 from .study import Part
 

@@ -26,7 +26,7 @@ import pickle, sys
 import jax.numpy as jnp
 import snapo
 held = pickle.loads(sys.stdin.buffer.read())
-print(held.value, held.policy(jnp.ones(2), snapo.Exact())[0])
+print(held.value, held.policy(jnp.ones(3), snapo.Exact())[0])
 """
 
 
@@ -62,4 +62,4 @@ def test_a_solution_goes_to_another_process():
     value, action = map(float, told.stdout.split())
     assert value == found.value
     assert found.policy is not None
-    assert action == pytest.approx(float(found.policy(jnp.ones(2), snapo.Exact())[0]), rel=1e-5)
+    assert action == pytest.approx(float(found.policy(jnp.ones(3), snapo.Exact())[0]), rel=1e-5)

@@ -7,7 +7,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.solver.versions import versions
+from snapo.solver.provenance.versions import versions
 from snapo.study.domain import Options
 from snapo.study.parts import choice
 from snapo.study.run_folder import case_files

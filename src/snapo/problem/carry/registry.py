@@ -17,7 +17,7 @@ KINDS = {
         ("Box", "Choice", "Product", "Simplex", "Stop", "Whole"), "snapo.problem.actions"
     ),
     "Frozen": "snapo.problem.inputs",
-    "Stages": "snapo.problem.stages",
+    "Stages": "snapo.problem.policies.stages",
     "StoragePolicy": "snapo.domains.gas_storage.policy.network",
     "PensionPolicy": "snapo.domains.pension.policies.network",
     "Limits": "snapo.domains.pension.policies.limits",

@@ -31,7 +31,7 @@ from jaxtyping import PyTree
 
 from snapo.engine import Bound, Xla
 from snapo.problem.actions import Stop, holds
-from snapo.problem.memory import GRU, Recent
+from snapo.problem.policies.memory import GRU, Recent
 from snapo.problem.policy import MLP, Network, Policy, Residual
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at

@@ -5,6 +5,7 @@ window to the next: there the rate follows the steps, not the updates, and Adam'
 forgets after a hundred updates instead of a thousand.
 """
 
+from functools import lru_cache
 from typing import Any, NamedTuple, Protocol
 
 import equinox as eqx
@@ -54,9 +55,19 @@ def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.Gra
     return optax.adamw(slower, b2=forget, eps=1e-16, weight_decay=plan.decay)
 
 
-def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
-    """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
-    adam = optimiser(plan, updates, FORGET if scale is None else SCALED_FORGET)
+class _Numbers(NamedTuple):
+    """A plan as numbers alone."""
+
+    steps: int
+    learning_rate: float
+    warmup: int
+    average: float
+    decay: float
+
+
+@lru_cache(16)  # compiling takes as long as a short training: other seeds have the same plan
+def _ascent(plan: _Numbers, updates: int, forget: float):
+    adam = optimiser(plan, updates, forget)
     memory = max(1.0, plan.average * plan.steps)
 
     @jax.jit
@@ -69,6 +80,13 @@ def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
             share = 1 - (1 - share) ** (1 / updates)
         return moving, old + share * (moving - old), state, jnp.linalg.norm(gradient)
 
+    return ascend
+
+
+def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
+    """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
+    numbers = _Numbers(plan.steps, plan.learning_rate, plan.warmup, plan.average, plan.decay)
+    ascend = _ascent(numbers, updates, FORGET if scale is None else SCALED_FORGET)
     parts: list[Parts] = []
 
     def update(policy, average, state, gradient, step):

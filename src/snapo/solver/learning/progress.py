@@ -5,7 +5,7 @@ from typing import NamedTuple
 
 from jaxtyping import PyTree
 
-from snapo.problem.memory import remembering
+from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 

@@ -18,7 +18,7 @@ from jaxtyping import Array, Float
 
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Frozen
-from snapo.problem.memory import Memory
+from snapo.problem.policies.memory import Memory
 
 from .policy import EDGE
 

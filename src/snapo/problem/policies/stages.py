@@ -6,9 +6,9 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .actions import Actions
-from .policy import Policy, without_memory
-from .simulator import Interface
+from ..actions import Actions
+from ..policy import Policy, without_memory
+from ..simulator import Interface
 
 
 class Stages(Policy):

@@ -7,10 +7,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 
-from .actions import Actions
-from .policy import Policy
-from .simulator import Interface
-from .smooth import Smooth
+from ..actions import Actions
+from ..policy import Policy
+from ..simulator import Interface
+from ..smooth import Smooth
 
 NEEDED = (
     "a policy of snapo's, or an eqx.Module that is called as policy(observation, smooth), or as "

@@ -13,10 +13,10 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
-from .actions import Actions, Box
-from .policy import MLP, Network, Policy, widths
-from .problem import Problem
-from .simulator import Around, Interface, Simulator
+from ..actions import Actions, Box
+from ..policy import MLP, Network, Policy, widths
+from ..problem import Problem
+from ..simulator import Around, Interface, Simulator
 
 
 class Memory(Policy):

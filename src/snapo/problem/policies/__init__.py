@@ -1,0 +1,1 @@
+"""Policies beside the network and the classical rules: with a memory, by stage, of one's own."""
