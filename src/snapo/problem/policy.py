@@ -1,7 +1,8 @@
 """Policies: from an observation to an action. Networks, residuals and classical rules.
 
-A policy is any `eqx.Module` with `policy(observation, smooth) -> action` and the action in
-the simulator's fixed set. Baselines are policies that plug in where the network goes.
+A policy is an `eqx.Module` with `policy(observation, smooth) -> action` and the action in the
+simulator's fixed set; `policies.plain` makes one of any module. Baselines are policies that plug in
+where the network goes.
 
 A policy can be a recipe: `MLP(hidden=(64, 64))` has no numbers yet. `policy.for_problem` makes
 the policy for a simulator's actions and features; `snapo.solve` does so with the training's seed.

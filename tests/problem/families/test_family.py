@@ -114,3 +114,9 @@ def test_refused():
         snapo.Family(PROBLEM, {"effort": (2.0, 1.0)})
     with pytest.raises(ValueError, match="outside its range"):
         FAMILY.at({"effort": 5.0})
+
+
+def test_inputs_of_the_ranges_have_no_derivative_in_the_training():
+    """They are each member's own: zeros would be told as if they were known."""
+    assert set(FAMILY.training.named) == set(PROBLEM.named) - set(FAMILY.ranges)
+    assert FAMILY.at({}).named.keys() == PROBLEM.named.keys()

@@ -62,12 +62,12 @@ class Family:
     def training(self) -> Problem:
         """The problem to solve: its value is the mean over the members.
 
-        Derivatives by the inputs named are zero there, since each member has its own; take them at
-        a member.
+        The inputs named are plain numbers there, without derivatives, since each member has its
+        own; take those at a member.
         """
         unit = qmc.Sobol(len(self._low), rng=np.random.default_rng(0)).random(self._power)
         points = self._low + (self._high - self._low) * unit[: self.members]
-        return replace(self.problem, simulator=Members(self._seen, points))
+        return replace(self.problem, simulator=Members(self._seen, points), inputs=self._others)
 
     def at(self, values: dict[str, Any]) -> Problem:
         """The member where the inputs named have these values, others those of the problem.
@@ -103,6 +103,18 @@ class Family:
             for name, pair in self.ranges.items()
         ]
         return np.concatenate([each.ravel() for each in shaped])
+
+    @property
+    def _others(self) -> PyTree:
+        """The inputs, those named as plain numbers."""
+        names = iter(self.problem.named)
+
+        def plain(leaf: Any) -> Any:
+            if not inputs_.is_input(leaf):
+                return leaf
+            return leaf.value if next(names) in self.ranges else leaf
+
+        return jax.tree.map(plain, self.problem.inputs, is_leaf=inputs_.is_input)
 
     @cached_property
     def _seen(self) -> "Seen":

@@ -88,6 +88,16 @@ class Progress:
     raced: tuple[Round, ...] = ()
     scale: Scale | None = None
 
+    def __str__(self) -> str:
+        """One line: `callbacks=[print]` tells it at every validation."""
+        if not self.history:
+            return f"step {self.step:>5}"
+        last = self.history[-1]
+        return (
+            f"step {last.step:>5}: exact value {last.exact:>14,.7g}, best {last.best:>14,.7g}, "
+            f"{last.seconds:6.1f} s"
+        )
+
     @property
     def record(self) -> Record:
         """The line of the last step taken."""
