@@ -24,7 +24,7 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 class Transposed:
     """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
 
-    - `cotangents`: those given, of the outputs `moving`; a last one is the bound of clipping.
+    - `cotangents`: those given, of the outputs `moving`; a last one holds the bound and the share kept of clipping.
     - `back`: those computed, of the inputs `active`.
     """
 
