@@ -41,8 +41,8 @@ class TrainingTable(Table):
         "auto", description='a number of steps, 1 or more, or "auto"'
     )
     clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
-    keep: Annotated[float, Field(gt=0, le=1)] = Field(
-        1.0, description="a number above 0, at most 1"
+    keep: Annotated[float, Field(gt=0, le=1)] | Literal["auto"] = Field(
+        "auto", description='a number above 0, at most 1, or "auto"'
     )
     spread: Positive = Field(1.0, description="a number above 0")
     exploration: Annotated[float, Field(ge=0, lt=1)] = Field(

@@ -135,9 +135,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         return replace(progress, status="diverged")
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
-    record = Record(
-        step + 1, value, moved.norm, temperature, bad, exact, best, seconds, progress.window or 0
-    )
+    back = {"window": progress.window or 0, "clip": progress.clip or 0.0, "keep": progress.keep}
+    record = Record(step + 1, value, moved.norm, temperature, bad, exact, best, seconds, **back)
     kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -182,7 +181,7 @@ class Moved(NamedTuple):
 def _climbed(loop: Loop, progress: Progress, draws, smooth) -> tuple[Moved, float, int]:
     """One update over the whole horizon; its objective, and the number of bad paths."""
     policy, objective = progress.policy, loop.problem.objective
-    options = _options(progress, loop.training)
+    options = _options(progress)
     found = adjoint_of_finite_paths(loop.bound, policy, draws, smooth, objective, **options)
     value, result, bad = found
     number = np.float32(progress.step)
@@ -201,17 +200,17 @@ def _climbed_by_windows(
     for number in range(UPDATES):
         turn = UPDATES * step + number
         window = (problem, loop.bound, swept, moved.policy, draws, smooth, length, turn)
-        _, result, lost = window_adjoint(*window, **_options(progress, loop.training))
+        _, result, lost = window_adjoint(*window, **_options(progress))
         *after, norm = loop.update_by_windows(*moved[:3], result.policy, np.float32(step))
         moved, bad = Moved(*after, norm=float(norm), critic=swept.known), max(bad, lost)
     return moved, swept.objective, bad
 
 
-def _options(progress: Progress, training: Training) -> dict:
+def _options(progress: Progress) -> dict:
     """How a step of training differentiates."""
     norm = math.inf if progress.clip is None else progress.clip
-    clipped = math.isfinite(norm) or training.keep < 1
-    return {"wrt": ("policy",)} | ({"clip": Clip(norm, training.keep)} if clipped else {})
+    clipped = math.isfinite(norm) or progress.keep < 1
+    return {"wrt": ("policy",)} | ({"clip": Clip(norm, progress.keep)} if clipped else {})
 
 
 def most_dropped(training: Training) -> float:
@@ -236,7 +235,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
     wild = step == horizon.FIRST and horizon.wild(norms[since:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
-    if may_window or (wild and auto):
+    if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
@@ -245,6 +244,8 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and horizon.grows(measured.whole)
+        if wild and training.keep == "auto":
+            progress = replace(progress, keep=horizon.share(measured.whole))
     if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
         progress = _clipped(loop, progress, smooth)
     if not auto or not (fell or leapt or wild):

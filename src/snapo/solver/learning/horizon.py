@@ -63,6 +63,14 @@ def grows(norms: np.ndarray) -> bool:
     return bool(size[-1] * GROWTH < size.max())
 
 
+def share(norms: np.ndarray) -> float:
+    """The share of an adjoint that goes on at each step back (`Clip.keep`), from norms [T, N]: over
+    the steps in which they grow a hundredfold, it takes that growth back; 1 where they do not."""
+    back = np.sqrt(np.mean(_finite(norms) ** 2, axis=1))[::-1]
+    over = np.flatnonzero(back > GROWTH * back[0])
+    return float(GROWTH ** (-1 / over[0])) if over.size else 1.0
+
+
 def _finite(norms: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(norms), norms, np.finfo(float).max ** 0.25)
 

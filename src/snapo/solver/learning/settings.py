@@ -47,7 +47,8 @@ class Training:
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
     - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
-      `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. 1: all.
+      `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": all
+      but where adjoints grow and gradients leap (`solver.learning.clipping`); 1.0: all, always.
     - `spread`: the normals of `initial` times this, in training only: wider starting states.
     - `exploration`: the share of a decision that is drawn at random in training (see
       `learning.exploring`); it falls to 0 with the temperature. 0: none.
@@ -69,7 +70,7 @@ class Training:
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
-    keep: float = 1.0
+    keep: float | str = "auto"
     spread: float = 1.0
     exploration: float = 0.0
     starts: int = 1
@@ -86,7 +87,8 @@ class Training:
         number("Training: temperature_start", self.temperature_start, ABOVE)
         number("Training: temperature_end", self.temperature_end, ABOVE)
         number("Training: average", self.average, SHARE)
-        number("Training: keep", self.keep, SHARE)
+        if self.keep != "auto":
+            number("Training: keep", self.keep, (SHARE[0], f"{SHARE[1]}, or 'auto'"))
         number("Training: spread", self.spread, ABOVE)
         number("Training: exploration", self.exploration, BELOW_ONE)
         if self.exploration and not self.temperature_end < self.temperature_start:
