@@ -41,6 +41,13 @@ class TrainingTable(Table):
         "auto", description='a number of steps, 1 or more, or "auto"'
     )
     clip: Positive | Literal["auto"] = Field("auto", description='a number above 0, or "auto"')
+    keep: Annotated[float, Field(gt=0, le=1)] | Literal["auto"] = Field(
+        "auto", description='a number above 0, at most 1, or "auto"'
+    )
+    spread: Positive = Field(1.0, description="a number above 0")
+    exploration: Annotated[float, Field(ge=0, lt=1)] = Field(
+        0.0, description="a number from 0 to below 1"
+    )
     starts: Count = Field(1, description="a number of first weights, 1 or more")
     seed: Annotated[int, Field(ge=0, lt=2**63)] = Field(0, description="a whole number, 0 or more")
 
@@ -144,6 +151,10 @@ def read_training(
     if training.temperature_end > training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
         what = f"allowed is at most temperature_start, {training.temperature_start:g}"
+        raise CaseError(file, where, value, what)
+    if training.exploration and training.temperature_end == training.temperature_start:
+        where, value = "training.temperature_end", training.temperature_end
+        what = "with exploration, which falls with the temperature, it is below temperature_start"
         raise CaseError(file, where, value, what)
     return training
 

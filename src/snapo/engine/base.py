@@ -1,6 +1,7 @@
 """What every engine takes and gives."""
 
 import abc
+import math
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass
@@ -71,22 +72,47 @@ class Adjoint(NamedTuple):
 
 @dataclass(frozen=True)
 class Clip:
-    """Bounds each path's own adjoint at every backward step, in training only.
+    """Bounds and shrinks each path's own adjoint at every backward step, in training only.
 
-    The adjoint of the state, times the simulator's `state_scale`, may have a norm of at most
-    `norm` times the path's weight: the bound means the same for any number of paths.
+    - `norm`: the adjoint of the state, times the simulator's `state_scale`, may have a norm of at
+      most this times the path's weight: the bound means the same for any number of paths.
+    - `keep`: the share of the adjoint that goes on from one step to the one before it, 0 to 1. An
+      outcome k steps after a decision then counts keep^k in its derivative, as with a discount;
+      what `terminal` gives counts as part of the last step.
+
+    Totals, and all that a decision earns in its own step, are left as they are.
+
+    >>> snapo.Clip(keep=0.9)
+    Clip(norm=inf, keep=0.9)
     """
 
-    norm: float
+    norm: float = math.inf
+    keep: float = 1.0
 
-    def bounds(self, weights: Mapping[str, ArrayLike]):
-        """[N]: the bound of every path, whose weight is the largest of its own."""
-        sizes = [jnp.abs(jnp.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
-        return self.norm * jnp.concatenate(sizes).max(0)
+    def __post_init__(self):
+        for name, good, allowed in (
+            ("norm", self.norm > 0, "a number above 0"),
+            ("keep", 0 <= self.keep <= 1, "a number from 0 to 1"),
+        ):
+            if not good:
+                raise ValueError(f"Clip: {name} is {getattr(self, name)!r}; allowed is {allowed}.")
+
+    def bounds(self, weights: Mapping[str, ArrayLike]) -> Float[np.ndarray, "N 2"]:
+        """[N, 2]: each path's bound, by the largest of its weights, and the share that it keeps."""
+        each = [np.abs(np.asarray(w)).reshape(-1, np.shape(w)[-1]) for w in weights.values()]
+        size = np.concatenate(each).max(0)
+        # A path of no weight has no adjoint: its bound is 0, also where the norm is infinite.
+        bound = np.multiply(size, self.norm, out=np.zeros_like(size), where=size > 0)
+        return np.stack([bound, np.full_like(size, self.keep)], axis=-1)
+
+
+def factor_of(norm, bound: Float[Array, " 2"]):
+    """What an adjoint of this norm is multiplied by: the share kept, or less, down to the bound."""
+    return jnp.minimum(bound[1], bound[0] / norm)
 
 
 def clipped(packed, packing, simulator: Simulator, constants, bound):
-    """The identity on a path's packed state, whose cotangent is bounded."""
+    """The identity on a path's packed state, whose cotangent is bounded and shrunk."""
     scale = simulator.state_scale(constants)
     ones = tuple(jnp.ones_like(vector) for vector in packed)
     scales = ones if scale is None else packing.pack(scale)
@@ -107,7 +133,7 @@ def _bounded_backward(residual, cotangents):
     floats = [jnp.issubdtype(s.dtype, jnp.floating) for s in scales]
     square = sum(jnp.sum((g * s) ** 2) for g, s, f in zip(cotangents, scales, floats) if f)
     norm = jnp.sqrt(jnp.maximum(square, jnp.finfo(bound.dtype).tiny))
-    factor = jnp.minimum(1.0, bound / norm)
+    factor = factor_of(norm, bound)
     clipped = tuple(g * factor if f else g for g, f in zip(cotangents, floats))
     return clipped, None, None
 

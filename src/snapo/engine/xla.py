@@ -90,7 +90,7 @@ class Xla(Engine):
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
             given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
-            # The bound is an array: another one compiles nothing.
+            # The bounds are an array: other ones compile nothing.
             bounds = None if clip is None else clip.bounds(given)
             found = self.leave(_adjoint(self, call, given, bounds, wrt))
             return adjoint_without(simulator, call.simulator, found)

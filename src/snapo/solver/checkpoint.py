@@ -28,7 +28,7 @@ class CheckpointError(ValueError):
     """A checkpoint that belongs to another run, or that is damaged."""
 
 
-PLAIN = ("step", "best_value", "stale", "status", "clip", "since", "window")
+PLAIN = ("step", "best_value", "stale", "status", "clip", "keep", "since", "window")
 
 
 def save(progress: Progress, file: Path, mark: str = "") -> None:
@@ -39,6 +39,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "stale": progress.stale,
         "status": progress.status,
         "clip": progress.clip,
+        "keep": progress.keep,
         "since": progress.since,
         "window": progress.window,
         "growth": progress.growth,

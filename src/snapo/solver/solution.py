@@ -49,7 +49,9 @@ class Solution:
     - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit),
       "constant" (a constant decision does as well) or "barely moved" (an untrained rule does as
       well); empty where the value is no number.
-    - `growth`: adjoints by step and by part of the state, where training measured them.
+    - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
+      `clip` and `keep`: the length of the windows that it went back through at its end, the bound
+      on each path's own adjoint (None: none of them), and the share that went on at each step.
     - `problem`: what was solved, None in one that was loaded: figures over time need it.
     - `limits`: each of the problem's limits on fresh paths, with its shadow price.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
@@ -78,6 +80,9 @@ class Solution:
     convergence: str = ""
     halfway: Policy | None = None
     growth: Growth | None = None
+    window: int | None = None
+    clip: float | None = None
+    keep: float = 1.0
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
     problem: Problem | None = field(default=None, repr=False, compare=False)
@@ -158,6 +163,10 @@ class Solution:
             "seed": self.seed,
             "status": self.status,
             "convergence": self.convergence,
+            "window": self.window,
+            "clip": self.clip,
+            "keep": self.keep,
+            "adjoints": "" if self.growth is None else self.growth.words(),
             "limits": [each._asdict() for each in self.limits],
         }
 
@@ -220,6 +229,7 @@ class Solution:
         plain["notes"] = tuple(plain["notes"])
         plain["limits"] = tuple(LimitFound(**each) for each in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
+        plain |= {name: header[name] for name in ("window", "clip", "keep") if name in header}
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 
     def _beside(self) -> dict[str, Any]:

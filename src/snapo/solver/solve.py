@@ -30,7 +30,8 @@ from .judge import judge
 from .learning.convergence import ending
 from .learning.features import scale_of, undrawn
 from .learning.following import fitted
-from .learning.starts import others, race, words
+from .learning.starts import others, race
+from .learning.told import chosen, recorded
 from .limits.found import limits_found, notes_of
 from .provenance.clock import Clock
 from .provenance.versions import versions
@@ -132,6 +133,7 @@ def solve(
                 progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
             clock.stage("evaluate")
             progress = train(problem, progress, training, engines.train, callbacks)
+            progress = recorded(problem, progress, training)
             clock.stage("train")
         found = measure(problem, policy, progress, training, evaluation, engines)
         clock.stage("evaluate")
@@ -238,11 +240,14 @@ def measure(
         ),
         "dropped": dropped,
         "notes": _notes(value, dropped, ruined(objective, exact))
-        + _chosen(progress)
+        + chosen(progress)
         + ended.notes
         + notes_of(limits),
         "limits": limits,
         "growth": progress.growth,
+        "window": progress.window,
+        "clip": progress.clip,
+        "keep": progress.keep,
         "convergence": ended.word,
         "status": _status(value.value, progress.status),
     }
@@ -277,19 +282,6 @@ def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ..
         told = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
         notes.append(f"Paths left out since they are not finite: {told}.")
     return tuple(notes)
-
-
-def _chosen(progress: Progress) -> tuple[str, ...]:
-    """Which start went on, and all that training chose since the horizon is chaotic, and why."""
-    raced = (words(progress.raced),) if progress.raced else ()
-    if progress.window is None or progress.growth is None:
-        return raced
-    return (
-        *raced,
-        f"{progress.growth.words()} From step {progress.growth.step} of the training on it went "
-        f"back through windows of {progress.window} steps with a critic (Training(window=None) "
-        "never does).",
-    )
 
 
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}

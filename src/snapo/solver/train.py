@@ -29,6 +29,7 @@ from .learning.features import Scale
 from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, updater
+from .learning.practice import practised
 from .learning.progress import Progress, Record
 from .learning.progress import begin as begin
 from .learning.settings import Training
@@ -45,11 +46,17 @@ Callback = Callable[[Progress], object]  # one that returns True stops the train
 
 
 class Loop(NamedTuple):
-    """All that one step of training needs; `update` is the compiled step of the optimiser."""
+    """All that one step of training needs; `update` is the compiled step of the optimiser.
+
+    - `problem`, `bound`: what a step climbs on; with a `spread` or `exploration` they practise
+      more than the problem itself, which is `own`, and `exact` rolls it.
+    """
 
     problem: Problem
     training: Training
     bound: Bound
+    own: Problem
+    exact: Bound
     update: Callable
     update_by_windows: Callable
 
@@ -70,15 +77,13 @@ def train(
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
-    problem = remembering(problem, progress.policy)
-    training = fitted(training, problem, progress.policy)
+    own, practice = remembering(problem, progress.policy), practised(problem, training)
+    seen = own if practice is problem else remembering(practice, progress.policy)
+    training = fitted(training, own, progress.policy)
     last = training.steps if until is None else min(until, training.steps)
-    loop = Loop(
-        problem,
-        training,
-        engine.bind(problem, controls=False),
-        *_updaters(training, progress.scale),
-    )
+    bound = engine.bind(seen, controls=False)
+    exact = bound if seen is own else engine.bind(own, controls=False)
+    loop = Loop(seen, training, bound, own, exact, *_updaters(training, progress.scale))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -118,7 +123,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     draws = problem.sources.training.batch(step, training.paths, problem.simulator)
     temperature = training.temperature(step)
     smooth = Smooth(np.float32(temperature))
-    dual = _dual(loop, progress, draws, smooth)
+    dual = _dual(loop, progress, smooth)
     loop = loop._replace(problem=problem.priced(dual.prices))
     progress = _chosen(loop, progress, smooth)
     if progress.window is None:
@@ -130,9 +135,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         return replace(progress, status="diverged")
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
-    record = Record(
-        step + 1, value, moved.norm, temperature, bad, exact, best, seconds, progress.window or 0
-    )
+    back = {"window": progress.window or 0, "clip": progress.clip or 0.0, "keep": progress.keep}
+    record = Record(step + 1, value, moved.norm, temperature, bad, exact, best, seconds, **back)
     kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -150,15 +154,16 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     )
 
 
-def _dual(loop: Loop, progress: Progress, draws, smooth: Smooth) -> Dual:
+def _dual(loop: Loop, progress: Progress, smooth: Smooth) -> Dual:
     """The prices of the limits for this step, from its exact paths."""
-    problem, training, dual = loop.problem, loop.training, progress.dual
+    problem, training, dual = loop.own, loop.training, progress.dual
     if not problem.limits:
         return dual
+    draws = problem.sources.training.batch(progress.step, training.paths, problem.simulator)
     if dual.due(progress.step):
         within = (problem.objective, problem.limits)
-        dual = dual.measured(loop.bound, progress.policy, draws, smooth, *within)
-    totals = float64(loop.bound.values(progress.policy, draws, Exact()).totals)
+        dual = dual.measured(loop.exact, progress.policy, draws, smooth, *within)
+    totals = float64(loop.exact.values(progress.policy, draws, Exact()).totals)
     left = min(1.0, 4 * (1 - progress.step / max(1, training.steps)))  # in the last quarter
     return moved_prices(dual, problem.objective, problem.limits, totals, left)
 
@@ -203,8 +208,9 @@ def _climbed_by_windows(
 
 def _options(progress: Progress) -> dict:
     """How a step of training differentiates."""
-    clip = {} if progress.clip is None else {"clip": Clip(progress.clip)}
-    return {"wrt": ("policy",), **clip}
+    norm = math.inf if progress.clip is None else progress.clip
+    clipped = math.isfinite(norm) or progress.keep < 1
+    return {"wrt": ("policy",)} | ({"clip": Clip(norm, progress.keep)} if clipped else {})
 
 
 def most_dropped(training: Training) -> float:
@@ -229,7 +235,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
     wild = step == horizon.FIRST and horizon.wild(norms[since:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
-    if may_window or (wild and auto):
+    if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
         # led to a rule whose paths are tame, or wilder than those of any good one.
         measured = clipping.measured(loop.problem, progress.best, smooth, step)
@@ -238,6 +244,8 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and horizon.grows(measured.whole)
+        if wild and training.keep == "auto":
+            progress = replace(progress, keep=horizon.share(measured.whole))
     if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
         progress = _clipped(loop, progress, smooth)
     if not auto or not (fell or leapt or wild):
@@ -298,10 +306,10 @@ def stopped(progress: Progress) -> Progress:
 
 def _validate(loop: Loop, progress: Progress) -> Progress:
     """Measures the averaged policy on the exact simulator, and keeps it if it is the best."""
-    problem, source = loop.problem, loop.problem.sources.validation
+    problem, source = loop.own, loop.own.sources.validation
     paths = np.arange(source.available(loop.training.validation_paths))
     draws = source.draws(paths, problem.simulator)
-    totals = loop.bound.values(progress.average, draws, Exact()).totals
+    totals = loop.exact.values(progress.average, draws, Exact()).totals
     totals = float64(totals)
     value = worth(problem.objective, totals)
     # Within limits the newest is the best: an earlier one may have more, and not meet them.

@@ -11,6 +11,7 @@ from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
 from snapo.solver.learning.convergence import SURE
+from snapo.solver.learning.practice import refused
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
@@ -108,6 +109,9 @@ def fingerprint(source: Scenarios) -> str:
 def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
     """The state of the checkpoint, where one is asked for and there is one; else None."""
     file, training = run.folder / CHECKPOINT, setup.training
+    if found := refused(setup.problem, training):
+        key, why = found
+        raise CaseError("case.toml", f"training.{key}", getattr(training, key), why)
     try:
         fresh = begin(setup.policy, training, setup.problem)
     except ValueError as error:

@@ -95,8 +95,8 @@ TRAINING: dict[str, Any] = {
     "temperature_end": 0.01, "average": 0.5, "validation_paths": 16, "validation_every": 1,
     "patience": 5, "starts": 1, "seed": 1, "decay": 0.1,
 }  # fmt: skip
-SHORT = TRAINING | {"window": 1, "clip": 10.0}
-AUTO = TRAINING | {"clip": "auto", "window": "auto"}
+SHORT = TRAINING | {"window": 1, "clip": 10.0, "keep": 0.95, "exploration": 0.1}
+AUTO = TRAINING | {"clip": "auto", "window": "auto", "keep": "auto", "spread": 1.0}
 VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"}
 TABLE = {"kind": "table", "file": "mortality.csv", "multiplier": "by_age.csv"}
 FORMULA = {

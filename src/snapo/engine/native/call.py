@@ -115,14 +115,14 @@ class Call:
     # Into rows.
 
     def inputs(
-        self, runner: Runner, weights, size, records: bool, parts: Sequence[int] | None = None
+        self, runner: Runner, weights, bounds, records: bool, parts: Sequence[int] | None = None
     ) -> Inputs:
         """All that a run reads; `parts`: how many paths each of its sums is of, if not of all."""
         layouts, lanes, traced = runner.kernel.layouts, runner.kernel.lanes, runner.kernel.traced
         self.seats = Seats.of(parts or (self.paths,), lanes)
         path, own, blocks = self.seats.path, self.seats.own, self.seats.blocks
         first, length, _ = self.window
-        filled = self._filled(size if weights is not None else None)
+        filled = self._filled(bounds if weights is not None else None)
         columns = 1 if weights is None else len(next(iter(weights.values())))
         given, lent = self._noise(path)
         sizes = {"table": layouts["table"].stride, "steps": length * layouts["steps"].stride}
@@ -155,7 +155,7 @@ class Call:
         edges = None if parts is None else self.seats.edges
         return Inputs(self.paths, length, first, memory, records, columns, edges)
 
-    def _filled(self, size) -> dict[str, tuple[dict, tuple[int, ...]]]:
+    def _filled(self, bounds) -> dict[str, tuple[dict, tuple[int, ...]]]:
         """By layout: arrays with numbers of each path, and their axes before that of paths."""
         filled: dict[str, tuple[dict, tuple[int, ...]]] = {}
         if self.actions is not None:
@@ -163,8 +163,8 @@ class Call:
         if self.start is not None:
             leaves = enumerate(jax.tree.leaves(self.start))
             filled["start"] = {("start", i): x for i, x in leaves}, ()
-        if size is not None:
-            filled["bounds"] = {"bound": size}, ()
+        if bounds is not None:
+            filled["bounds"] = {"bound": bounds}, ()
         return filled
 
     def _noise(self, path: np.ndarray) -> tuple[dict, dict]:

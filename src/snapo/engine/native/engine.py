@@ -82,12 +82,11 @@ class Native(Engine):
                 name: np.broadcast_to(np.asarray(w, self.dtype), (count, call.paths))
                 for name, w in weights.items()
             }
-            size = np.max([np.abs(w).max(0) for w in arrays.values()], axis=0)
-            size = size * (1.0 if clip is None else clip.norm)
+            bounds = (clip or Clip()).bounds(arrays)
             rows, most = [], runner.together(call.paths, call.window.length)
             for first in range(0, count, most):
                 part = {name: w[first : first + most] for name, w in arrays.items()}
-                out = runner.run(call.inputs(runner, part, size, False), self._threads())
+                out = runner.run(call.inputs(runner, part, bounds, False), self._threads())
                 rows += [call.gradients(runner, back) for back in out.back]
             totals, _ = call.finals(runner, out.final)
             gradient = jax.tree.map(lambda *x: np.stack(x), *rows) if stacked else rows[0]
@@ -115,8 +114,8 @@ class Native(Engine):
             if len(parts) * sum(runner.sums(simulator.horizon)) > SUMS:
                 return super().adjoints(*given, weights, parts, actions=actions, wrt=wrt)
             rows = {name: np.asarray(w, self.dtype)[None] for name, w in weights.items()}
-            size = np.max([np.abs(row[0]) for row in rows.values()], axis=0)
-            out = runner.run(call.inputs(runner, rows, size, False, parts), self._threads())
+            filled = call.inputs(runner, rows, Clip().bounds(rows), False, parts)
+            out = runner.run(filled, self._threads())
             totals, _ = call.finals(runner, out.final)
             moved, schedules, _ = call.gradients(runner, out.back[0])
             asked = moved if "policy" in wrt else None, schedules if "schedule" in wrt else None

@@ -19,6 +19,7 @@ import numpy as np
 from snapo.lanes.program.cut import evaluate
 from snapo.lanes.unsupported import Unsupported
 
+from ..base import factor_of
 from ..totals import add
 from .given import floating, jax_type
 
@@ -164,16 +165,16 @@ class Functions:
         yield "final", self._final, carry, final, False
 
     def bound(self) -> Callable | None:
-        """Clips the cotangents of the state (not those of the totals), as `Clip` does."""
+        """Bounds and shrinks the cotangents of the state, not those of the totals (`Clip`)."""
         if not self.setup.clip:
             return None
         floats = [i for i, x in enumerate(self.state) if floating(x)]
         tiny = np.finfo(self.dtype).tiny
 
-        def bound(back, outputs, size):
+        def bound(back, outputs, given):
             scales = outputs[len(outputs) - len(floats) :]
             square = sum(jnp.sum((g * s) ** 2) for g, s in zip(back, scales))
-            factor = jnp.minimum(1.0, size / jnp.sqrt(jnp.maximum(square, tiny)))
+            factor = factor_of(jnp.sqrt(jnp.maximum(square, tiny)), given)
             return [*(g * factor for g in back[: len(floats)]), *back[len(floats) :]]
 
         return bound if floats else None

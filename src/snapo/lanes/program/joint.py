@@ -48,8 +48,8 @@ def joint(
 ) -> Joint:
     """Traces a piece with its transpose; `moving` are the outputs that have cotangents.
 
-    `bound` maps the cotangents of the active path inputs to clipped ones, given the outputs and a
-    number per path.
+    `bound` maps the cotangents of the active path inputs to clipped ones, given the outputs and two
+    numbers per path.
     """
     avals = [leaf.aval for leaf in piece.reads] + list(path_avals)
     reads = [i for i, leaf in enumerate(piece.reads) if leaf.active]
@@ -76,7 +76,7 @@ def joint(
 
     shapes = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in piece.outputs]
     tail = [shapes[i] for i in moving]
-    extra = [] if bound is None else [jax.ShapeDtypeStruct((), tail[0].dtype)]
+    extra = [] if bound is None else [jax.ShapeDtypeStruct((2,), tail[0].dtype)]
     closed = jax.make_jaxpr(both)(*avals, *tail, *extra)
     lanes = _lanes(piece, path_avals, own_path, len(tail) + len(extra))
     program = flatten(closed, lanes)

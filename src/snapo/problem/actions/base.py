@@ -29,6 +29,15 @@ class Actions(eqx.Module):
         """The action of the exact set nearest to one of the smooth set; in training, itself."""
         return action
 
+    @property
+    def explores(self) -> int:
+        """How many normals `explore` takes; 0 for a set whose smooth form explores by itself."""
+        return 0
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """An action of the smooth set that is drawn at random to this share, 0 to 1."""
+        return action
+
     @abc.abstractmethod
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         """What is wrong with these numbers for the exact set, and a remedy; None if nothing is."""

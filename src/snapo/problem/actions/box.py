@@ -8,6 +8,7 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
 from .base import ROUNDING, Actions
@@ -105,6 +106,24 @@ class Box(Actions):
             return smooth.clip(base + correction, self.low, self.high, scale=float(width[0]))
         low, high, width = (jnp.asarray(x, correction.dtype) for x in (low, high, width))
         return smooth.clip(base + correction, low, high, scale=width)
+
+    @property
+    def explores(self) -> int:
+        return self.size
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """(1 - share) action + share x, with x uniform between two bounds, or a normal's size
+        beyond one; without bounds, action + share x with a normal x."""
+        low, high = self.bounds()
+        above, below = np.isfinite(low), np.isfinite(high)
+        least, most = (
+            jnp.asarray(np.where(np.isfinite(b), b, 0.0), action.dtype) for b in (low, high)
+        )
+        beyond = jnp.where(normals < 0, -normals, normals)
+        anywhere = jnp.where(above, least + beyond, most - beyond)
+        anywhere = jnp.where(above & below, least + (most - least) * ndtr(normals), anywhere)
+        mixed = (1 - share) * action + share * anywhere
+        return jnp.where(above | below, mixed, action + share * normals)
 
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         for i in np.flatnonzero(np.isnan(action))[:1]:

@@ -90,6 +90,19 @@ class Product(Actions):
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         return self._each(lambda each, part: each.settle(part, smooth), action)
 
+    @property
+    def explores(self) -> int:
+        return sum(each.explores for each in self.sets)
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """Each part in its own set, with its own normals."""
+        found, first, parts = [], 0, self.parts(action)
+        for name, each in zip(self.names, self.sets):
+            own = normals[first : first + each.explores]
+            found.append(each.explore(parts[name], own, share))
+            first += each.explores
+        return jnp.concatenate(found)
+
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         for name, part in self.parts(action).items():
             if found := self[name].fault(part):

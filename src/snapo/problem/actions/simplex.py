@@ -30,6 +30,14 @@ class Simplex(Actions):
         """Shares whose logarithms are those of `base` plus a correction."""
         return jax.nn.softmax(jnp.log(jnp.maximum(base, 1e-6)) + correction)
 
+    @property
+    def explores(self) -> int:
+        return self.size
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """(1 - share) action + share x, with shares x whose logarithms are normals times 2."""
+        return (1 - share) * action + share * jax.nn.softmax(2 * normals)
+
     def fault(self, action: np.ndarray) -> tuple[str, str] | None:
         if np.all(action >= -ROUNDING) and abs(action.sum() - 1) <= 100 * ROUNDING:
             return None

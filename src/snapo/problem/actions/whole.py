@@ -59,6 +59,14 @@ class Whole(Actions):
         """base + correction, clipped to the bounds; exact: rounded."""
         return self.settle(self.box.near(base, correction, smooth), smooth)
 
+    @property
+    def explores(self) -> int:
+        return self.size
+
+    def explore(self, action: Array, normals: Array, share: Array) -> Float[Array, " size"]:
+        """As of a `Box`: in training numbers need not be whole."""
+        return self.box.explore(action, normals, share)
+
     def settle(self, action: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         return smooth.round(action)
 

@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from snapo.solver.learning.clipping import PATHS
+from snapo.solver.learning.growth import Growth
+
 from .. import charts, evidence
 from ..drawing import draw
 from ..folder import Folder
@@ -47,11 +50,28 @@ def _adjoints(run: Folder) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(most)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        "Norm of the adjoint before every step, on 64 paths at the moment of training when it was "
-        "last in doubt whether the whole horizon can be differentiated: the parts of the state are "
-        "root mean squares over these paths. All are in adjoints.csv."
+        f"Norm of the adjoint before every step, on {PATHS} paths of training, at the moment when "
+        "it was last in doubt whether the whole horizon can be differentiated, or of the trained "
+        "policy where the case says how to go back: the parts of the state are root mean squares "
+        "over these paths. All are in adjoints.csv."
     )
-    return [Chart(svg, caption)]
+    return [Chart(svg, caption), Text(_growth(run, leaves))]
+
+
+def _growth(run: Folder, leaves: list[str]) -> str:
+    """By how much the adjoints grow, and how training went back."""
+    names = ("usual", "largest", *leaves)
+    columns = (run.column("adjoints", name) for name in names)
+    usual, largest, *parts = (() if each is None else tuple(each) for each in columns)
+    told = Growth(0, usual, largest, dict(zip(leaves, parts))).words()
+    window, clip, keep = (run.result.get(name) for name in ("window", "clip", "keep"))
+    if window is not None:
+        told += f" Training went back through windows of {window} steps."
+    if clip is not None:
+        told += f" At its end training bounded each path's own adjoint at {number(clip)}."
+    if keep is not None and keep < 1:
+        told += f" A share of {number(keep)} of it went on at every step back."
+    return told
 
 
 def certificate(run: Folder) -> Section:

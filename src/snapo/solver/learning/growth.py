@@ -23,12 +23,23 @@ class Growth(NamedTuple):
     largest: tuple[float, ...]
     leaves: Mapping[str, tuple[float, ...]]
 
+    @property
+    def times(self) -> float:
+        """How many times as large the largest is as before the last step."""
+        return max(self.largest) / max(self.largest[-1], np.finfo(float).tiny)
+
+    @property
+    def large(self) -> bool:
+        """Whether a reader must know of it: a hundredfold growth, from which on training looks for
+        windows or a bound. Where a step's worth is added to the adjoint at every step back and
+        nothing grows, it is as many times as large as there are such steps."""
+        return self.times > TAME
+
     def words(self) -> str:
         """One sentence: by how much they grow, at which step and in which part of the state."""
-        largest = np.asarray(self.largest)
+        largest, times = np.asarray(self.largest), self.times
         place = int(np.argmax(largest))
-        times = largest[place] / max(largest[-1], np.finfo(float).tiny)
-        if not times > TAME:
+        if not self.large:
             return f"Adjoints grow {times:,.3g}-fold on their way back: no more than usual."
         half = _explodes(largest, place)
         state = max(self.leaves, key=lambda name: self.leaves[name][place], default="state")

@@ -24,6 +24,8 @@ class Record(NamedTuple):
 
     `window`: the length of the windows that the step went back through; 0: the whole horizon.
     `exact_error`: the standard error of `exact`, in the line of its validation; 0 elsewhere.
+    `clip`, `keep`: the bound on each path's own adjoint in the step (0: none), and the share of it
+    that went on at every step back.
     """
 
     step: int
@@ -36,6 +38,8 @@ class Record(NamedTuple):
     seconds: float
     window: int = 0
     exact_error: float = 0.0
+    clip: float = 0.0
+    keep: float = 1.0
 
 
 class Round(NamedTuple):
@@ -61,8 +65,9 @@ class Progress:
     `halfway` and `recent` are averaged policies of the last two steps of the series …, steps / 4,
     steps / 2, steps: wherever a run stops, the first is from its second quarter, or its middle.
     `window`, `critic`: of training on windows, given or chosen.
-    `clip` is the bound in force, if there is one; `since` the step at which the optimiser began, or
-    began anew, its gradients having exploded. `growth`: the adjoints, where they were measured.
+    `clip` is the bound in force, if there is one, and `keep` the share; `since` the step at which
+    the optimiser began, or began anew, its gradients having exploded. `growth`: the adjoints, where
+    they were measured.
     `dual`: the prices of the problem's limits.
     `raced`: the rounds in which starts fell out, where there were several.
     `scale`: of the features that no decision moves, for which the first layer is trained.
@@ -82,6 +87,7 @@ class Progress:
     critic: Learner | None = None
     window: int | None = None
     clip: float | None = None
+    keep: float = 1.0
     since: int = 0
     growth: Growth | None = None
     dual: Dual = Dual()
@@ -108,6 +114,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     """The state before the first step; training on windows needs the problem, for its critic."""
     training = training if problem is None else fitted(training, problem, policy)
     given = training.clip if isinstance(training.clip, int | float) else None
+    keep = training.keep if isinstance(training.keep, int | float) else 1.0
     window, critic = None, None
     if isinstance(training.window, int):
         if problem is None:
@@ -120,5 +127,12 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
     empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
     return Progress(
-        step=0, **same, optimiser=state, **empty, critic=critic, window=window, clip=given
+        step=0,
+        **same,
+        optimiser=state,
+        **empty,
+        critic=critic,
+        window=window,
+        clip=given,
+        keep=keep,
     )

@@ -46,6 +46,12 @@ class Training:
       all that comes (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
       where gradients explode and leaves all others alone (`solver.learning.clipping`); None: never.
+    - `keep`: the share of a path's own adjoint that goes on from one step to the one before it (see
+      `engine.Clip`): an outcome k steps after a decision counts keep^k in its gradient. "auto": all
+      but where adjoints grow and gradients leap (`solver.learning.clipping`); 1.0: all, always.
+    - `spread`: the normals of `initial` times this, in training only: wider starting states.
+    - `exploration`: the share of a decision that is drawn at random in training (see
+      `learning.exploring`); it falls to 0 with the temperature. 0: none.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
       steps the better half goes on (`solver.learning.starts`).
     - `seed`: of the network's first weights and of all scenarios.
@@ -64,6 +70,9 @@ class Training:
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
+    keep: float | str = "auto"
+    spread: float = 1.0
+    exploration: float = 0.0
     starts: int = 1
     seed: int = 0
 
@@ -78,6 +87,16 @@ class Training:
         number("Training: temperature_start", self.temperature_start, ABOVE)
         number("Training: temperature_end", self.temperature_end, ABOVE)
         number("Training: average", self.average, SHARE)
+        if self.keep != "auto":
+            number("Training: keep", self.keep, (SHARE[0], f"{SHARE[1]}, or 'auto'"))
+        number("Training: spread", self.spread, ABOVE)
+        number("Training: exploration", self.exploration, BELOW_ONE)
+        if self.exploration and not self.temperature_end < self.temperature_start:
+            raise ValueError(
+                f"Training: exploration is {self.exploration!r} and falls with the temperature, "
+                f"but temperature_end, {self.temperature_end!r}, is not below temperature_start, "
+                f"{self.temperature_start!r}."
+            )
         if isinstance(self.window, str) and self.window != "auto":
             raise ValueError(
                 f"Training: window is {self.window!r}; allowed is a number of steps, 'auto' or "
@@ -114,4 +133,5 @@ def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str
 
 ABOVE = (lambda value: value > 0), "a number above 0"
 NOT_BELOW = (lambda value: value >= 0), "a number, 0 or more"
+BELOW_ONE = (lambda value: 0 <= value < 1), "a number from 0 to below 1"
 SHARE = (lambda value: 0 < value <= 1), "a number above 0, at most 1"

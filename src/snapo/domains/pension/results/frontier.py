@@ -107,6 +107,7 @@ def _trained(setup: Setup, start: Policy, goal: Objective, asked: Frontier) -> P
         paths=max(given.paths, 2 * round(TAIL / (1 - asked.level) / 2)),
         warmup=min(given.warmup, asked.steps // 8),
         temperature_start=given.temperature_end,
+        exploration=0.0,  # the policy has explored already
         validation_every=max(1, asked.steps // CHECKS),
     )
     problem = replace(setup.problem, objective=goal)

@@ -57,7 +57,7 @@ def _state(rows: Layouts, t: Traced) -> None:
 
 
 def _totals(rows: Layouts, t: Traced) -> None:
-    """A path's totals, their weights, and the bound of its adjoint."""
+    """A path's totals, their weights, and the bound of its adjoint with the share it keeps."""
     real = np.dtype(t.setup.dtype)
     for n in t.names:
         rows["carry"].add(("total", n), (), real)
@@ -65,4 +65,4 @@ def _totals(rows: Layouts, t: Traced) -> None:
     for n in t.final_names:
         rows["final"].add(("final", n), (), real)
         rows["weights"].add(("final", n), (), real)
-    rows["bounds"].add("bound", (), real)
+    rows["bounds"].add("bound", (2,), real)

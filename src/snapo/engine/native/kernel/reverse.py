@@ -24,7 +24,8 @@ AHEAD = 2  # rows of tape that are fetched before they are needed
 class Transposed:
     """A phase's joint program, and the numbers of its outputs and inputs that have cotangents.
 
-    - `cotangents`: those given, of the outputs `moving`; a last one is the bound of clipping.
+    - `cotangents`: those given, of the outputs `moving`; a last one holds the bound of clipping
+      and the share that is kept.
     - `back`: those computed, of the inputs `active`.
     """
 

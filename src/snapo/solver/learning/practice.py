@@ -1,0 +1,126 @@
+"""The problem that training sees where it practises more than it will meet.
+
+Wider starting states, and decisions of which a share is drawn at random: both are a simulator
+around the user's own, so that both engines take them, derivatives are pathwise, and values and
+validations, which roll the user's own simulator, stay as they are.
+
+A decision that explores is (1 - share) times that of the policy plus share times a point drawn
+anywhere in its set (`Actions.explore`). The share falls to 0 in a straight line over the steps in
+which the temperature falls: the last quarter of the steps trains on the policy alone.
+"""
+
+import math
+from dataclasses import dataclass, replace
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.noise import Counter, Draws, Stored
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Scenarios
+from snapo.problem.simulator import Around, Simulator
+from snapo.problem.smooth import Smooth
+
+from .settings import Training
+
+
+class Wide(Around):
+    """A simulator whose initial normals are `spread` times as large."""
+
+    spread: float = eqx.field(static=True)
+
+    def initial(self, constants, noise):
+        return self.own.initial(constants, self.spread * noise)
+
+
+class Exploring(Around):
+    """A simulator that draws a share of every decision; its noise ends with the normals for it.
+
+    - `share`: at the temperature `hot`; it is 0 at `cold`, and in the exact simulator.
+    """
+
+    share: float = eqx.field(static=True)
+    hot: float = eqx.field(static=True)
+    cold: float = eqx.field(static=True)
+
+    @property
+    def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.own.noise_size + self.own.action.explores
+
+    def step(self, constants, now, state, action, noise, smooth):
+        drawn, more = noise[: self.own.noise_size], noise[self.own.noise_size :]
+        if isinstance(smooth, Smooth):
+            # The temperature falls geometrically, so that this is a straight line in the step.
+            left = jnp.log(smooth.temperature / self.cold) / math.log(self.hot / self.cold)
+            share = self.share * jnp.clip(left, 0.0, 1.0).astype(action.dtype)
+            action = self.own.action.explore(action, more, share)
+        return self.own.step(constants, now, state, action, drawn, smooth)
+
+
+@dataclass(frozen=True, eq=False)
+class MoreNoise(Scenarios):
+    """Scenarios of training that were made for `simulator`, with the normals of `Exploring`."""
+
+    own: Scenarios
+    simulator: Simulator
+    seed: int
+
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
+        return self._longer(self.own.draws(paths, self.simulator), 0)
+
+    def batch(self, step: int, paths: int, simulator: Simulator) -> Draws:
+        return self._longer(self.own.batch(step, paths, self.simulator), step)
+
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        return self.own.groups(paths)
+
+    def available(self, wanted: int) -> int:
+        return self.own.available(wanted)
+
+    def _longer(self, drawn: Draws, step: int) -> Draws:
+        if isinstance(drawn, Counter):  # it counts as many as a simulator asks for
+            return drawn
+        steps, paths, _ = drawn.step_noise.shape
+        random = np.random.default_rng([self.seed, step])
+        more = random.standard_normal((steps, paths, self.simulator.action.explores))
+        noise = np.concatenate([np.asarray(drawn.step_noise), more], axis=2)
+        return Stored(drawn.initial_noise, noise)  # pyright: ignore[reportArgumentType]
+
+
+def refused(problem: Problem, training: Training) -> tuple[str, str] | None:
+    """The setting that this problem cannot have, and why; None where it can have all."""
+    simulator = problem.simulator
+    if training.spread != 1 and not simulator.initial_noise_size:
+        return "spread", (
+            "the simulator starts every path in the same state. Set initial_noise_size to the "
+            "number of normals that `initial` takes, and spread the state by them: "
+            'initial(self, constants, noise) gives {"x": constants["x"] + 0.1 * noise[0]}'
+        )
+    if training.exploration and not simulator.action.explores:
+        return "exploration", (
+            f"{type(simulator.action).__name__} explores by itself, at a temperature: set "
+            "temperature_start"
+        )
+    return None
+
+
+def practised(problem: Problem, training: Training) -> Problem:
+    """The problem that training sees: itself where it practises no more than it will meet.
+
+    **Raises:** `ValueError` for settings that this problem cannot have.
+    """
+    if found := refused(problem, training):
+        key, why = found
+        raise ValueError(f"Training: {key} is {getattr(training, key)!r}, and {why}.")
+    own = simulator = problem.simulator
+    sources = problem.sources
+    if training.spread != 1:
+        simulator = Wide(simulator, training.spread)  # pyright: ignore[reportCallIssue]
+    if training.exploration:
+        hot, cold = training.temperature_start, training.temperature_end
+        simulator = Exploring(simulator, training.exploration, hot, cold)  # pyright: ignore[reportCallIssue]
+        sources = replace(sources, training=MoreNoise(sources.training, own, training.seed))
+    if simulator is own:
+        return problem
+    return replace(problem, simulator=simulator, sources=sources).prepared(problem.schedule)

@@ -1,0 +1,70 @@
+"""What training chose and why, in sentences for the notes of a solution."""
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+
+from snapo.problem.memory import remembering
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+
+from . import clipping
+from .growth import Growth
+from .progress import Progress
+from .settings import Training
+from .starts import words
+
+
+def recorded(problem: Problem, progress: Progress, training: Training) -> Progress:
+    """With the adjoints of the trained rule, where a user said how to go back and nothing else
+    measured them."""
+    given = isinstance(training.window, int), progress.clip is not None, progress.keep < 1
+    if progress.growth is not None or not any(given):
+        return progress
+    smooth = Smooth(np.float32(training.temperature(progress.step)))
+    problem = remembering(problem, progress.best)
+    measured = clipping.measured(problem, progress.best, smooth, progress.step)
+    return replace(progress, growth=Growth.of(measured, progress.step))
+
+
+def chosen(progress: Progress) -> tuple[str, ...]:
+    """Which start went on; by how much adjoints grow, where they do, and how training went back."""
+    raced = (words(progress.raced),) if progress.raced else ()
+    growth = progress.growth
+    if growth is None or not growth.large:
+        return raced
+    return (*raced, f"{growth.words()} {went_back(progress)}")
+
+
+def went_back(progress: Progress) -> str:
+    """One sentence: windows, a bound or a decay of adjoints, and the step from which on."""
+    history = progress.history
+    if progress.window is not None:
+        since = _before(record.window > 0 for record in history)
+        return (
+            f"From step {since} of the training on it went back through windows of "
+            f"{progress.window} steps with a critic (Training(window=None) never does)."
+        )
+    ways = []
+    if progress.clip is not None:
+        since = _before(record.clip > 0 for record in history)
+        ways.append(
+            f"from step {since} of the training on each path's own adjoint was bounded, at "
+            f"{progress.clip:,.3g} in the end (Training(clip=None) never does)"
+        )
+    if progress.keep < 1:
+        since = _before(record.keep < 1 for record in history)
+        ways.append(
+            f"from step {since} of the training on a share of {progress.keep:.3g} of it went on at "
+            "every step back (Training(keep=1.0) keeps all)"
+        )
+    if not ways:
+        return "Training did nothing about it; Training(clip=…) or Training(keep=…) would."
+    told = "; ".join(ways)
+    return f"{told[0].upper()}{told[1:]}."
+
+
+def _before(there: Iterable[bool]) -> int:
+    """The number of steps before the first of which this is true."""
+    return next((number for number, each in enumerate(there) if each), 0)
