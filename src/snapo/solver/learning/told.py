@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from snapo.problem.memory import remembering
+from snapo.problem.policies.memory import remembering
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
