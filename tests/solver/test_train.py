@@ -226,8 +226,62 @@ def test_paths_that_are_not_finite_are_counted_in_every_record(tmp_path):
     again = snapo.Solution.load(tmp_path)
     assert again.dropped == rare.dropped and again.notes == rare.notes
     often = snapo.solve(fragile(float("nan"), snapo.Mean("wealth"), 2.0), **given)
-    assert often.status == "not finite" and np.isnan(often.value)
+    assert often.status == "diverged" and np.isnan(often.value)
+    assert often.history and often.dropped["train"] > 0
     assert np.isnan(often.sensitivities.held["wealth"].value)
+
+
+class Breaks(snapo.Simulator):
+    """Breaks in its third step of four: its state, its output, or its derivative alone."""
+
+    horizon: int = 4
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+    kind: str = "state"
+
+    def prepare(self, inputs):
+        return snapo.Schedule(inputs, {"day": np.arange(4.0)})
+
+    def initial(self, constants, noise):
+        return {"water": constants["water"]}
+
+    def observe(self, constants, now, state):
+        return jax.numpy.stack([now["day"] / 4])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        third, jnp = now["day"] == 2, jax.numpy
+        water = state["water"] + 0.1 * action[0] + 0.01 * noise[0]
+        cash = water
+        if self.kind == "state":
+            water = jnp.where(third, jnp.inf, water)
+        elif self.kind == "output":
+            cash = jnp.where(third & (noise[0] > 0), jnp.nan, cash)
+        else:
+            cash = cash + jnp.sqrt(jnp.where(third, 0.0, 1.0) * action[0])
+        return {"water": water}, {"cash": cash}
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    "kind, said",
+    [
+        ("state", "64 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+         "path, in state water."),
+        ("output", "32 of 64 paths are not finite in output 'cash', first at step 2 of the 4 of a "
+         "path, in output cash."),
+        ("derivative", "not finite, though all totals are. step, "),
+    ],
+)  # fmt: skip
+def test_a_training_that_breaks_says_where(kind, said):
+    training = snapo.Training(steps=10, paths=64, validation_paths=64)
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0)
+    problem = snapo.Problem(Breaks(kind=kind), {"water": snapo.Input(5.0)}, snapo.Mean("cash"))
+    solution = snapo.solve(problem, training=training, evaluation=evaluation, engine="xla")
+    assert solution.status == "diverged" and len(solution.history) == 1
+    assert solution.dropped["train"] >= 32
+    (note,) = [each for each in solution.notes if "Training stopped" in each]
+    assert note.startswith("Training stopped at step 1 of 10: ") and said in note
+    assert "snapo.check" in note
 
 
 @pytest.mark.prove

@@ -43,8 +43,9 @@ class Solution:
     - `sensitivities`: held and smooth derivatives by every input, with standard errors.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
-    - `status`: "trained", "stopped early" or "diverged"; "ruined" where the value is minus
-      infinity, "not finite" where it is no number.
+    - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are not finite; a
+      note says where); of the others "ruined" where the value is minus infinity, "not finite" where
+      it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
     - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit),
       "constant" (a constant decision does as well) or "barely moved" (an untrained rule does as

@@ -27,6 +27,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
+from .learning.broken import why_broken
 from .learning.convergence import ending
 from .learning.features import scale_of, undrawn
 from .learning.following import fitted
@@ -240,6 +241,7 @@ def measure(
         ),
         "dropped": dropped,
         "notes": _notes(value, dropped, ruined(objective, exact))
+        + tuple(filter(None, [why_broken(problem, progress, training, engines.train)]))
         + chosen(progress)
         + ended.notes
         + notes_of(limits),
@@ -265,8 +267,9 @@ def _smoothing_gap(
 
 
 def _status(value: float, status: str) -> str:
-    """The status of a run: that of its training, unless its value is no number."""
-    if np.isfinite(value):
+    """The status of a run: that of its training, unless its value is no number although all steps
+    were taken."""
+    if np.isfinite(value) or status == "diverged":
         return status
     return "ruined" if value < 0 else "not finite"
 

@@ -131,12 +131,14 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     else:
         moved, value, bad = _climbed_by_windows(loop, progress, draws, smooth, progress.window)
     lost = bad + sum(record.bad_paths for record in progress.history)
-    if bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training):
-        return replace(progress, status="diverged")
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
     back = {"window": progress.window or 0, "clip": progress.clip or 0.0, "keep": progress.keep}
     record = Record(step + 1, value, moved.norm, temperature, bad, exact, best, seconds, **back)
+    broken = bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training)
+    if broken or not np.isfinite(moved.norm):
+        # The policy is that of the step before; the step that broke is written down.
+        return replace(progress, history=(*progress.history, record), status="diverged")
     kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -150,7 +152,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         history=(*progress.history, record),
         critic=moved.critic,
         dual=dual,
-        status="training" if np.isfinite(moved.norm) else "diverged",
+        status="training",
     )
 
 

@@ -1,6 +1,7 @@
 """Runs with a simulator of one's own: results, resume, certificate and report."""
 
 import json
+import re
 import shutil
 from pathlib import Path
 
@@ -9,9 +10,12 @@ import pytest
 from tests.domains.own.small import PLACE, SIMULATOR, write
 
 from snapo.cli.main import main
+from snapo.domains.own import DOMAIN
+from snapo.solver.limits.found import LimitFound
 from snapo.solver.solution import Solution
 from snapo.study import commands
 from snapo.study.commands import Asked
+from snapo.study.report import write_report
 
 CODE = ("simulator", "Shop")
 
@@ -200,6 +204,28 @@ def test_an_output_that_is_not_there(tmp_path, capsys):
     assert "the outputs of the simulator are profit, sold" in capsys.readouterr().err
     assert main(["check", str(folder), *PLACE, "--set", 'units.stocks="x"']) == 2
     assert "the nearest known key is stock" in capsys.readouterr().err
+
+
+def test_the_report_tells_limits_where_there_are_some(solved, tmp_path):
+    assert '<section id="limits"' not in (solved / "report.html").read_text()
+    run = Path(shutil.copytree(solved, tmp_path / "run"))
+    result = json.loads((run / "result.json").read_text())
+    bound = LimitFound("mean of sold at most 90", 90.0, 90.25, 0.3, 89.65, 90.85, 1.503, 0.021, 1.5,
+                       "met nearly")  # fmt: skip
+    room = LimitFound("mean of left at least 3", 3.0, 8.0, 0.1, 7.8, 8.2, 0.0, 0.0, 0.0, "met")
+    missed = bound._replace(name="mean of lost at most 1", met="not met")
+    result["limits"] = [each._asdict() for each in (bound, room, missed)]
+    (run / "result.json").write_text(json.dumps(result))
+    record = json.loads((run / "run.json").read_text())
+    record.pop("result", None)  # the hash of the file as it was
+    (run / "run.json").write_text(json.dumps(record))
+    section = write_report(DOMAIN, run).read_text().split('<section id="limits"')[1]
+    section = re.sub(r"<[^>]+>", " ", section.split("</section>")[0]).replace("\xa0", " ")
+    for words in ("mean of sold at most 90", "met nearly", "90.25", "89.65 to 90.85", "1.503",
+                  "± 0.021", "not met", "EUR"):  # fmt: skip
+        assert words in section, words
+    rows = {name: section.split(name)[1][:120] for name in (bound.name, room.name)}
+    assert "–" in rows[room.name] and "–" not in rows[bound.name]
 
 
 @pytest.mark.prove

@@ -6,11 +6,14 @@ from snapo.report.sections.bound import bound
 from snapo.report.sections.distribution import distribution
 from snapo.report.sections.fans import fans
 from snapo.report.sections.headline import headline
+from snapo.report.sections.limits import limits
 from snapo.report.sections.proof import certificate, history, making
 from snapo.report.sections.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-SECTIONS = (headline, sensitivities, distribution, fans, bound, history, certificate, making)
+SECTIONS = (
+    headline, limits, sensitivities, distribution, fans, bound, history, certificate, making,
+)  # fmt: skip
 
 
 def about(run: Folder) -> list[tuple[str, str]]:

@@ -1,0 +1,91 @@
+"""Why a training broke off: the output and the step in which numbers are no longer finite."""
+
+from typing import Any, NamedTuple
+
+import jax
+import numpy as np
+
+from snapo.checker.check import check
+from snapo.engine import Engine, Xla
+from snapo.problem.memory import remembering
+from snapo.problem.noise.counter import only
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+
+from ..adjoint import float64
+from ..finite_paths import finite
+from .progress import Progress
+from .settings import Training
+
+FEW = 8  # bad paths that are followed step by step
+ADVICE = "snapo.check(simulator, inputs) looks for the line."
+
+
+class Place(NamedTuple):
+    """The first number of a path that is not finite: "state water", "output cash"."""
+
+    step: int
+    name: str
+
+
+def why_broken(problem: Problem, progress: Progress, training: Training, engine: Engine) -> str:
+    """A sentence on a training that diverged; empty for any other.
+
+    The last step's paths are rolled again, a few of the bad ones with their whole course.
+    """
+    if progress.status != "diverged" or not progress.history:
+        return ""
+    problem, policy = remembering(problem, progress.policy), progress.policy
+    record = progress.history[-1]
+    # What is written down last is the step that broke; its paths are those of the number before.
+    smooth = Smooth(np.float32(record.temperature))
+    draws = problem.sources.training.batch(record.step - 1, training.paths, problem.simulator)
+    totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
+    stopped = f"Training stopped at step {record.step} of {training.steps}:"
+    bad = {name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs}
+    bad = {name: paths for name, paths in bad.items() if paths.size}
+    if not bad:
+        return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), ADVICE])
+    told = ", ".join(
+        f"{paths.size} of {draws.size} paths are not finite in output {name!r}"
+        for name, paths in bad.items()
+    )
+    lost = np.flatnonzero(~finite(totals, bad))[:FEW]
+    place = _first(problem, policy, only(draws, lost), smooth)
+    if place is None:
+        return f"{stopped} {told}, by its terminal part or the sum over steps. {ADVICE}"
+    return (
+        f"{stopped} {told}, first at step {place.step} of the {problem.simulator.horizon} of a "
+        f"path, in {place.name}. {ADVICE}"
+    )
+
+
+def _by_derivative(problem: Problem, bad: int, paths: int) -> str:
+    """All totals are finite, and the way back is not: the checker knows where."""
+    many = f"the derivatives of {bad} of {paths} paths are" if bad else "the gradient is"
+    errors = check(problem.simulator, problem.inputs).errors
+    found = f" {errors[0].where}: {errors[0].what}" if errors else ""
+    return f"{many} not finite, though all totals are.{found}"
+
+
+def _first(problem: Problem, policy, draws, smooth) -> Place | None:
+    """Where the course of these paths first leaves the finite numbers."""
+    record = ("state", "outputs")
+    course = Xla().bind(problem).values(policy, draws, smooth, record=record).record
+    kinds, places = problem.simulator.totals(), []
+    for kind, word in (("state", "state"), ("outputs", "output")):
+        for path, leaf in jax.tree_util.tree_flatten_with_path(course[kind])[0]:
+            name = jax.tree_util.keystr(path, simple=True, separator=".")
+            wrong = _not_finite(np.asarray(leaf), kinds.get(name) == "max")
+            if wrong.any():
+                # The state before step t was made by step t - 1.
+                step = int(np.argwhere(wrong)[0][0]) - (kind == "state")
+                places.append(Place(max(step, 0), f"{word} {name}".strip()))
+    return min(places, default=None, key=lambda place: (place.step, place.name[0] != "s"))
+
+
+def _not_finite(leaf: np.ndarray, largest: bool) -> Any:
+    """Where an array is not finite; a step may add nothing to a largest number, minus infinity."""
+    if leaf.dtype.kind != "f":
+        return np.zeros(leaf.shape, bool)
+    return ~np.isfinite(leaf) & ~(largest & (leaf == -np.inf))
