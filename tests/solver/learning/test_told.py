@@ -74,9 +74,7 @@ def ended(times, window=None, clip=None, keep=1.0):
     later = line._replace(window=window or 0, clip=clip or 0.0, keep=keep)
     begun = begin(RULE, TRAINING, problem())
     history = (*(line,) * 20, *(later,) * 10)
-    return replace(
-        begun, growth=grown(times), window=window, clip=clip, keep=keep, history=history
-    )
+    return replace(begun, growth=grown(times), window=window, clip=clip, keep=keep, history=history)
 
 
 @pytest.mark.parametrize(
