@@ -15,13 +15,13 @@ def test_a_spread_without_initial_noise_is_refused_by_its_key(tmp_path):
     training = snapo.Training(spread=2.0)
     setup = SimpleNamespace(training=training, problem=SimpleNamespace(simulator=simulator))
     run = SimpleNamespace(folder=tmp_path, resume=False)
-    with pytest.raises(CaseError, match="training.spread.*initial_noise_size"):
+    with pytest.raises(CaseError, match=r"training\.spread.*initial_noise_size"):
         _resumed(run, setup)  # pyright: ignore[reportArgumentType]
 
 
 def test_exploration_needs_a_temperature_that_falls():
     same = {"exploration": 0.2, "temperature_start": 0.01, "temperature_end": 0.01}
-    with pytest.raises(CaseError, match="training.temperature_end.*exploration"):
+    with pytest.raises(CaseError, match=r"training\.temperature_end.*exploration"):
         read_training(same, "case.toml")
     for key, value in (("keep", 0.0), ("spread", -1.0), ("exploration", 1.0)):
         with pytest.raises(CaseError, match=f"training.{key}"):
