@@ -91,7 +91,7 @@ class Xla(Engine):
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
             given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
             # The bounds are an array: other ones compile nothing.
-            bounds = None if clip is None else clip.bounds(given)
+            bounds = None if clip is None else jnp.asarray(clip.bounds(given))
             found = self.leave(_adjoint(self, call, given, bounds, wrt))
             return adjoint_without(simulator, call.simulator, found)
 
