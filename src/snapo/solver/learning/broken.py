@@ -7,8 +7,8 @@ import numpy as np
 
 from snapo.checker.check import check
 from snapo.engine import Engine, Xla
-from snapo.problem.memory import remembering
 from snapo.problem.noise.counter import only
+from snapo.problem.policies.memory import remembering
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
