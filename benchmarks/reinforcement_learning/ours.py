@@ -29,6 +29,11 @@ def solve(problem: str, seed: int, steps: int | None, tell: Tell) -> None:
     lessons = [(task.lesson or task.problem, training)]
     if task.before and not steps:
         lessons.insert(0, task.before)
+    # A problem keeps its own scenarios; those of training are to be the seed's.
+    lessons = [
+        (replace(lesson, sources=lesson.sources.reseeded(seed)), settings)
+        for lesson, settings in lessons
+    ]
     policy = task.policy.for_problem(lessons[0][0].interface, jax.random.key(seed))
     with clock.paused():
         yardstick = Yardstick(task.problem, task.paths)

@@ -75,7 +75,7 @@ def inventory(seed: int) -> Task:
         "kind": "inventory",
         "item": {"unmet": "lost", "lead_time": 4, "holding": 1.0, "shortage": 4.0, "most": 20},
         "demand": {"kind": "poisson", "mean": 5.0},
-        "training": {"steps": 200},
+        "training": {"steps": 200, "seed": seed},
     }
     horizons = {"periods": 60, "warm_up": 30}, {"periods": 60, "warm_up": 0}
     # A cost that does not count in the first thirty periods would be hidden from an agent.
@@ -125,7 +125,7 @@ def put(seed: int) -> Task:
 
     problem = snapo.Problem(Put(), example["inputs"], snapo.Mean("cash"))
     training = snapo.Training(
-        steps=80, paths=128, window=None, validation_paths=1024, validation_every=10, seed=seed
+        steps=240, paths=128, window=None, validation_paths=1024, validation_every=20, seed=seed
     )
     return Task(
         problem, snapo.MLP(), training,
