@@ -27,13 +27,13 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .evaluate import Value, estimate, path_totals, ruined, worth
 from .judge import judge
-from .learning.broken import why_broken
 from .learning.convergence import ending
 from .learning.features import scale_of, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race
 from .learning.told import chosen, recorded
 from .limits.found import limits_found, notes_of
+from .provenance.broken import why_broken
 from .provenance.clock import Clock
 from .provenance.versions import versions
 from .sensitivity import Sensitivities, sensitivities

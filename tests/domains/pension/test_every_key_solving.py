@@ -27,7 +27,7 @@ def setup_of(name, engine, folder):
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_is_traced_in_32_bits_and_then_in_64(name, tmp_path):
     """The whole adjoint in the native engine (32 bits in `make_setup`), the rollout in XLA."""
-    problem, policy, _, _, engines = setup_of(name, "native", tmp_path)
+    problem, policy, _, _, engines, *_ = setup_of(name, "native", tmp_path)
     assert (engines.train.precision, engines.evaluate.precision) == ("float32", "float64")
     simulator, schedule = problem.simulator, problem.schedule
     assert unsupported(simulator, schedule, policy, Exact(), "float64") is None
@@ -44,7 +44,7 @@ def test_a_case_is_traced_in_32_bits_and_then_in_64(name, tmp_path):
 @pytest.mark.parametrize("name", CASES)
 def test_a_case_is_trained_valued_and_differentiated(name, engine, tmp_path):
     """One to two minutes each: four kernels or programs of a fund with everything are compiled."""
-    problem, policy, training, evaluation, engines = setup_of(name, engine, tmp_path)
+    problem, policy, training, evaluation, engines, *_ = setup_of(name, engine, tmp_path)
     found = solve(problem, policy=policy, training=training, evaluation=evaluation, engine=engines)
     assert found.status in ("trained", "stopped early")
     assert found.standard_error >= 0

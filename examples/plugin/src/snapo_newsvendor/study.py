@@ -142,7 +142,8 @@ def make_setup(case: Case, engine: str) -> Setup:
 
 def best_rule(run: StudyRun, case: Case) -> dict[str, Any]:
     """The value of ordering up to the level of the theory, on the paths of the evaluation."""
-    problem, _, _, evaluation, engines = run.setup
+    problem, engines = run.setup.problem, run.setup.engines
+    evaluation = run.setup.evaluation
     rule = snapo.BaseStock(level(case.shop) / case.shop.demand)
     found = snapo.evaluate(problem, rule, evaluation.paths, engine=engines.evaluate)
     return {"best_rule": {"value": found.value, "standard_error": found.standard_error}}

@@ -28,7 +28,7 @@ def setup():
 @pytest.fixture(scope="module")
 def totals(setup):
     """Path totals of the trained network on paths that it was not trained on."""
-    problem, policy, training, evaluation, engines = setup
+    problem, policy, training, evaluation, engines, *_ = setup
     best = train(problem, begin(policy, training), training, engines.train).best
     assert evaluation.paths >= 16384
     return path_totals(problem, best, evaluation.paths, engine=engines.evaluate)

@@ -14,8 +14,8 @@ from snapo.problem.smooth import Smooth
 
 from ..adjoint import float64
 from ..finite_paths import finite
-from .progress import Progress
-from .settings import Training
+from ..learning.progress import Progress
+from ..learning.settings import Training
 
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
