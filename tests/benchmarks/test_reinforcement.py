@@ -112,10 +112,10 @@ def test_an_agent_has_a_curve(algorithm):
 @pytest.mark.study
 @pytest.mark.parametrize("problem", ["pendulum", "inventory", "storage", "put", "fund"])
 def test_no_agent_ends_above_snapo(problem, tmp_path):
-    """The comparison of docs/reinforcement.md with seed 0: some 20 minutes, printed as its table.
+    """The comparison of docs/reinforcement.md with seed 0, printed as its table.
 
-    Both were valued on the same paths; a tenth of a percent is the noise of choosing the best of
-    eight moments on them.
+    Both are valued on the same paths. An agent may be a tenth of a percent above, since its best
+    of eight moments is chosen on them.
     """
     pytest.importorskip("stable_baselines3")
     from benchmarks.reinforcement_learning.__main__ import main

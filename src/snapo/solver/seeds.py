@@ -18,7 +18,7 @@ from . import statistics
 from .evaluate import worth_of_groups
 from .learning.settings import Training
 from .solution import Solution
-from .solve import Evaluation, _only_output, solve
+from .solve import Evaluation, problem_of, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,15 +97,9 @@ def solve_seeds(
     chosen = tuple(seeds)
     if not chosen or len(set(chosen)) < len(chosen):
         raise ValueError(f"solve_seeds: seeds is {chosen}; allowed is one or more, each once.")
-    if isinstance(problem, Simulator):
-        given = evaluation.sources(chosen[0]) if scenarios is None else scenarios
-        sources = Sources.of(given, chosen[0])
-        limits = tuple(more.pop("limits", ()))
-        problem = Problem(
-            problem, inputs, objective or _only_output(problem, inputs), sources, limits
-        )
-    elif any(each is not None for each in (inputs, objective, scenarios)):
-        raise ValueError("solve_seeds: a Problem has its own inputs, objective and scenarios.")
+    limits = more.pop("limits", ())
+    given = (inputs, objective, scenarios, limits)
+    problem = problem_of(problem, *given, evaluation, chosen[0])
     found = {}
     for seed in chosen:
         own = replace(problem, sources=problem.sources.reseeded(seed)).prepared(problem.schedule)

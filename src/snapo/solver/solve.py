@@ -114,15 +114,8 @@ def solve(
     """
     training, evaluation = training or Training(), evaluation or Evaluation()
     with Clock() as clock:
-        if isinstance(problem, Simulator):
-            given = evaluation.sources(training.seed) if scenarios is None else scenarios
-            sources = Sources.of(given, training.seed)
-            problem = Problem(
-                problem, inputs, objective or _only_output(problem, inputs), sources, tuple(limits)
-            )
-        elif limits or any(each is not None for each in (inputs, objective, scenarios)):
-            what = "inputs, objective, scenarios and limits"
-            raise ValueError(f"solve: a Problem has its own {what}.")
+        given = (inputs, objective, scenarios, limits)
+        problem = problem_of(problem, *given, evaluation, training.seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
@@ -150,6 +143,29 @@ def solve(
         versions=versions(),
         problem=problem,
     )
+
+
+def problem_of(
+    problem: Problem | Simulator,
+    inputs: PyTree,
+    objective: Objective | None,
+    scenarios: Scenarios | Sources | None,
+    limits: Sequence[Limit],
+    evaluation: Evaluation,
+    seed: int,
+) -> Problem:
+    """The problem that a caller means: the one given, or that of a simulator with all beside it.
+
+    **Raises:** `ValueError` where a `Problem` has any of it beside it.
+    """
+    if isinstance(problem, Simulator):
+        given = evaluation.sources(seed) if scenarios is None else scenarios
+        objective = objective or _only_output(problem, inputs)
+        return Problem(problem, inputs, objective, Sources.of(given, seed), tuple(limits))
+    if limits or any(each is not None for each in (inputs, objective, scenarios)):
+        what = "inputs, objective, scenarios and limits"
+        raise ValueError(f"solve: a Problem has its own {what}.")
+    return problem
 
 
 def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
