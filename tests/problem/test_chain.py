@@ -12,6 +12,7 @@ from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
 from snapo.problem.policy import Linear
 from snapo.problem.prepare import prepare
+from snapo.problem.problem import in_mean
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -209,6 +210,17 @@ def test_names_keep_outputs_apart_and_mappings_name_the_inputs():
     both = apart.totals["heat.cost"] + apart.totals["grow.cost"]
     np.testing.assert_allclose(both, together.totals["cost"], rtol=1e-12)
     assert "heat.rate" in moved and "grow.growth" in moved
+
+
+def test_inputs_in_the_mean_are_those_of_the_stages():
+    class Counts(Grow):
+        def in_mean(self):
+            return ("growth",)
+
+    stages = [Heat(), Counts()]
+    apart = Chain(stages, [move], names=("heat", "grow"))
+    of = ((apart, {"heat": INPUTS[0], "grow": INPUTS[1]}), (Chain(stages, [move]), INPUTS))
+    assert [in_mean(*each) for each in of] == [("grow.growth",), ("1.growth",)]
 
 
 def test_what_cannot_be_chained_is_refused():

@@ -2,7 +2,7 @@
 
 In float64 with smooth limits. All numbers of an input are bumped together with random signs, and
 a few of them alone. An input that does nothing under the random policy is judged where it does
-something, at low, middle or high actions.
+something, at low, middle or high actions. Inputs that move no path (`in_mean`) are not judged here.
 """
 
 from dataclasses import replace
@@ -14,6 +14,7 @@ from jaxtyping import PyTree
 from snapo.engine.transpose import pull_back
 from snapo.problem import inputs as inputs_
 from snapo.problem.prepare import prepare
+from snapo.problem.problem import in_mean
 from snapo.problem.simulator import Simulator
 
 from .derivatives import NOT_DIFFERENTIABLE
@@ -36,7 +37,7 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
             gradients.append(_gradients(simulator, inputs, runs[len(gradients)]))
         return gradients[k][name]
 
-    rng = np.random.default_rng(seed + 2)
+    rng, together = np.random.default_rng(seed + 2), in_mean(simulator, inputs)
     for entry in inputs_.named(inputs):
         if not entry.input.value.size:
             continue
@@ -50,6 +51,8 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
                 "The derivative of the schedule by it is not finite.",
                 NOT_DIFFERENTIABLE,
             )
+            continue
+        if entry.name in together:
             continue
         for label, direction in _directions(entry, rng):
             pairs = [_Comparison(simulator, inputs, run, entry, direction, found) for run in judged]

@@ -197,6 +197,14 @@ class Chain(Simulator):
         ]
         return tuple(dict.fromkeys(found))
 
+    def in_mean(self) -> tuple[str, ...]:
+        # By every name that a stage's input may have: shared by all, or of one place or name.
+        found = []
+        for i, stage in enumerate(self.stages):
+            of = ("", f"{i}.", *(f"{name}." for name in self.names[i : i + 1]))
+            found += [prefix + name for prefix in of for name in stage.in_mean()]
+        return tuple(dict.fromkeys(found))
+
     def state_scale(self, constants):
         first = jax.eval_shape(lambda: self.initial(constants, jnp.zeros(self.initial_noise_size)))
         scales = []

@@ -120,7 +120,7 @@ def plain(inputs: PyTree) -> PyTree:
 def named(inputs: PyTree) -> list[Named]:
     """All inputs in tree order with their names."""
     found = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]
-    return [Named(_name(path), leaf) for path, leaf in found if is_input(leaf)]
+    return [Named(name_of(path), leaf) for path, leaf in found if is_input(leaf)]
 
 
 def values(inputs: PyTree) -> list[np.ndarray]:
@@ -137,7 +137,8 @@ def replace(inputs: PyTree, new: Sequence[Any]) -> PyTree:
     return jax.tree.map(lambda x: next(remaining) if is_input(x) else x, inputs, is_leaf=is_input)
 
 
-def _name(path) -> str:
+def name_of(path) -> str:
+    """The name of the input at a path of JAX's in the tree of inputs."""
     parts = [
         getattr(key, "name", None) or str(getattr(key, "key", getattr(key, "idx", key)))
         for key in path

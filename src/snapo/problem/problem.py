@@ -13,6 +13,7 @@ from jaxtyping import PyTree
 from . import inputs as inputs_
 from .actions import Actions
 from .limits import Limit, priced
+from .noise import base as noise
 from .objective import Objective
 from .prepare import prepare
 from .scenarios import Sources
@@ -90,6 +91,11 @@ class Problem:
         """The inputs by name, in the order of sensitivity tables."""
         return {entry.name: entry.input for entry in inputs_.named(self.inputs)}
 
+    @property
+    def in_mean(self) -> tuple[str, ...]:
+        """The inputs whose derivative is right in the mean of many paths alone."""
+        return in_mean(self.simulator, self.inputs)
+
     def at(self, values: dict[str, Any]) -> "Problem":
         """The same problem where the inputs named have other values.
 
@@ -112,6 +118,13 @@ class Problem:
 
         moved = jax.tree.map(put, self.inputs, is_leaf=inputs_.is_input)
         return replace(self, inputs=moved)
+
+
+def in_mean(simulator: Simulator, inputs: PyTree) -> tuple[str, ...]:
+    """The inputs whose derivative is right in the mean of many paths alone: those that the
+    simulator names, and the parameters of every noise whose draws are separate values."""
+    given = {*simulator.in_mean(), *noise.in_mean(inputs)}
+    return tuple(entry.name for entry in inputs_.named(inputs) if entry.name in given)
 
 
 def _first(values: np.ndarray) -> str:

@@ -96,7 +96,8 @@ class Simulator(eqx.Module):
 
     def in_mean(self) -> tuple[str, ...]:
         """Names of inputs whose derivative on one path is no difference of that path: parameters of
-        draws in whole units, say, right in the mean of many. A certificate takes the mean's."""
+        draws in whole units, say, right in the mean of many. A certificate takes the mean's.
+        Parameters of `snapo.noise` are known without."""
         return ()
 
     def state_scale(self, constants: PyTree) -> State | None:

@@ -108,9 +108,9 @@ def certify_derivatives(
 ) -> list[Bump]:
     """`bump_check` at the reported inputs; where most paths meet a kink there, also near them.
 
-    Without the inputs of `Simulator.in_mean`, see `in_the_mean`.
+    Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """
-    pathwise = set(problem.named) - set(problem.simulator.in_mean())
+    pathwise = set(problem.named) - set(problem.in_mean)
     found = bump_check(problem, policy, paths, only=pathwise, engine=engine)
     crowded = {bump.input for bump in found if bump.crossing > CROWDED}
     if not crowded:
@@ -120,10 +120,10 @@ def certify_derivatives(
 
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
-    """Rows as those of `Bump`, of the inputs of `Simulator.in_mean`: the derivative that is nearer
+    """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the derivative that is nearer
     to a move of all their numbers by a hundredth, in three standard errors of the difference."""
     found = []
-    for name in problem.simulator.in_mean():
+    for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:
             continue
         step = float(np.max(np.abs(hundredth(problem.named[name]))))

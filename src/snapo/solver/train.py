@@ -246,7 +246,8 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             return _windowed(loop, progress, length)
         # Near an optimum gradients leap up and down as well, and a clip would bend them.
         wild = wild and horizon.grows(measured.whole)
-        if wild and training.keep == "auto":
+        # Nor is a share of the adjoints kept back where training leaves what was wild by itself.
+        if wild and training.keep == "auto" and not horizon.fell(norms):
             progress = replace(progress, keep=horizon.share(measured.whole))
     if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
         progress = _clipped(loop, progress, smooth)

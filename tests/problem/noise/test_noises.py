@@ -7,6 +7,8 @@ import pytest
 from scipy import stats
 
 from snapo import noise
+from snapo.problem.inputs import Input, named
+from snapo.problem.noise.base import in_mean
 from snapo.problem.noise.counter import normal, threefry
 
 N = 20_000
@@ -147,3 +149,19 @@ def test_gamma_quantiles_and_their_derivative_by_the_shape():
 def test_refused(make, words):
     with pytest.raises(ValueError, match=words):
         make()
+
+
+def test_parameters_of_separate_draws_are_right_in_the_mean_alone():
+    """By the names of the inputs; those of draws that move along a path are not among them."""
+    inputs = {
+        "both": noise.Correlated(
+            {"calls": noise.Poisson(Input(4.0)), "price": noise.LogNormal(Input(0.0), 0.2)},
+            Input([0.3]),
+        ),
+        "regimes": [noise.Markov(Input([[0.9, 0.1], [0.5, 0.5]]))],
+        "fails": noise.Binomial(0.1),
+        "size": noise.Gamma(Input(2.0), 1.0),
+        "rate": Input(0.03),
+    }
+    assert set(in_mean(inputs)) == {"both.noises.calls.mean", "regimes.0.transition"}
+    assert set(in_mean(inputs)) < {entry.name for entry in named(inputs)}

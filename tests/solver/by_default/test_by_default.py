@@ -76,6 +76,16 @@ def test_cart_and_pole(seed):
     assert share > 0.9 and seconds < LIMIT
 
 
+@pytest.mark.prove
+def test_a_share_of_the_adjoints_goes_on_where_gradients_stay_wild():
+    """A cart and pole: chosen after the first twenty steps, and told with the verdict."""
+    few = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+    solution = snapo.solve(problems.cart(), training=snapo.Training(steps=25), evaluation=few)
+    shares = [record.keep for record in solution.history]
+    assert set(shares[:20]) == {1.0} and 0.9 < shares[-1] < 1.0
+    assert "went on at every step back" in " ".join(solution.notes)
+
+
 @pytest.fixture(scope="module")
 def known():
     """The rule of dual dynamic programming on fresh inflows: its costs [N], and their noise."""

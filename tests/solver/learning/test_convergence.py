@@ -160,8 +160,13 @@ def test_a_regulator_by_default_settings_reaches_its_closed_form(seed):
     solution = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(seed=seed))
     best = snapo.evaluate(problem, Linear(-gain), 8192)
     assert best.value == pytest.approx(-cost, abs=4 * best.standard_error)
+    print(f"seed {seed}: {best.value - solution.value:.2g} of {cost:.5g} short")
     assert solution.value > best.value - 0.005 * cost
-    assert solution.convergence == "converged" and not solution.notes
+    # Early adjoints grow 2,000-fold, and a note tells of it. Where only a share of them went on, as
+    # in chaos, training ended .1 % short: a policy that leaves an unstable plant's first gradients
+    # behind needs none.
+    assert solution.convergence == "converged" and solution.history[-1].keep == 1.0
+    assert all("Adjoints grow" in note for note in solution.notes)
     if seed == 0:
         never = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(clip=None))
         assert never.value < -1.5 * cost

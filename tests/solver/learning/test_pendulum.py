@@ -36,10 +36,10 @@ class Pendulum(snapo.Simulator):
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(10))
 def test_a_pendulum_by_default_settings_is_swung_up(seed):
     """At least -160 on the mean of 8,192 starts (dynamic programming: -137.9, SAC -157), in less
-    than 60 seconds of all processors together; -643 on the whole horizon, clipped."""
+    than 60 seconds of all processors together."""
     evaluation = snapo.Evaluation(paths=8192, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
     started = time.process_time()
     solution = snapo.solve(
@@ -48,7 +48,9 @@ def test_a_pendulum_by_default_settings_is_swung_up(seed):
         training=snapo.Training(seed=seed),
         evaluation=evaluation,
     )
-    assert time.process_time() - started < 60
+    spent = time.process_time() - started
+    print(f"seed {seed}: {solution.value:.2f} in {spent:.0f} s of processor time")
+    assert spent < 60
     assert solution.value > -160
     assert "windows of" in " ".join(solution.notes)
     assert solution.growth is not None and "a hundredfold before step" in solution.growth.words()

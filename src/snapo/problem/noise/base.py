@@ -26,7 +26,7 @@ from jax.core import Tracer
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float, PyTree
 
-from ..inputs import Input
+from ..inputs import Input, is_input, name_of
 
 
 class Noise(eqx.Module):
@@ -35,6 +35,8 @@ class Noise(eqx.Module):
     **Attributes:**
 
     - `size`: the number of standard normals that one draw takes.
+    - `separate`: whether draws are separate values (whole numbers, regimes), so that a parameter
+      that moves a little moves no path, or a few by a whole value: see `Simulator.in_mean`.
 
     Fields are its parameters: numbers, arrays, or `Input`s that `Simulator.prepare` receives as
     plain arrays. The derivative by a parameter is that of `draw`: where a draw jumps, it is zero
@@ -51,6 +53,7 @@ class Noise(eqx.Module):
     """
 
     size: ClassVar[int] = 1
+    separate: ClassVar[bool] = False
 
     def prepare(self) -> "Noise":
         """The same noise with all that no path changes worked out, for `Simulator.prepare`."""
@@ -136,6 +139,20 @@ def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> N
     raise ValueError(
         f"{type(noise).__name__}: {name} is {value.tolist()}; allowed is above {low:g}{above}."
     )
+
+
+def in_mean(inputs: PyTree) -> tuple[str, ...]:
+    """The names, as those of `inputs.named`, of the inputs that are parameters of separate draws."""
+
+    def separate(each: Any) -> bool:
+        return isinstance(each, Noise) and each.separate
+
+    found = []
+    for above, noise in jax.tree_util.tree_flatten_with_path(inputs, is_leaf=separate)[0]:
+        if separate(noise):
+            below = jax.tree_util.tree_flatten_with_path(noise, is_leaf=is_input)[0]
+            found += [name_of((*above, *path)) for path, leaf in below if is_input(leaf)]
+    return tuple(found)
 
 
 def _is_noise(each: Any) -> bool:

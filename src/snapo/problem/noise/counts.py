@@ -31,6 +31,8 @@ ROOM = 1.5  # parameters may rise by a half
 class Drawn(Noise):
     """A distribution on 0, 1, …: F, the chances above, the chances, and the slope of a draw."""
 
+    separate = True
+
     below: Float[Array, " K"]
     above: Float[Array, " K"]
     chance: Float[Array, " K"]
@@ -75,6 +77,8 @@ class Counts(Noise):
     quadratic between whole numbers; `weigh` gives a number and its likelihood, which is right
     always. `most` is static, and follows from the parameters where these are known.
     """
+
+    separate = True
 
     most: eqx.AbstractVar[int]
 

@@ -27,6 +27,8 @@ class Markov(Noise):
       and derivatives are those of the chances so made.
     """
 
+    separate = True
+
     transition: Any = parameter()
 
     def __check_init__(self):
