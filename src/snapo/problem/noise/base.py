@@ -142,7 +142,7 @@ def refuse(noise: Noise, name: str, low: float = 0.0, high: float = np.inf) -> N
 
 
 def in_mean(inputs: PyTree) -> tuple[str, ...]:
-    """The names, as those of `inputs.named`, of the inputs that are parameters of separate draws."""
+    """The names of the inputs (see `inputs.named`) that are parameters of separate draws."""
 
     def separate(each: Any) -> bool:
         return isinstance(each, Noise) and each.separate
