@@ -30,11 +30,13 @@ def problem(name):
         return module.Reservoir(), module.inputs, snapo.Mean("cash")
     if name == "american_put":
         return module.Put(), module.inputs, snapo.Mean("cash")
+    if name == "max_call":
+        return module.MaxCall(), module.inputs, snapo.Mean("cash")
     objective = module.objective() if name == "portfolio" else snapo.Mean("value")
     return module.simulator(), module.inputs(), objective
 
 
-NAMES = ("own_simulator", "american_put", "battery", "portfolio")
+NAMES = ("own_simulator", "american_put", "max_call", "battery", "portfolio")
 
 
 def test_the_readme_example_is_short():
@@ -42,7 +44,7 @@ def test_the_readme_example_is_short():
     assert len(lines) <= 30 and max(map(len, lines)) <= 100
 
 
-SLOWER = [*NAMES[:2], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[2:])]
+SLOWER = [*NAMES[:3], *(pytest.param(name, marks=pytest.mark.study) for name in NAMES[3:])]
 
 
 @pytest.mark.prove

@@ -17,41 +17,13 @@ from snapo.solver.learning.following import fitted
 from snapo.study import commands
 from snapo.study.commands import Asked
 
-CALL = '''
-import jax.numpy as jnp
-import snapo
+CALL = """
+from examples import max_call
 
 
-class MaxCall(snapo.Simulator):
-    """The right to buy the best of five shares, on nine dates in three years and at the end."""
-
-    horizon, noise_size = 9, 5
-    action = snapo.Stop()
-
-    def prepare(self, inputs):
-        year = jnp.arange(9.0) / 3
-        drift = (inputs["rate"] - inputs["dividend"] - inputs["volatility"] ** 2 / 2) / 3
-        moves = {"drift": drift, "deviation": inputs["volatility"] / 3**0.5}
-        steps = {"left": 1 - year / 3, "discount": jnp.exp(-inputs["rate"] * year)}
-        return snapo.Schedule({**inputs, **moves}, steps)
-
-    def initial(self, terms, noise):
-        return {"spots": jnp.full(5, terms["spot"]), "right": self.action.initial()}
-
-    def observe(self, terms, now, state):
-        ordered = jnp.sort(2 * jnp.log(state["spots"] / terms["strike"]))
-        return jnp.concatenate([ordered, now["left"][None]])
-
-    def step(self, terms, now, state, action, noise, smooth):
-        right, used = self.action.use(state["right"], action)
-        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
-        spots = state["spots"] * jnp.exp(terms["drift"] + terms["deviation"] * noise)
-        return {"spots": spots, "right": right}, {"cash": used * now["discount"] * payoff}
-
-    def terminal(self, terms, state, smooth):
-        payoff = jnp.maximum(state["spots"].max() - terms["strike"], 0.0)
-        return {"cash": self.action.left(state["right"]) * jnp.exp(-3 * terms["rate"]) * payoff}
-'''
+class MaxCall(max_call.MaxCall):
+    noise_size: int = 5
+"""
 
 CASE = """
 kind = "own"

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from benchmarks import stopping
-from examples import american_put
+from examples import american_put, max_call
 
 import snapo
 from snapo.problem.smooth import Exact
@@ -206,7 +206,7 @@ def test_a_max_call_of_five_beside_a_size_or_under_a_policy_with_memory(kind, po
     assert solution.value == pytest.approx(value, rel=0.005)
 
 
-class SizedCall(stopping.MaxCall):
+class SizedCall(max_call.MaxCall):
     """A max-call of which nine tenths or more are used."""
 
     action: snapo.Product = snapo.Product(stop=snapo.Stop(), size=snapo.Box(1, 0.9, 1.0))  # pyright: ignore
