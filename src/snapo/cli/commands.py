@@ -115,6 +115,7 @@ def _solve(options: argparse.Namespace) -> Answer:
         engine=options.engine,
         reference=options.reference,
         resume=options.resume,
+        policy=options.policy,
     )
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
 
@@ -180,6 +181,10 @@ def summary(result: Mapping[str, Any]) -> str:
     for name, value in (result.get("references") or {}).items():
         if value is not None:
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}")
+    start = result.get("start") or {}
+    for key, name in (("before", "given policy"), ("value", "gained over it")):
+        if start.get(key) is not None and "before" in start:
+            lines.append(f"{name:<24}{_figure(start[key]):>16}")
     seconds = (result.get("seconds") or {}).get("total")
     if seconds is not None:
         lines.append(f"{'seconds':<24}{seconds:>16,.1f}")

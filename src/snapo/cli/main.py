@@ -85,6 +85,12 @@ def _add_solve(commands) -> None:
         "--reference", action="store_true", help="compute the exact references as well"
     )
     solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    solve.add_argument(
+        "--policy",
+        metavar="RUN",
+        type=Path,
+        help="begin with the policy of this run (or of a file of policy.save), not with a new one",
+    )
 
 
 def _add_certify(commands) -> None:

@@ -8,6 +8,8 @@ parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
 adjoints.csv        how adjoints grow by step, where training measured them
 groups.npz          what independent groups of paths are worth, by which runs are compared
+start.npz           the policy with which training began, where one was given
+seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
 report.html
 """
 
@@ -35,9 +37,11 @@ RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
+START = "start.npz"  # the policy with which training began, where one was given
+SEEDS = "seeds.csv"  # one row for each seed, where several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
-    GROWTH, "profile.csv", "decisions.csv",
+    GROWTH, START, SEEDS, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
