@@ -143,7 +143,7 @@ def asked(monkeypatch):
 
 def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
     options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
-    options += ["--policy", "before"]
+    options += ["--policy", "before", "--seeds", "0,3"]
     assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
@@ -153,6 +153,7 @@ def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
         "reference": True,
         "resume": True,
         "policy": Path("before"),
+        "seeds": (0, 3),
     }
     assert "12.50" in capsys.readouterr().out
 
@@ -162,7 +163,7 @@ def test_solve_has_defaults(asked):
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
     bare = {"out": None, "engine": "auto", "reference": False, "resume": False}
-    assert given == {**bare, "policy": None}
+    assert given == {**bare, "policy": None, "seeds": None}
 
 
 def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):

@@ -139,7 +139,7 @@ def load(asked: Asked) -> Loaded:
 def check(asked: Asked, tell: "Tell") -> list[str]:
     """The case in a few lines; nothing is trained."""
     loaded = load(asked)
-    _remarks(loaded, tell)
+    remarks(loaded, tell)
     return loaded.domain.check(loaded.case)
 
 
@@ -152,22 +152,28 @@ def solve(
     reference: bool = False,
     resume: bool = False,
     policy: Path | None = None,
+    seeds: int | Sequence[int] | None = None,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default `run` beside the case.
 
-    `policy`: a run folder, or the file of a policy, with which training begins. Returns what
-    result.json says. On Ctrl-C the parts that are done are reported, and `KeyboardInterrupt` goes
-    on to the caller.
+    `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
+    trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
+    Returns what result.json says. On Ctrl-C the parts that are done are reported, and
+    `KeyboardInterrupt` goes on to the caller.
 
     **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
     from .solving.prepare import Wanted, carried_out, made_ready, place
 
-    began = time.perf_counter()
+    began, wanted = time.perf_counter(), Wanted(engine, reference, resume, policy)
+    if seeds is not None:
+        from .solving.seeds import solve_seeds
+
+        return solve_seeds(asked, tell, out, wanted, seeds)
     loaded = load(asked)
-    _remarks(loaded, tell)
+    remarks(loaded, tell)
     out = place(loaded, out)
-    ready = made_ready(loaded, out, Wanted(engine, reference, resume, policy))
+    ready = made_ready(loaded, out, wanted)
     return carried_out(ready, resume, tell, began)
 
 
@@ -294,6 +300,7 @@ def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
     return found
 
 
-def _remarks(loaded: Loaded, tell: "Tell") -> None:
+def remarks(loaded: Loaded, tell: "Tell") -> None:
+    """Tells the remarks on a case that its owner should see."""
     for note in loaded.case.notes:
         tell(f"note: {note}")

@@ -22,12 +22,14 @@ class Wanted(NamedTuple):
 
     - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
     - `policy`: a run folder, or the file of a policy, with which training begins.
+    - `about`: that of another run of the same case, which passed its checks for this one too.
     """
 
     engine: str = "auto"
     reference: bool = False
     resume: bool = False
     policy: Path | None = None
+    about: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,7 +78,7 @@ def made_ready(loaded: "Loaded", out: Path, wanted: Wanted) -> Ready:
         options["policy"] = given.checksum
     decides = run_folder.decisive(loaded.file, loaded.data, options)
     before = run_folder.check_same(out, decides) if wanted.resume else None
-    about = before and before.get("about")
+    about = before.get("about") if before else wanted.about
     asked = Options(wanted.engine, wanted.reference, about)
     study = loaded.domain.study(loaded.case, asked)
     if given is not None:
@@ -86,14 +88,20 @@ def made_ready(loaded: "Loaded", out: Path, wanted: Wanted) -> Ready:
     return Ready(loaded, out, decides, study)
 
 
-def carried_out(ready: Ready, resume: bool, tell: "Tell", began: float) -> dict[str, Any]:
+def carried_out(
+    ready: Ready,
+    resume: bool,
+    tell: "Tell",
+    began: float,
+    beside: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
     """Does the parts of the study; returns what result.json says.
 
-    `began`: when the command did, by `time.perf_counter()`.
+    `began`: when the command did, by `time.perf_counter()`; `beside`: seconds of other work for it.
     """
     from ..carry_out import carry_out
 
     run_folder.copy_case(ready.loaded.file, ready.out)
-    preparing = time.perf_counter() - began
+    spent = time.perf_counter() - began
     domain = ready.loaded.domain
-    return carry_out(domain, ready.study, ready.out, ready.decides, resume, tell, preparing)
+    return carry_out(domain, ready.study, ready.out, ready.decides, resume, tell, spent, beside)
