@@ -143,10 +143,18 @@ def asked(monkeypatch):
 
 def test_solve_passes_on_what_was_asked(asked, tmp_path, capsys):
     options = ["--out", str(tmp_path), "--seed", "7", "--engine", "xla", "--reference", "--resume"]
+    options += ["--policy", "before", "--seeds", "0,3"]
     assert main(["solve", "mine", *options, "--set", "a.b=1", *SIMULATOR]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), ("a.b=1", "training.seed=7"), OWN.simulator)
-    assert given == {"out": tmp_path, "engine": "xla", "reference": True, "resume": True}
+    assert given == {
+        "out": tmp_path,
+        "engine": "xla",
+        "reference": True,
+        "resume": True,
+        "policy": Path("before"),
+        "seeds": (0, 3),
+    }
     assert "12.50" in capsys.readouterr().out
 
 
@@ -154,7 +162,8 @@ def test_solve_has_defaults(asked):
     assert main(["solve", "mine"]) == 0
     case, given = asked[0]
     assert case == (Path("mine"), (), None)
-    assert given == {"out": None, "engine": "auto", "reference": False, "resume": False}
+    bare = {"out": None, "engine": "auto", "reference": False, "resume": False}
+    assert given == {**bare, "policy": None, "seeds": None}
 
 
 def test_what_libraries_print_stays_off_stdout(asked, tmp_path, capsys):

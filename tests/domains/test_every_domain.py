@@ -9,7 +9,7 @@ from tests.miniatures import MINIATURES
 
 from snapo.cli.main import main
 from snapo.study import commands
-from snapo.study.domain import Domain, find, installed
+from snapo.study.domain import Domain, Options, find, installed
 from snapo.testing.miniature import quiet
 from snapo.testing.mistakes import refusals, spoilt_files, spoilt_keys
 
@@ -72,7 +72,7 @@ def test_the_miniature_is_solved_and_its_report_can_be_written_again(
     record = json.loads((run / "run.json").read_text())
     asked = MINIATURES[kind].asked(solved(kind))
     loaded = commands.load(asked)
-    options = commands.Options(about=record["about"])
+    options = Options(about=record["about"])
     parts = loaded.domain.study(loaded.case, options).parts
     assert [each.name for each in parts] == list(record["parts"])
     assert {each["state"] for each in record["parts"].values()} == {"done"}

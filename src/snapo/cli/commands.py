@@ -115,8 +115,32 @@ def _solve(options: argparse.Namespace) -> Answer:
         engine=options.engine,
         reference=options.reference,
         resume=options.resume,
+        policy=options.policy,
+        seeds=options.seeds,
     )
     return result, summary(result), OK if result.get("status") in GOOD else FAILED
+
+
+def by_seed(found: Mapping[str, Any]) -> list[str]:
+    """The table of `--seeds` for a person."""
+    lines = [f"{'seed':>8}{'value':>18}{'below the best':>30}{'seconds':>10}   verdict"]
+    for row in found["rows"]:
+        below = "the best"
+        if row["seed"] != found["best"]:
+            below = _known(row["below_best"], row["below_best_error"])
+        verdict = ", ".join(filter(None, (row["status"], row["convergence"])))
+        value = _known(row["value"])
+        lines.append(f"{row['seed']:>8}{value:>18}{below:>30}{row['seconds']:>10,.1f}   {verdict}")
+    mean, worst, best = (_known(found[name]) for name in ("mean", "worst", "highest"))
+    spread, error = (_known(found[name]) for name in ("deviation", "standard_error"))
+    ends = f"mean {mean}, worst {worst}, best {best}; standard deviation between seeds {spread}"
+    return [*lines, f"{ends}, Monte Carlo error {error} ({found['paths']:,} common paths)"]
+
+
+def _known(value: float | None, error: float | None = None) -> str:
+    if value is None:
+        return "none"
+    return _figure(value) if error is None else f"{_figure(value)} ± {error:,.2g}"
 
 
 def _certify(options: argparse.Namespace) -> Answer:
@@ -172,7 +196,8 @@ def _bench(options: argparse.Namespace) -> Answer:
 
 def summary(result: Mapping[str, Any]) -> str:
     """The result for a person: the value, the figures beside it, and the folder of the run."""
-    lines = [f"{result.get('kind', '')}: {result.get('status', '')}"]
+    seeds = by_seed(result["seeds"]) if result.get("seeds") else []
+    lines = [*seeds, f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "standard_error", "smooth_value", "smoothing_gap"):
         if result.get(key) is not None:
             meaning = f"   {result['meaning']}" if key == "value" and result.get("meaning") else ""
@@ -180,6 +205,10 @@ def summary(result: Mapping[str, Any]) -> str:
     for name, value in (result.get("references") or {}).items():
         if value is not None:
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}")
+    start = result.get("start") or {}
+    for key, name in (("before", "given policy"), ("value", "gained over it")):
+        if start.get(key) is not None and "before" in start:
+            lines.append(f"{name:<24}{_figure(start[key]):>16}")
     seconds = (result.get("seconds") or {}).get("total")
     if seconds is not None:
         lines.append(f"{'seconds':<24}{seconds:>16,.1f}")

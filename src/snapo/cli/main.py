@@ -85,6 +85,19 @@ def _add_solve(commands) -> None:
         "--reference", action="store_true", help="compute the exact references as well"
     )
     solve.add_argument("--resume", action="store_true", help="go on with an interrupted run")
+    solve.add_argument(
+        "--policy",
+        metavar="RUN",
+        type=Path,
+        help="begin with the policy of this run (or of a file of policy.save), not with a new one",
+    )
+    solve.add_argument(
+        "--seeds",
+        metavar="N",
+        type=_seeds,
+        help="train with so many seeds from the case's own on, or with those of a list (0,3,7); "
+        "the run is that of the best",
+    )
 
 
 def _add_certify(commands) -> None:
@@ -158,6 +171,22 @@ def _add_case(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument("--seed", metavar="N", type=_seed, help="the same as --set training.seed=N")
     _add_simulator(parser)
+
+
+def _seeds(text: str) -> int | tuple[int, ...]:
+    """How many seeds, "5"; or the seeds themselves, "0,3,7"."""
+    parts = text.split(",")
+    if not all(each.isascii() and each.isdigit() and int(each) < 2**63 for each in parts):
+        what = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
+        raise argparse.ArgumentTypeError(f"{text!r} {what}")
+    found = tuple(map(int, parts))
+    if len(set(found)) < len(found):
+        raise argparse.ArgumentTypeError(f"{text!r} has a seed twice; each makes one training")
+    if len(parts) > 1:
+        return found
+    if not int(text):
+        raise argparse.ArgumentTypeError(f"{text!r} seeds are none; allowed is 1 or more")
+    return int(text)
 
 
 def _add_simulator(parser: argparse.ArgumentParser) -> None:

@@ -34,18 +34,21 @@ def carry_out(
     resume: bool,
     tell: Tell,
     preparing: float = 0.0,
+    beside: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
     """Does the parts of a study one after another, and returns what result.json says.
 
-    `preparing`: the seconds that reading the case and making the study took. A part that fails
-    leaves a note and a status; parts that need it are skipped. On Ctrl-C the parts that are done
-    are reported, and the interrupt goes on to the caller.
+    `preparing`: the seconds that reading the case and making the study took; `beside`: those of
+    other work for this run, by name. A part that fails leaves a note and a status; parts that need
+    it are skipped. On Ctrl-C the parts that are done are reported, and the interrupt goes on to the
+    caller.
     """
     record = run_folder.start(out, study.kind, decides, resume)
     run = StudyRun(study, out, tell, resume, mark=run_folder.mark(record["decides"]))
     record["about"] = run_folder.plain_json(study.about)
     run.found |= json.loads(json.dumps(record["about"]))
     _spend(record, "preparing", preparing)
+    record["beside"] |= beside or {}
     writer = _Writer(domain, run, record)
     try:
         for part in study.parts:

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from snapo.case.error import CaseError, Unquoted
 
-from .domain import Domain, Options, RunsCode, find, installed
+from .domain import Domain, RunsCode, find, installed
 
 if TYPE_CHECKING:
     from snapo.solver.bound import Penalty
@@ -139,7 +139,7 @@ def load(asked: Asked) -> Loaded:
 def check(asked: Asked, tell: "Tell") -> list[str]:
     """The case in a few lines; nothing is trained."""
     loaded = load(asked)
-    _remarks(loaded, tell)
+    remarks(loaded, tell)
     return loaded.domain.check(loaded.case)
 
 
@@ -151,41 +151,30 @@ def solve(
     engine: str = "auto",
     reference: bool = False,
     resume: bool = False,
+    policy: Path | None = None,
+    seeds: int | Sequence[int] | None = None,
 ) -> dict[str, Any]:
     """Carries out the study of a case into the folder `out`, by default `run` beside the case.
 
+    `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: how many
+    trainings from the seed of the case on, or the seeds themselves; the run is that of the best.
     Returns what result.json says. On Ctrl-C the parts that are done are reported, and
     `KeyboardInterrupt` goes on to the caller.
+
+    **Raises:** `CaseError` where the case has a mistake, or the policy does not fit it.
     """
-    from . import run_folder
-    from .cores import use_every_core
+    from .solving.prepare import Wanted, carried_out, made_ready, place
 
-    began = time.perf_counter()
+    began, wanted = time.perf_counter(), Wanted(engine, reference, resume, policy)
+    if seeds is not None:
+        from .solving.seeds import solve_seeds
+
+        return solve_seeds(asked, tell, out, wanted, seeds)
     loaded = load(asked)
-    _remarks(loaded, tell)
-    out = out or loaded.file.parent / "run"
-    try:
-        same = out.resolve() == loaded.file.parent.resolve()
-    except (OSError, RuntimeError):  # links in a circle
-        what = "this cannot be the name of a folder: its links go in a circle"
-        raise CaseError(str(out), "", None, what) from None
-    if same:
-        what = "this is the folder of the case; a run has a folder of its own"
-        raise CaseError("--out", "", Unquoted(str(out)), what)
-    run_folder.check_writable(out)
-    use_every_core()
-    from .carry_out import carry_out
-
-    options = {"engine": engine}
-    if isinstance(loaded.domain, RunsCode):
-        options |= loaded.domain.decides(loaded.case)
-    decides = run_folder.decisive(loaded.file, loaded.data, options)
-    before = run_folder.check_same(out, decides) if resume else None
-    about = before and before.get("about")
-    study = loaded.domain.study(loaded.case, Options(engine, reference, about))
-    run_folder.copy_case(loaded.file, out)
-    preparing = time.perf_counter() - began
-    return carry_out(loaded.domain, study, out, decides, resume, tell, preparing)
+    remarks(loaded, tell)
+    out = place(loaded, out)
+    ready = made_ready(loaded, out, wanted)
+    return carried_out(ready, resume, tell, began)
 
 
 def certify(
@@ -311,6 +300,7 @@ def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
     return found
 
 
-def _remarks(loaded: Loaded, tell: "Tell") -> None:
+def remarks(loaded: Loaded, tell: "Tell") -> None:
+    """Tells the remarks on a case that its owner should see."""
     for note in loaded.case.notes:
         tell(f"note: {note}")

@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from snapo.report.page import Page, render
+from snapo.report.sections.seeds import seeds
 from snapo.solver.files import write_text
 
 from .domain import Domain
@@ -17,10 +18,13 @@ def write_report(domain: Domain, folder: Path) -> Path:
     """
     told = domain.report()
     run = told.folder.read(folder)
+    sections = [section(run) for section in told.sections]
+    if run.get("by_seed"):
+        sections.insert(1, seeds(run))
     page = Page(
         title=str(run.get("title") or told.title),
         about=[(name, value) for name, value in told.about(run) if value],
-        sections=[section(run) for section in told.sections],
+        sections=sections,
         footer=_footer(run.get("versions.snapo")),
     )
     write_text(folder / REPORT, render(page))

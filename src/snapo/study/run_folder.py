@@ -8,6 +8,8 @@ parts/NAME.json     the tables of one part
 checkpoint.npz, policy.npz, solution.npz, history.csv, sensitivities.csv     of the training
 adjoints.csv        how adjoints grow by step, where training measured them
 groups.npz          what independent groups of paths are worth, by which runs are compared
+start.npz           the policy with which training began, where one was given
+seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
 report.html
 """
 
@@ -27,7 +29,7 @@ from snapo.case.error import CaseError
 from snapo.report.whole import changed_files, checksum, is_sealed, sealed
 from snapo.solver.files import write_text
 from snapo.solver.provenance.versions import versions
-from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION
+from snapo.solver.solution import GROWTH, HISTORY, POLICY, SENSITIVITIES, SOLUTION, VERDICTS
 
 from .study import Part
 
@@ -35,9 +37,11 @@ RUN, RESULT, CASE, PARTS = "run.json", "result.json", "case", "parts"
 CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
+START = "start.npz"  # the policy with which training began, where one was given
+SEEDS = "seeds.csv"  # one row for each seed, where several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, SOLUTION, HISTORY, SENSITIVITIES,
-    GROWTH, "profile.csv", "decisions.csv",
+    VERDICTS, GROWTH, START, SEEDS, "profile.csv", "decisions.csv",
 )  # fmt: skip
 LAYOUT = 3  # of the folder; it grows when older runs can no longer be read
 CASE_FILES = (".toml", ".csv", ".npy", ".parquet", ".py")
@@ -129,6 +133,18 @@ def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
 def _written(out: Path) -> list[Path]:
     """The files of an earlier run that a report would read; nothing else is touched."""
     return [*(out / PARTS).glob("*.json"), *(out / name for name in WRITTEN)]
+
+
+def become(out: Path, source: Path) -> None:
+    """Puts the run of another folder in the place of the one that is here; its report is not
+    taken."""
+    (out / PARTS).mkdir(parents=True, exist_ok=True)
+    for each in _written(out):
+        each.unlink(missing_ok=True)
+    shutil.copytree(source / CASE, out / CASE, dirs_exist_ok=True)
+    for each in [*source.iterdir(), *(source / PARTS).glob("*.json")]:
+        if each.is_file() and each.name not in (REPORT, PDF, TABLES):
+            shutil.copyfile(each, out / each.relative_to(source))
 
 
 def save(out: Path, record: Mapping[str, Any]) -> None:

@@ -18,7 +18,7 @@ def template(size: str):
 
 def test_the_domain_fits_its_protocol():
     assert isinstance(DOMAIN, Domain)
-    assert set(SIZES) == set(TYPES)
+    assert set(SIZES) == {*TYPES, "measured"}
 
 
 @pytest.mark.parametrize("size", SIZES)
@@ -26,8 +26,9 @@ def test_a_template_has_the_numbers_of_its_plant(size):
     """A case that says all numbers is the one that says none, but where they must be said."""
     file, data = template(size)
     case = DOMAIN.read(file, data)
-    plant = TYPES[size]
-    assert type(case.plant) is plant and case.plant.horizon == plant.steps
+    plant = TYPES[data["plant"]["type"]]
+    assert type(case.plant) is plant
+    assert case.plant.horizon == (40 if size == "measured" else plant.steps)
     for group, known in (("plant", plant.parameters), ("cost", plant.weights)):
         for name, each in known.items():
             if each.value is not None and np.isfinite(each.value):
@@ -54,6 +55,15 @@ WRONG = [
     ("linear-quadratic", ("cost", "Q"), [[1.0, 2.0], [0.0, 1.0]], "symmetric"),
     ("linear-quadratic", ("start", "x"), {"at": [1.0, 2.0, 3.0]}, "2 numbers"),
     ("linear-quadratic", ("noise", "x"), [[1.0, 2.0], [3.0]], "the same length"),
+    ("pendulum", ("measurement", "angel"), 0.1, "the nearest known key is angle"),
+    ("pendulum", ("measurement", "angle"), -0.1, "at least 0"),
+    ("pendulum", ("measurement", "angle"), [0.1, 0.1], "this state is one number"),
+    ("pendulum", ("measurement", "angle"), "much", "allowed are numbers"),
+    ("measured", ("measurement", "x"), 0.1, "allowed are 2 numbers"),
+    ("measured", ("measurement", "x"), [[0.1, 0.0], [0.0, 0.1]], "with one for each number"),
+    ("measured", ("policy", "memory"), "LSTM", '"GRU" (a recurrent network)'),
+    ("measured", ("policy", "hidden"), [16, 16], "a list of one width"),
+    ("measured", ("policy", "steps"), 4, 'only memory = "Recent"'),
 ]
 
 

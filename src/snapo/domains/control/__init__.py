@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 
 KIND = "control"
 SIZES = (
-    "pendulum", "mountain-car", "cart-pole", "double-integrator", "linear-quadratic", "two-tanks",
-    "quadrotor",
+    "pendulum", "mountain-car", "cart-pole", "double-integrator", "linear-quadratic", "measured",
+    "two-tanks", "quadrotor",
 )  # fmt: skip
 
 

@@ -5,8 +5,9 @@ from typing import Any
 
 import numpy as np
 
+from .kalman import estimation_cost
 from .plants.linear import LinearQuadratic
-from .plants.plant import Plant
+from .plants.plant import MEASURED, Plant
 from .riccati import Riccati, expected_cost, linearised, riccati
 
 
@@ -34,4 +35,10 @@ def optimum(plant: Plant, values: Mapping[str, Any]) -> float | None:
     if "x" in values["noise"]:
         given = values["noise"]["x"]
         shocks = given @ np.swapaxes(given, -1, -2)
-    return -expected_cost(found, np.asarray(mean), spread, shocks)
+    best = expected_cost(found, np.asarray(mean), spread, shocks)
+    if not plant.measured:
+        return -best
+    if "low" in start:  # not normal: Kalman's filter is the best linear one alone
+        return None
+    linear, errors = linearised(plant, values["plant"], values["cost"]), values[MEASURED]["x"]
+    return -best - estimation_cost(linear, found, spread, shocks, np.diag(errors**2))

@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 
-from .plants.plant import Parameter, Plant, Quantity
+from .plants.plant import MEASURED, Parameter, Plant, Quantity
 
 Inputs = dict[str, dict[str, Any]]
 START_WORDS = {
@@ -22,20 +22,24 @@ def make_inputs(
     cost: Mapping[str, Any] | None = None,
     start: Mapping[str, Mapping[str, Any]] | None = None,
     noise: Mapping[str, Any] | None = None,
+    measurement: Mapping[str, Any] | None = None,
 ) -> Inputs:
-    """{"plant", "cost", "start", "noise"} of a plant, its own numbers where none are given.
+    """{"plant", "cost", "start", "noise", "measurement"} of a plant, its own numbers where none are
+    given.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
     - `noise`: {state: standard deviation of a step's disturbance}; or a matrix that multiplies
       normals, or one for every step.
+    - `measurement`: {state: standard deviation of the error with which it is seen}.
 
     **Raises:** `KeyError` for a name that the plant does not have.
     """
     starts = {name: each.start or {} for name, each in plant.states.items()} | dict(start or {})
-    shaken = noise or {}
-    for given, known in ((starts, plant.states), (shaken, plant.states)):
-        if unknown := set(given) - set(known):
-            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {list(known)}.")
+    shaken, blurred = noise or {}, measurement or {}
+    for given in (starts, shaken, blurred):
+        if unknown := set(given) - set(plant.states):
+            known = list(plant.states)
+            raise KeyError(f"{plant.type}: no state {sorted(unknown)}; there are {known}.")
     if silent := [name for name, each in starts.items() if not each]:
         raise KeyError(f"{plant.type}: give the start of {', '.join(silent)}.")
     return {
@@ -43,6 +47,7 @@ def make_inputs(
         "cost": _each(plant.type, plant.weights, cost or {}, "cost"),
         "start": {name: _start(plant.states[name], starts[name]) for name in plant.states},
         "noise": {name: _noise(plant.states[name], shaken[name]) for name in shaken},
+        MEASURED: {name: _error(plant.states[name], blurred[name]) for name in blurred},
     }
 
 
@@ -75,6 +80,11 @@ def _start(state: Quantity, given: Mapping[str, Any]) -> dict[str, Input]:
 def _noise(state: Quantity, value: Any) -> Input:
     words = f"standard deviation of a step's disturbance of the {state.words}"
     return Input(value, state.unit, words=words, group="disturbance", move=_move(value))
+
+
+def _error(state: Quantity, value: Any) -> Input:
+    words = f"standard deviation of the error with which the {state.words} is measured"
+    return Input(value, state.unit, words=words, group=MEASURED, move=_move(value))
 
 
 def _move(value: Any) -> float | None:

@@ -17,13 +17,21 @@ from snapo.case.settings import (
     read_training,
 )
 from snapo.case.table import parse
+from snapo.problem.policies.memory import GRU, Memory, Recent
+from snapo.problem.policy import MLP, Policy
 
 from .inputs import make_inputs
 from .plants.plant import Plant
 from .plants.registry import TYPES
 from .records import ControlCase
-from .starts import read_noise, read_starts
+from .starts import read_measurement, read_noise, read_starts
 from .tables import CaseTable, PolicyTable, cost_table, plant_table
+
+WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
+BLIND = (
+    "States are measured with errors, and the policy remembers nothing of earlier ones: "
+    '`[policy] memory = "GRU"` lets it.'
+)
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
@@ -36,26 +44,43 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     evaluation = read_evaluation(table.evaluation, name)
     objective = read_objective(table.objective, name)
     check_window(training, [objective.kind], name)
-    hidden = parse(PolicyTable, table.policy, name, "policy").hidden
+    recipe = _recipe(parse(PolicyTable, table.policy, name, "policy"), name)
     parameters = {key: getattr(chosen, key) for key in plant.parameters}
     weights = {key: getattr(cost, key) for key in plant.weights}
     starts = read_starts(plant, table.start, name)
     noise = read_noise(plant, table.noise, name)
-    inputs = make_inputs(plant, _given(parameters), _given(weights), starts, noise)
+    blur = read_measurement(plant, table.measurement, name)
+    inputs = make_inputs(plant, _given(parameters), _given(weights), starts, noise, blur)
     for key, value, what in plant.faults(_values(inputs)):
         raise CaseError(name, key, value, what)
     return ControlCase(
         file=file,
-        notes=(),
+        notes=(BLIND,) if blur and not isinstance(recipe, Memory) else (),
         title=table.title or plant.words,
         plant=plant(inputs, chosen.horizon, chosen.clock),
         inputs=inputs,
         objective=make_objective(objective, "reward"),
         objective_words=_words(objective),
-        hidden=None if hidden is None else tuple(hidden),
+        recipe=recipe,
         training=training,
         evaluation=evaluation,
     )
+
+
+def _recipe(table: PolicyTable, name: str) -> Policy:
+    """The policy of `[policy]`, with or without a memory."""
+    hidden = None if table.hidden is None else tuple(table.hidden)
+    if table.steps is not None and table.memory != "Recent":
+        what = 'only memory = "Recent" has a number of steps'
+        raise CaseError(name, "policy.steps", table.steps, what)
+    if table.memory == "Recent":
+        return Recent(table.steps or WINDOW, MLP(hidden=hidden))
+    if table.memory is None:
+        return MLP(hidden=hidden)
+    if hidden is not None and len(hidden) != 1:
+        what = 'a "GRU" has one layer: allowed is a list of one width, [16], or left out'
+        raise CaseError(name, "policy.hidden", list(hidden), what)
+    return GRU(hidden=None if hidden is None else hidden[0])
 
 
 def _plant(data: Mapping[str, Any], name: str) -> type[Plant]:

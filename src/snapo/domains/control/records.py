@@ -5,6 +5,7 @@ from pathlib import Path
 
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.objective import Objective
+from snapo.problem.policy import Policy
 
 from .inputs import Inputs
 from .plants.plant import Plant
@@ -14,7 +15,7 @@ from .plants.plant import Plant
 class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
-    - `hidden`: widths of the policy's layers, if they are given; `objective_words`: "mean reward".
+    - `recipe`: of the policy that is trained; `objective_words`: "mean reward".
     """
 
     file: Path
@@ -24,6 +25,6 @@ class ControlCase:
     inputs: Inputs
     objective: Objective
     objective_words: str
-    hidden: tuple[int, ...] | None
+    recipe: Policy
     training: FollowingTable
     evaluation: EvaluationTable

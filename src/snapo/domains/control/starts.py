@@ -1,4 +1,4 @@
-"""`[start]` and `[noise]`: the distribution of the first state, and disturbances of every step."""
+"""`[start]`, `[noise]`, `[measurement]`: first state, disturbances, errors of measurement."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -37,6 +37,20 @@ def read_noise(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[s
         if numbers.ndim < 2 and np.any(numbers < 0):
             raise CaseError(name, f"noise.{key}", value, "a standard deviation is at least 0")
         found[key] = np.diag(numbers) if numbers.ndim == 1 else numbers
+    return found
+
+
+def read_measurement(plant: type[Plant], data: Mapping[str, Any], name: str) -> dict[str, Any]:
+    """{state: standard deviations of the errors with which it is seen} of the states named."""
+    _known(plant, data, name, "measurement")
+    found = {}
+    for key, value in data.items():
+        found[key] = _numbers(value, name, f"measurement.{key}")
+        if found[key].ndim > 1 or np.any(found[key] < 0):
+            what = (
+                "allowed is a standard deviation of at least 0, or a list with one for each number"
+            )
+            raise CaseError(name, f"measurement.{key}", value, what)
     return found
 
 

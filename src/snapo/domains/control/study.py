@@ -6,7 +6,6 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.inputs import named
-from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
@@ -19,7 +18,7 @@ from snapo.study.ready import at_values, following
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
-from .plants.plant import Plant
+from .plants.plant import MEASURED, Plant
 from .records import ControlCase
 from .results.gymnasium import gymnasium_part
 from .results.plane import plane_part
@@ -49,6 +48,7 @@ def unit(text: str) -> str:
 def units(plant: Plant) -> dict[str, str]:
     """{state or action: unit}; an action is told as the share of its limit, as it is trained."""
     found = {name: each.unit for name, each in plant.states.items() if each.unit != "1"}
+    found |= {f"{MEASURED}.{name}": found[name] for name in plant.measured if name in found}
     return found | {"action": "share of its limit"} if _bounded(plant) else found
 
 
@@ -118,4 +118,4 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     problem = Problem(case.plant, case.inputs, case.objective, sources)
-    return following(engine, problem, MLP(hidden=case.hidden), training, evaluation)
+    return following(engine, problem, case.recipe, training, evaluation)

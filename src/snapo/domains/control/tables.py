@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Mapping
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import pydantic
 from pydantic import Field
@@ -25,6 +25,7 @@ class CaseTable(Table):
     cost: dict[str, Any] = Field({}, description="a table, [cost]")
     start: dict[str, Any] = Field({}, description="a table, [start]")
     noise: dict[str, Any] = Field({}, description="a table, [noise]")
+    measurement: dict[str, Any] = Field({}, description="a table, [measurement]")
     policy: dict[str, Any] = Field({}, description="a table, [policy]")
     objective: dict[str, Any] = Field({}, description="a table, [objective]")
     training: dict[str, Any] = Field({}, description="a table, [training]")
@@ -36,6 +37,13 @@ class PolicyTable(Table):
 
     hidden: Annotated[list[Width], Field(min_length=1, max_length=8)] | None = Field(
         None, description="a list of widths, [32, 32], or left out: then it follows the problem"
+    )
+    memory: Literal["GRU", "Recent"] | None = Field(
+        None,
+        description='"GRU" (a recurrent network) or "Recent" (the last observations), or left out',
+    )
+    steps: Annotated[int, Field(ge=2, le=1000)] | None = Field(
+        None, description='with memory = "Recent" the number of observations it sees, 2 or more'
     )
 
 

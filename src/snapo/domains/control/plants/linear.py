@@ -62,6 +62,10 @@ class LinearQuadratic(Plant):
                 what = f"allowed are {size} numbers, or {size} rows of {size}"
                 yield "noise.x", given.tolist(), what
 
+        for given in values["measurement"].values():
+            if given.shape != (size,):
+                yield "measurement.x", given.tolist(), f"allowed are {size} numbers"
+
     def decisions(self, inputs):
         size = inputs["plant"]["B"].value.shape[1]
         return Box(size, -1.0, 1.0) if "limit" in inputs["plant"] else Box(size)

@@ -46,6 +46,7 @@ class Quantity(NamedTuple):
     turn: bool = False
 
 
+MEASURED = "measurement"  # under which inputs hold the errors, and a state what is seen of it
 STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform; normal
 
 
@@ -57,6 +58,7 @@ class Plant(Simulator):
     - `horizon`: steps; `clock`: whether the policy sees the share of the horizon that is left.
     - `starts`: ((state, keys of its distribution), …), of every state.
     - `shaken`: the states with a disturbance; `sizes`: {state: numbers in it} as pairs.
+    - `measured`: the states that are seen with an error of measurement, the others exactly.
     """
 
     type: ClassVar[str]
@@ -76,6 +78,7 @@ class Plant(Simulator):
     starts: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
     shaken: tuple[str, ...] = eqx.field(static=True)
     sizes: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    measured: tuple[str, ...] = eqx.field(static=True)
     action: Actions
 
     def __init__(
@@ -91,6 +94,7 @@ class Plant(Simulator):
         self.shaken = tuple(name for name in self.states if name in inputs["noise"])
         sizes = {name: np.size(_any(inputs["start"][name])) for name in self.states}
         self.sizes = tuple(sizes.items())
+        self.measured = tuple(name for name in self.states if name in inputs.get(MEASURED, {}))
         self.action = self.decisions(inputs)
 
     @classmethod
@@ -100,9 +104,10 @@ class Plant(Simulator):
             if np.size(_any(start)) > 1:
                 what = "this state is one number"
                 yield f"start.{name}", _any(start).tolist(), what
-        for name, given in values["noise"].items():
-            if np.ndim(given):
-                yield f"noise.{name}", given.tolist(), "this state is one number"
+        for group in ("noise", MEASURED):
+            for name, given in values[group].items():
+                if np.ndim(given):
+                    yield f"{group}.{name}", given.tolist(), "this state is one number"
 
     def decisions(self, inputs: Mapping[str, Values]) -> Actions:
         """The set of actions: a share of each limit, from -1 to 1."""
@@ -110,11 +115,13 @@ class Plant(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return sum(dict(self.sizes)[name] for name in self.shaken)
+        return sum(dict(self.sizes)[name] for name in (*self.shaken, *self.measured))
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return sum(dict(self.sizes)[name] for name, keys in self.starts if len(keys) > 1)
+        sizes = dict(self.sizes)
+        drawn = sum(sizes[name] for name, keys in self.starts if len(keys) > 1)
+        return drawn + sum(sizes[name] for name in self.measured)
 
     @abc.abstractmethod
     def drive(self, p: Values, action: Any) -> Any:
@@ -167,6 +174,8 @@ class Plant(Simulator):
 
     def prepare(self, inputs: Mapping[str, Values]) -> Schedule:
         constants = {key: dict(inputs[key]) for key in ("plant", "cost", "start")}
+        if self.measured:
+            constants[MEASURED] = dict(inputs[MEASURED])
         steps: dict[str, Any] = {"left": 1 - jnp.arange(self.horizon) / self.horizon}
         for name in self.shaken:
             given = jnp.asarray(inputs["noise"][name])
@@ -189,22 +198,36 @@ class Plant(Simulator):
                 state[name] = given["low"] + (given["high"] - given["low"]) * share
             else:
                 state[name] = given["mean"] + given["deviation"] * z
-        return state
+        return self.read_off(constants, state, noise[used:])
 
     def observe(self, constants, now, state):
-        seen = self.features(constants["plant"], state)
+        # A state without readings is one that somebody asks about: it is seen as it is.
+        shown = {name: state[name] for name in self.states} | state.get(MEASURED, {})
+        seen = self.features(constants["plant"], shown)
         return jnp.append(seen, now["left"]) if self.clock else seen
 
     def step(self, constants, now, state, action, noise, smooth):
         p = constants["plant"]
         u = self.drive(p, action)
         parts = self.cost(constants["cost"], p, state, u)
-        after = self.move(p, state, u, smooth)
-        return self.disturbed(now, after, noise), outputs(parts)
+        after = self.disturbed(now, self.move(p, state, u, smooth), noise)
+        errors = noise[noise.shape[0] - sum(dict(self.sizes)[name] for name in self.measured) :]
+        return self.read_off(constants, after, errors), outputs(parts)
 
     def terminal(self, constants, state, smooth):
         parts = self.final_cost(constants["cost"], constants["plant"], state)
         return outputs(parts) if parts else {}
+
+    def read_off(self, constants, state: State, noise: Float[Array, " noise"]) -> State:
+        """The state with what is measured of it, each with an error of its own."""
+        if not self.measured:
+            return state
+        seen, used, sizes = {}, 0, dict(self.sizes)
+        for name in self.measured:
+            z = noise[used : used + sizes[name]].reshape(state[name].shape)
+            used += sizes[name]
+            seen[name] = state[name] + constants[MEASURED][name] * z
+        return {**state, MEASURED: seen}  # pyright: ignore[reportReturnType]
 
     def disturbed(self, now, state: State, noise: Float[Array, " noise"]) -> State:
         """The state with this step's disturbances: a deviation, or a matrix, times normals."""

@@ -47,6 +47,7 @@ def _check_same(plant: Plant, values: Any) -> None:
             if not np.array_equal(given, usual[group][name]):
                 what = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
                 raise CaseError("--reference", f"{group}.{name}", float(given), what)
-    if values["noise"] or plant.clock:
-        what = f"{plant.twin} has no disturbances, and shows no clock; leave --reference out"
+    if values["noise"] or values["measurement"] or plant.clock:
+        what = f"{plant.twin} has no disturbances, no errors of measurement and shows no clock; "
+        what += "leave --reference out"
         raise CaseError("--reference", "", None, what)

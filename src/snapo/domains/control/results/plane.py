@@ -9,11 +9,11 @@ import numpy as np
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
-from snapo.problem.smooth import Exact
 from snapo.study.parts.profile import recorded
 from snapo.study.study import Part, StudyRun
 
 from ..plants.plant import Plant
+from .first import first_decision
 
 CELLS, PATHS, KNOWN = 48, 8, 512  # of the map to a side; drawn; recorded
 
@@ -80,7 +80,7 @@ def _decisions(problem: Problem, policy: Policy, names, ranges) -> np.ndarray:
         state: Any = {names[0]: across, names[1]: up}
         if vector:
             state = {names[0].partition(".")[0]: jnp.stack([across, up])}
-        return policy(problem.simulator.observe(schedule.constants, now, state), Exact())[0]
+        return first_decision(policy, problem.simulator.observe(schedule.constants, now, state))[0]
 
     grid = jax.vmap(jax.vmap(decide, (None, 0)), (0, None))
     return np.asarray(jax.jit(grid)(jnp.asarray(ranges[1]), jnp.asarray(ranges[0])))

@@ -8,10 +8,10 @@ import numpy as np
 
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
-from snapo.problem.smooth import Exact
 from snapo.study.study import Setup, Today
 
 from ..plants.plant import Plant
+from .first import first_decision
 
 
 def today(setup: Setup, policy: Policy) -> Today:
@@ -23,7 +23,7 @@ def today(setup: Setup, policy: Policy) -> Today:
 
     def decide(state: Any) -> Any:
         seen = plant.observe(schedule.constants, at(schedule.steps, 0), state)
-        return plant.drive(schedule.constants["plant"], policy(seen, Exact()))
+        return plant.drive(schedule.constants["plant"], first_decision(policy, seen))
 
     action = np.ravel(np.asarray(jax.jit(decide)(jax.tree.map(jnp.asarray, state)), np.float64))
     facts = [(f"first {name}", *_one(x, plant.states[name].unit)) for name, x in state.items()]

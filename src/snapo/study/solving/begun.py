@@ -1,0 +1,117 @@
+"""A study whose training begins with a given policy: two more parts, and a sentence in its result.
+
+The first part keeps a copy of the policy, so that the run can go on where the other one is gone.
+The second one says what training gained over it, on the same paths of the value.
+"""
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.report.quantity import decimals, finite, measured, number
+from snapo.solver import statistics
+from snapo.solver.evaluate import estimate, path_totals, worth_of_groups
+
+from ..run_folder import START
+from ..study import Part, Setup, Study, StudyRun
+from ..training import TRAINING
+from .given import Given
+
+KEPT, GAIN = "given policy", "gain over the given policy"
+
+
+def begun_with(study: Study, given: Given, file: str) -> Study:
+    """The study with `given` in the place of its untrained policy; `file` is that of its case.
+
+    **Raises:** `CaseError` where nothing is trained, or the policy does not fit.
+    """
+    if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
+        what = f"{file} trains no policy, so that there is nothing to begin with"
+        raise CaseError("--policy", "", str(given.source), what)
+    setup = _fitted(study.setup, given)
+    setup()  # what does not fit is refused before anything is written
+    after = 1 + next(i for i, part in enumerate(study.parts) if part.name == TRAINING.name)
+    parts = [
+        Part(KEPT, _kept(given)),
+        *study.parts[:after],
+        Part(GAIN, _gain, (KEPT, TRAINING.name)),
+        *study.parts[after:],
+    ]
+    return replace(study, parts=parts, setup=setup, result=_told(study.result))
+
+
+def _fitted(setup: Callable[[], Setup], given: Given) -> Callable[[], Setup]:
+    """The setup of a study, which may change while it runs, with the policy in it."""
+    made: dict[int, tuple[Setup, Setup]] = {}
+
+    def fitted() -> Setup:
+        own = setup()
+        if id(own) not in made:  # the pair keeps `own`, and with it its number
+            made[id(own)] = own, own._replace(policy=given.fitted(own.policy), recipe=None)
+        return made[id(own)][1]
+
+    return fitted
+
+
+def _kept(given: Given) -> Callable[[StudyRun], Mapping[str, Any]]:
+    def work(run: StudyRun) -> Mapping[str, Any]:
+        (run.folder / START).write_bytes(given.content)
+        about = {"policy": str(given.source), "checksum": given.checksum, "value": given.value}
+        return {"began_with": about}
+
+    return work
+
+
+def _gain(run: StudyRun) -> Mapping[str, Any]:
+    """The value of the given policy here, and what the trained one is above it."""
+    setup, solution = run.setup, run.solution
+    problem, engine = setup.problem, setup.engines.evaluate
+    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
+    totals = path_totals(problem, setup.policy, solution.paths["evaluate"], engine=engine)
+    value = estimate(problem.objective, totals, source, controls)
+    both = (solution.totals, totals)
+    shares = [worth_of_groups(problem.objective, each, source) for each in both]
+    with np.errstate(invalid="ignore"):
+        more = statistics.of_shares(np.subtract(*shares))
+    return {
+        "start_gain": {
+            "before": value.value,
+            "before_error": value.standard_error,
+            "value": more.value,
+            "standard_error": more.standard_error,
+        }
+    }
+
+
+def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
+    """The result with the start, and with a sentence on it for the report."""
+
+    def told(run: StudyRun) -> Mapping[str, Any]:
+        found, start = dict(result(run)), run.get("began_with")
+        if not start or found.get("value") is None:
+            return found
+        gain = run.get("start_gain") or {}
+        sentence = words(start, gain)
+        return found | {"start": {**start, **gain}, "notes": [*found.get("notes", ()), sentence]}
+
+    return told
+
+
+def words(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
+    """What training began with, and by how much it came further."""
+    text = f"Training began with the policy of {start['policy']}"
+    if start.get("value") is not None:
+        text += f", whose value there is {number(start['value'])}"
+    if not gain or gain.get("before") is None:
+        return f"{text}."
+    before = _with_error(gain["before"], gain["before_error"])
+    more = _with_error(gain["value"], gain["standard_error"])
+    return f"{text}. Here it is worth {before}; training gained {more} over it on the same paths."
+
+
+def _with_error(value: float, error: float | None) -> str:
+    places = max(0, decimals([error], 2)) if finite(error) else 4
+    return " ".join(measured(value, error, places)).strip()

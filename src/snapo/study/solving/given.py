@@ -1,0 +1,184 @@
+"""A trained policy from a file, as numbers: read without running anything, and fitted to a case.
+
+It is the policy.npz of a run folder, or a file that `policy.save` wrote. Both hold arrays and words
+on what they belong to. The trained numbers come from the file; what is not trained, such as limits
+of an action or present holdings, is that of the case.
+"""
+
+import hashlib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.problem.carry import archive
+from snapo.problem.carry.describe import described
+from snapo.problem.carry.save import PolicyFileError, load_policy
+from snapo.problem.policy import Policy, trainable
+from snapo.report.quantity import finite
+from snapo.solver.solution import POLICY
+
+from .. import run_folder
+from ..parts.choice import no_policy
+from ..training import TRAINING
+
+ZIP = b"PK"  # with which every .npz begins
+OWN = re.compile(r"\.(low|high|groups)(\W|$)")  # settings that are those of the case, not trained
+
+
+@dataclass(frozen=True, eq=False)
+class Given:
+    """A policy to begin with, before it is known whether it fits.
+
+    - `source`: the run folder or the file, as the command names it; `file`: where it was read.
+    - `content`: the bytes of the file; `value`: that of its run, where it has one.
+    - `arrays`: all of its numbers, in order; `words`: {place: kinds, sizes, functions}.
+    """
+
+    source: Path
+    file: Path
+    content: bytes
+    arrays: tuple[np.ndarray, ...]
+    words: Mapping[str, str]
+    value: float | None = None
+
+    @property
+    def checksum(self) -> str:
+        """Of the file: a resumed run must begin with the same."""
+        return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
+
+    def fitted(self, own: Policy) -> Policy:
+        """The policy of a case, `own`, with the trained numbers of this one.
+
+        **Raises:** `CaseError` where it is another kind of policy, or has other sizes.
+        """
+        needed = described({"policy": own})
+        for place, word in needed.items():
+            if self.words.get(place, word) != word and not OWN.search(place):
+                has, needs = self.words[place], word
+                raise self._misfit(_name(place), has, needs)
+        leaves = jax.tree_util.tree_flatten_with_path(eqx.filter(own, eqx.is_array))[0]
+        sizes = [each.shape for each in self.arrays], [leaf.shape for _, leaf in leaves]
+        if len(sizes[0]) != len(sizes[1]):
+            raise self._misfit("sizes", *map(_sizes, sizes))
+        moved = {path for path, _ in _flat(trainable(own)[0])}
+        for (path, leaf), found in zip(leaves, self.arrays):
+            if path in moved and leaf.shape != found.shape:
+                what = f"{jax.tree_util.keystr(path).strip('.')} of size"
+                raise self._misfit(what, _size(found.shape), _size(leaf.shape), _seen(*sizes))
+        return _with(own, moved, self.arrays)
+
+    def _misfit(self, what: str, has: str, needs: str, more: str = "") -> CaseError:
+        text = f"this policy does not fit the case: it has {what} {has}, and the case needs {needs}"
+        return CaseError(str(self.file), "", None, text + more)
+
+
+def read(source: Path, kind: str, out: Path, resume: bool) -> Given:
+    """The policy of a run folder or of a file.
+
+    - `kind`: of the case; `out`: the folder of the new run. Where both folders are one, the policy
+      is read before the new run removes it, and a resumed run reads its own copy.
+
+    **Raises:** `CaseError` where there is none, or it is damaged, or of a run of another kind.
+    """
+    value, file = None, source
+    if source.is_dir():
+        if resume and (out / run_folder.START).exists() and source.resolve() == out.resolve():
+            file = out / run_folder.START
+        else:
+            value, file = _of_run(source, kind), source / POLICY
+    if not file.is_file():
+        what = "there is no policy here: name the folder that `snapo solve` wrote, its policy.npz, "
+        raise CaseError("--policy", "", str(source), what + "or a file of policy.save")
+    try:
+        content = file.read_bytes()
+        if not content.startswith(ZIP):
+            raise ValueError("this is no .npz file")
+        arrays, header = archive.read(file)
+    except OSError as error:
+        raise CaseError(str(file), "", None, f"cannot be read ({error.strerror})") from None
+    except ValueError as error:
+        what = str(error).removeprefix(f"{file}: ").rstrip(".")
+        raise CaseError(str(file), "", None, what) from None
+    words, leaves = _parted(file, header, list(arrays.values()))
+    return Given(source, file, content, tuple(leaves), words, value)
+
+
+def _of_run(run: Path, kind: str) -> float | None:
+    """The value of a run whose policy is whole."""
+    record = run_folder.read(run)
+    if record["kind"] != kind:
+        what = f'this run is of kind "{record["kind"]}", and the case is of kind "{kind}"'
+        raise CaseError(str(run / run_folder.RUN), "", None, what)
+    if record["parts"].get(TRAINING.name, {}).get("state") != "done":
+        raise no_policy(run, record)
+    run_folder.check_whole(run, record, (POLICY,))
+    return finite((run_folder.read_table(run / run_folder.RESULT) or {}).get("value"))
+
+
+def _parted(file: Path, header: Any, leaves: list[Any]) -> tuple[dict[str, str], list[Any]]:
+    """Words and arrays of the policy alone, of either kind of file."""
+    if isinstance(header, dict) and "snapo policy" in header:
+        try:
+            policy = load_policy(file)
+        except PolicyFileError as error:
+            what = str(error).removeprefix(f"{file}: ").rstrip(".")
+            raise CaseError(str(file), "", None, what) from None
+        arrays = jax.tree.leaves(eqx.filter(policy, eqx.is_array))
+        return described({"policy": policy}), [np.asarray(each) for each in arrays]
+    words = header.get("described") if isinstance(header, dict) else None
+    if not isinstance(words, dict) or not any(each.startswith("policy") for each in words):
+        what = "this file holds no policy: name the folder that `snapo solve` wrote"
+        raise CaseError(str(file), "", None, what)
+    if isinstance(header.get("header"), dict) and "mark" in header["header"]:
+        what = "this is the state of a training: name the folder of its run, or its policy.npz"
+        raise CaseError(str(file), "", None, what)
+    # Beside the policy stands that from the middle of training; they are in the order of names.
+    count = 2 if "halfway kind" in words else 1
+    found = {place: str(word) for place, word in words.items() if place.startswith("policy")}
+    return found, leaves[len(leaves) - len(leaves) // count :]
+
+
+def _flat(tree: Any) -> list[tuple[Any, Any]]:
+    return jax.tree_util.tree_flatten_with_path(tree)[0]
+
+
+def _with(own: Policy, moved: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
+    """The policy with other numbers where they are trained."""
+    numbers, rest = eqx.partition(own, eqx.is_array)
+    flat, structure = jax.tree_util.tree_flatten_with_path(numbers)
+    new = [
+        jnp.asarray(found, leaf.dtype) if path in moved else leaf
+        for (path, leaf), found in zip(flat, arrays)
+    ]
+    return eqx.combine(structure.unflatten(new), rest)
+
+
+def _name(place: str) -> str:
+    """A place of a policy in words: "the activation" of "policy.network.activation"."""
+    if place == "policy kind":
+        return "the kind"
+    return place.removeprefix("policy.").replace(" kind", "")
+
+
+def _size(shape: tuple[int, ...]) -> str:
+    return " x ".join(map(str, shape)) or "1"
+
+
+def _sizes(shapes: list[tuple[int, ...]]) -> str:
+    return ", ".join(map(_size, shapes))
+
+
+def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
+    """The numbers that the first matrices take, where they tell what the policies observe."""
+    first = [next((each[1] for each in shapes if len(each) == 2), None) for shapes in (has, needs)]
+    if None in first or first[0] == first[1]:
+        return ""
+    return f": its network takes {first[0]} numbers, and here there are {first[1]}"

@@ -1,0 +1,107 @@
+"""A run made ready: its folder, all that decides its numbers, and its study."""
+
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+from snapo.case.error import CaseError, Unquoted
+
+from .. import run_folder
+from ..cores import use_every_core
+from ..domain import Options, RunsCode
+
+if TYPE_CHECKING:
+    from ..commands import Loaded
+    from ..study import Study, Tell
+
+
+class Wanted(NamedTuple):
+    """What `snapo solve` asks for beside the case.
+
+    - `engine`, `reference`: as in `Options`; `resume`: go on with the run that is there.
+    - `policy`: a run folder, or the file of a policy, with which training begins.
+    - `about`: that of another run of the same case, which passed its checks for this one too.
+    """
+
+    engine: str = "auto"
+    reference: bool = False
+    resume: bool = False
+    policy: Path | None = None
+    about: Mapping[str, Any] | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Ready:
+    """A run that can be carried out: its case, its folder, what decides it, and its study."""
+
+    loaded: "Loaded"
+    out: Path
+    decides: Mapping[str, Any]
+    study: "Study"
+
+
+def place(loaded: "Loaded", out: Path | None) -> Path:
+    """The folder of the run, which can be written.
+
+    **Raises:** `CaseError` where it cannot, or is that of the case.
+    """
+    out = out or loaded.file.parent / "run"
+    try:
+        same = out.resolve() == loaded.file.parent.resolve()
+    except (OSError, RuntimeError):  # links in a circle
+        what = "this cannot be the name of a folder: its links go in a circle"
+        raise CaseError(str(out), "", None, what) from None
+    if same:
+        what = "this is the folder of the case; a run has a folder of its own"
+        raise CaseError("--out", "", Unquoted(str(out)), what)
+    run_folder.check_writable(out)
+    return out
+
+
+def made_ready(loaded: "Loaded", out: Path, wanted: Wanted) -> Ready:
+    """The study of a case, beginning with a given policy where one is named.
+
+    **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;
+    nothing is written before.
+    """
+    use_every_core()
+    options: dict[str, Any] = {"engine": wanted.engine}
+    if isinstance(loaded.domain, RunsCode):
+        options |= loaded.domain.decides(loaded.case)
+    given = None
+    if wanted.policy is not None:
+        from .given import read
+
+        given = read(wanted.policy, loaded.domain.kind, out, wanted.resume)
+        options["policy"] = given.checksum
+    decides = run_folder.decisive(loaded.file, loaded.data, options)
+    before = run_folder.check_same(out, decides) if wanted.resume else None
+    about = before.get("about") if before else wanted.about
+    asked = Options(wanted.engine, wanted.reference, about)
+    study = loaded.domain.study(loaded.case, asked)
+    if given is not None:
+        from .begun import begun_with
+
+        study = begun_with(study, given, str(loaded.file))
+    return Ready(loaded, out, decides, study)
+
+
+def carried_out(
+    ready: Ready,
+    resume: bool,
+    tell: "Tell",
+    began: float,
+    beside: Mapping[str, float] | None = None,
+) -> dict[str, Any]:
+    """Does the parts of the study; returns what result.json says.
+
+    `began`: when the command did, by `time.perf_counter()`; `beside`: seconds of other work for it.
+    """
+    from ..carry_out import carry_out
+
+    run_folder.copy_case(ready.loaded.file, ready.out)
+    spent = time.perf_counter() - began
+    domain = ready.loaded.domain
+    return carry_out(domain, ready.study, ready.out, ready.decides, resume, tell, spent, beside)

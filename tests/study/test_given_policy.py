@@ -1,0 +1,163 @@
+"""`snapo solve CASE --policy RUN`: training begins with an earlier policy, or says why it cannot."""
+
+import json
+import shutil
+from pathlib import Path
+
+import equinox as eqx
+import jax
+import numpy as np
+import pytest
+from tests.miniatures import MINIATURES
+
+from snapo.case.error import CaseError
+from snapo.cli.main import main
+from snapo.problem.actions import Box, Whole
+from snapo.problem.policies.memory import GRU
+from snapo.problem.policy import MLP, Constant, Residual, parameters
+from snapo.solver import checkpoint
+from snapo.solver.solution import POLICY, Solution
+from snapo.study import commands
+from snapo.study.solving.given import read
+from snapo.study.solving.prepare import Wanted, made_ready
+from snapo.testing.miniature import quiet
+
+OWN = MINIATURES["own"]
+assert OWN.simulator is not None
+CODE = ":".join(OWN.simulator)
+KEY = jax.random.key(3)
+
+
+def saved(policy, file: Path, halfway=None) -> Path:
+    """A policy as a run keeps it."""
+    checkpoint.save_arrays(file, {"policy": policy, "halfway": halfway}, {"versions": {}})
+    return file
+
+
+def given(file: Path):
+    return read(file, "own", file.parent / "run", False)
+
+
+def moved(policy, by: float):
+    """The policy with every trained number moved."""
+    return jax.tree.map(lambda leaf: leaf + by if eqx.is_inexact_array(leaf) else leaf, policy)
+
+
+def net(action=None, features=3, **more):
+    return MLP(action or Box(2), features, key=KEY, **{"hidden": (4,), **more})
+
+
+@pytest.mark.parametrize("half", [False, True])
+def test_the_numbers_of_a_run_are_read(half, tmp_path):
+    """With the policy from the middle of training beside it, or without."""
+    policy = moved(net(), 0.25)
+    file = saved(policy, tmp_path / "policy.npz", moved(policy, 9.0) if half else None)
+    found = given(file).fitted(net())
+    assert np.array_equal(parameters(found), parameters(policy))
+
+
+def test_a_file_of_a_policy_is_read(tmp_path):
+    policy = moved(net(), 0.25)
+    policy.save(tmp_path / "mine.npz")
+    found = given(tmp_path / "mine.npz").fitted(net())
+    assert np.array_equal(parameters(found), parameters(policy))
+
+
+def test_limits_and_a_base_are_those_of_the_case(tmp_path):
+    """They are not trained: an earlier run's would break the limits of this case."""
+    old = moved(
+        Residual(Constant(np.array([9.0])), Box(1, 0.0, 9.0), 3, key=KEY, hidden=(4,)), 0.25
+    )
+    own = Residual(Constant(np.array([2.0])), Box(1, 0.0, 3.0), 3, key=KEY, hidden=(4,))
+    found = given(saved(old, tmp_path / "policy.npz")).fitted(own)
+    assert np.array_equal(parameters(found), parameters(old))
+    assert isinstance(found, Residual) and isinstance(found.base.array, Constant)
+    assert found.action == Box(1, 0.0, 3.0) and found.base.array.value == 2.0
+
+
+@pytest.mark.parametrize(
+    ("other", "named"),
+    [
+        (net(activation=jax.nn.tanh), ["activation tanh", "needs silu"]),
+        (net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, and here there are 3"]),
+        (net(Box(3)), ["size 3", "needs 2"]),
+        (net(Whole(2)), ["action Whole", "needs Box"]),
+        (net(hidden=(8,)), ["hidden[0] 8", "needs 4"]),
+        (net(hidden=(4, 4)), ["sizes", "4 x 4"]),
+        (GRU(Box(2), 3, key=KEY, hidden=4), ["GRU", "MLP"]),
+    ],
+)
+def test_a_policy_that_does_not_fit_is_refused_in_words(other, named, tmp_path):
+    file = saved(other, tmp_path / "policy.npz")
+    with pytest.raises(CaseError) as refused:
+        given(file).fitted(net())
+    for each in (str(file), "does not fit", *named):
+        assert each in str(refused.value), refused.value
+
+
+def test_files_that_hold_no_policy_are_refused(tmp_path):
+    text, arrays, state = (tmp_path / name for name in ("a.csv", "b.npz", "c.npz"))
+    text.write_text("a,b\n")
+    np.savez(arrays, leaf_0=np.array([object()], object))  # pickled inside: never opened
+    checkpoint.save_arrays(state, {"policy": net(), "halfway": None}, {"mark": "x", "step": 1})
+    for file, why in ((text, "no .npz"), (arrays, "cannot be read"), (state, "state of a train")):
+        with pytest.raises(CaseError, match=why) as refused:
+            given(file)
+        assert file.name in str(refused.value)
+    with pytest.raises(CaseError, match=r"--policy: got .*there is no policy here"):
+        given(tmp_path / "nowhere")
+
+
+# Whole runs.
+
+
+def test_a_run_begins_with_an_earlier_one_and_goes_on(solved, tmp_path, capsys):
+    """Into the folder of the earlier run, whose policy is removed there; then resumed."""
+    run = Path(shutil.copytree(solved("own") / "run", tmp_path / "run"))
+    before = json.loads((run / "result.json").read_text())
+    asked = OWN.asked(solved("own"))
+    result = commands.solve(asked, quiet, out=run, policy=run)
+    start = result["start"]
+    assert result["status"] == "trained" and start["policy"] == str(run)
+    assert start["value"] == pytest.approx(result["value"] - before["value"], abs=1e-6)
+    assert start["before"] == before["value"] and start["standard_error"] >= 0
+    assert any("began with the policy of" in note for note in result["notes"])
+    assert "began with the policy of" in (run / "report.html").read_text(encoding="utf-8")
+    again = commands.solve(asked, quiet, out=run, policy=run, resume=True)
+    assert again["value"] == result["value"]
+    with pytest.raises(CaseError, match=r"policy = .*now it is not given"):
+        commands.solve(asked, quiet, out=run, resume=True)
+    capsys.readouterr()
+    line = ["solve", str(asked.path), "--simulator", CODE, "--out", str(run)]
+    more = [part for each in OWN.assignments for part in ("--set", each)]
+    assert main([*line, *more, "--policy", str(run), "--resume"]) == 0
+    assert "given policy" in capsys.readouterr().out
+
+
+def test_nothing_is_written_where_it_does_not_fit(solved, tmp_path, capsys):
+    file = saved(net(), tmp_path / "policy.npz")
+    line = ["solve", str(solved("own") / "case"), "--simulator", CODE]
+    assert main([*line, "--out", str(tmp_path / "new"), "--policy", str(file)]) == 2
+    assert "does not fit the case" in capsys.readouterr().err
+    assert not (tmp_path / "new").exists()
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("kind", sorted(MINIATURES))
+def test_every_kind_begins_with_its_own_run_and_with_no_other(kind, solved, tmp_path):
+    run, out = solved(kind) / "run", tmp_path / "run"
+    loaded = commands.load(MINIATURES[kind].asked(solved(kind)))
+    wanted = Wanted(policy=run)
+    if not (run / POLICY).exists():  # a recipe: nothing is trained
+        with pytest.raises(CaseError, match=r"trained policy|trains no policy"):
+            made_ready(loaded, out, wanted)
+        return
+    setup = made_ready(loaded, out, wanted).study.setup
+    assert setup is not None
+    kept = Solution.load(run, like=setup().policy).policy
+    assert kept is not None
+    assert np.array_equal(parameters(setup().policy), parameters(kept)) and not setup().recipe
+    other = solved("own" if kind != "own" else "inventory") / "run"
+    with pytest.raises(CaseError, match="this run is of kind"):
+        made_ready(loaded, out, Wanted(policy=other))
+    assert not out.exists()
