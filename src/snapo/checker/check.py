@@ -11,10 +11,11 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
 
+from .arrays.indices import within
+from .arrays.tables import tables
 from .bumps import bumped
 from .effects import reached, used
 from .findings import Findings, Notes, Stop
-from .indices import within
 from .precision import both_precisions
 from .repeatable import repeatable
 from .rollout import observed, rolled
@@ -43,7 +44,8 @@ def check(
         schedule = prepared(notes, simulator, inputs)
         observation = one_step(notes, simulator, schedule).observation
         repeatable(notes, simulator, inputs, schedule)
-        within(notes, simulator, schedule)
+        within(notes, simulator, inputs, schedule)
+        tables(notes, simulator, schedule)
         runs = rolled(
             notes, simulator, schedule, observation, scenarios, paths, Smooth(temperature), seed
         )
