@@ -110,12 +110,18 @@ class Line(NamedTuple):
 
 def line_of(eqn) -> Line | None:
     """The line that an equation came from."""
-    frames = [(f.file_name, f.start_line) for f in source_info_util.user_frames(_traceback(eqn))]
-    return line_among(frames)
+    frames = source_info_util.user_frames(eqn.source_info.traceback)
+    return line_among([(each.file_name, each.start_line) for each in frames])
 
 
-def _traceback(eqn):
-    return eqn.source_info.traceback
+def said_by_user(eqn) -> bool:
+    """Whether a read is `x.at[index].get(mode=…)`, which says what is meant outside of `x`.
+
+    With mode="clip" JAX makes of it what it makes of x[index].
+    """
+    traceback = eqn.source_info.traceback
+    codes = traceback.raw_frames()[0] if traceback else []
+    return any(code.co_name == "get" and "jax" in code.co_filename for code in codes)
 
 
 def line_among(frames: list[tuple[str, int]]) -> Line | None:

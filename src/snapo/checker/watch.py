@@ -15,7 +15,7 @@ from jaxtyping import Array
 
 from snapo.lanes import jax_private
 
-from .methods import Line, line_of
+from .methods import Line, line_of, said_by_user
 
 COMPARISONS = ("lt", "gt", "le", "ge")
 _CALLS = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2")
@@ -23,8 +23,8 @@ NONE = -1  # no site is changed
 
 
 class Site(NamedTuple):
-    """An equation that is watched: its primitive, its line, and (length, size of a part) of the axes that it
-    indexes."""
+    """An equation that is watched: its primitive, its line, and of every axis that it indexes the
+    length and the size of a part."""
 
     kind: str
     line: Line | None
@@ -124,7 +124,7 @@ class _Walk:
                 here = self.change.comparison == number
                 found = [jnp.where(here, self.change.truths[number], found[0])]
             self.truths.append(found[0])
-        elif (indices := _indices(eqn, given)) is not None:
+        elif (indices := _indices(eqn, given)) is not None and not said_by_user(eqn):
             index, ranges = indices
             number = len(self.reads)
             self.reads.append(Site(kind, line, tuple(ranges)))
@@ -202,6 +202,9 @@ def tainted_results(jaxpr, tainted: Sequence[bool]) -> list[bool]:
     for eqn in jaxpr.eqns:
         dirty = [marked(x) for x in eqn.invars]
         inner = _program(eqn) if eqn.primitive.name in _CALLS else None
-        found = [any(dirty)] * len(eqn.outvars) if inner is None else self.run(inner.jaxpr, dirty)
+        if inner is None:
+            found = [any(dirty)] * len(eqn.outvars)
+        else:
+            found = tainted_results(inner.jaxpr, dirty)
         marks.update(zip(eqn.outvars, found))
     return [marked(x) for x in jaxpr.outvars]

@@ -7,6 +7,7 @@ from ..points import Points
 from ..watch import Site
 from .indices import CORRECT
 
+MEANT = "jnp.clip(index, 0, length - 1) says that the nearest entry is meant."
 FEW = 32  # points outside at which the entry that is read is looked at
 
 
@@ -73,5 +74,5 @@ def _write(notes: Notes, method: str, site: Site, said: str, writes: bool) -> No
     note(
         where,
         f"{met} {said}: JAX {done}, without an error.{text}",
-        CORRECT + " jnp.clip(index, 0, length - 1) says that the nearest entry is meant.",
+        CORRECT if writes else f"{CORRECT} {MEANT}",
     )
