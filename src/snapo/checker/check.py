@@ -5,16 +5,22 @@ a few rollouts in both precisions, actions and normals without effect, and every
 against central bumps with the decisions held.
 """
 
+import jax
 from jaxtyping import PyTree
 
 from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
 
+from .arrays.indices import within
+from .arrays.moving import moving_indices
+from .arrays.slices import short_slices
+from .arrays.tables import tables
 from .bumps import bumped
 from .effects import reached, used
 from .findings import Findings, Notes, Stop
-from .indices import within
+from .jumps import jumps
+from .points import moments
 from .precision import both_precisions
 from .repeatable import repeatable
 from .rollout import observed, rolled
@@ -42,12 +48,18 @@ def check(
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)
         observation = one_step(notes, simulator, schedule).observation
+        short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
-        within(notes, simulator, schedule)
+        within(notes, simulator, inputs, schedule)
+        tables(notes, simulator, schedule)
         runs = rolled(
             notes, simulator, schedule, observation, scenarios, paths, Smooth(temperature), seed
         )
         observed(notes, simulator, runs[0])
+        with jax.enable_x64(True):
+            for points in moments(simulator, inputs, runs):
+                moving_indices(notes, points)
+                jumps(notes, points)
         both_precisions(notes, simulator, runs[0])
         moving = used(notes, simulator, runs, seed)
         reached(notes, simulator, runs, moving)

@@ -4,6 +4,7 @@ import re
 from typing import Any
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -16,12 +17,13 @@ from .findings import Notes
 
 def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
     """Two traces of every method must be the same program."""
-    constants, now = schedule.constants, at(schedule.steps, 0)
     noise: Any = np.full(simulator.noise_size, 0.1)
     action: Any = np.full(simulator.action.size, 0.5)
     initial_noise: Any = np.full(simulator.initial_noise_size, 0.1)
 
     with jax.enable_x64(True):
+        # Arrays of JAX, as the engines give them: one of NumPy takes no index that is traced.
+        constants, now = jax.tree.map(jnp.asarray, (schedule.constants, at(schedule.steps, 0)))
         start = jax.jit(lambda: simulator.initial(constants, initial_noise))()
         calls = {
             "prepare": lambda: (

@@ -1,7 +1,7 @@
 """Indices beyond the end of an array, which JAX moves to the last entry without a word.
 
 `noise[2]` of two normals is the second one again. Indices that are known when a method is traced
-are followed through its program; those that depend on the state are not.
+are followed through its program; those that move with the state are met on paths (`moving`).
 """
 
 from collections.abc import Iterator
@@ -12,12 +12,15 @@ import jax.extend.core as jex
 import numpy as np
 from jax._src import source_info_util
 from jax.lax import GatherScatterMode
+from jaxtyping import PyTree
 
 from snapo.lanes.jax_private import arguments_of_scan
-from snapo.problem.simulator import Schedule, Simulator, at
-from snapo.problem.smooth import Exact
+from snapo.problem.simulator import Schedule, Simulator
 
-from .findings import Notes
+from ..findings import Notes
+from ..methods import methods, preparation
+
+CORRECT = "Correct the index, or the size that is declared."
 
 
 class Beyond(NamedTuple):
@@ -29,48 +32,23 @@ class Beyond(NamedTuple):
     length: int
 
 
-def within(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
-    """Every known index of `initial`, `observe`, `step` and `terminal` lies within its array."""
-    constants, now = schedule.constants, at(schedule.steps, 0)
-    noise, action = np.zeros(simulator.noise_size), np.zeros(simulator.action.size)
-    start = np.zeros(simulator.initial_noise_size)
-
+def within(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Schedule) -> None:
+    """Every known index of every method lies within its array; stops at errors."""
     with jax.enable_x64(True):
-        state = jax.eval_shape(simulator.initial, constants, start)
-        calls: dict[str, tuple[Any, dict[str, Any]]] = {
-            "initial": (simulator.initial, {"constants": constants, "noise": start}),
-            "observe": (simulator.observe, {"constants": constants, "now": now, "state": state}),
-            "step": (
-                lambda c, n, s, a, z: simulator.step(c, n, s, a, z, Exact()),
-                {"constants": constants, "now": now, "state": state}
-                | {"action": action, "noise": noise},
-            ),
-            "terminal": (
-                lambda c, s: simulator.terminal(c, s, Exact()),
-                {"constants": constants, "state": state},
-            ),
-        }
-        for name, (function, given) in calls.items():
-            with notes.during(name):
-                closed = jax.make_jaxpr(function)(*given.values())
-            for found in dict.fromkeys(_beyond(closed.jaxpr, closed.consts, _labels(given))):
+        for method in (preparation(simulator, inputs), *methods(simulator, schedule)):
+            with notes.during(method.name):
+                closed = method.traced()
+            found = _beyond(closed.jaxpr, closed.consts, method.labels())
+            for each in dict.fromkeys(found):
                 # A negative index was written before JAX added the length to it.
-                index = found.index - found.length * (found.index < 0)
+                index = each.index - each.length * (each.index < 0)
                 notes.error(
-                    f"{notes.method(name)}: {found.label or 'an array'}[{index}]",
-                    f"It has {found.length} entries; JAX reads the nearest one, or drops a write, "
-                    f"without an error. In: {found.line}",
-                    "Correct the index, or the size that is declared.",
+                    f"{notes.method(method.name)}: {each.label or 'an array'}[{index}]",
+                    f"It has {each.length} entries; JAX reads the nearest one, or drops a write, "
+                    f"without an error. In: {each.line}",
+                    CORRECT,
                 )
-
-
-def _labels(given: dict[str, Any]) -> list[str]:
-    """The names of a call's arrays, in the order in which JAX takes them."""
-    return [
-        name + jax.tree_util.keystr(path)
-        for name, tree in given.items()
-        for path, _ in jax.tree_util.tree_flatten_with_path(tree)[0]
-    ]
+    notes.stop_on_errors()
 
 
 def _beyond(jaxpr, consts, labels=(), given=(), caller: str = "") -> Iterator[Beyond]:

@@ -1,0 +1,81 @@
+"""NumPy tables inside a method, which JAX keeps in the precision in which it met them first.
+
+Training is float32 and the value float64. A table that is met in one of them and used in the
+other loses digits, or both clash, in the engine that compiles it.
+"""
+
+from collections.abc import Iterator
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend.core as jex
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.simulator import Schedule, Simulator
+
+from ..findings import Notes
+from ..methods import Line, line_of, methods
+
+TABLE = (
+    "A NumPy table that is used inside a method keeps the precision in which JAX met it first: "
+    "put it into the schedule, Schedule({'table': table}, …), or write "
+    "jnp.asarray(table.tolist()) where it is used."
+)
+
+
+class Table(NamedTuple):
+    """An array of a program that has another precision, and the line that first uses it."""
+
+    shape: tuple[int, ...]
+    dtype: str
+    line: Line | None
+
+
+def tables(notes: Notes, simulator: Simulator, schedule: Schedule) -> None:
+    """Every method as training traces it, and then as evaluation does; stops at errors."""
+    # JAX keeps a table's conversion as long as a program holds it, as compiled ones do.
+    kept: list[Any] = []
+    for precision in ("float32", "float64", "float32"):
+        dtype = np.dtype(precision)
+        with jax.enable_x64(precision == "float64"):
+            for method in methods(simulator, schedule, dtype=dtype):
+                try:
+                    closed = method.traced()
+                except Exception as error:
+                    where, what, _ = notes.explained(error, method.name)
+                    notes.error(where, f"It fails in {precision}. {what}", TABLE)
+                    continue
+                kept.append(closed)
+                for found in dict.fromkeys(_others(closed, dtype)):
+                    _write(notes, method.name, found, precision)
+        notes.stop_on_errors()
+
+
+def _write(notes: Notes, method: str, found: Table, precision: str) -> None:
+    where = f"{method}, {found.line}" if found.line else notes.method(method)
+    text = f" In: {found.line.text}" if found.line else ""
+    notes.error(
+        where,
+        f"A table of shape {found.shape} is {found.dtype} where all else is {precision}.{text}",
+        TABLE,
+    )
+
+
+def _others(closed: Any, dtype: np.dtype, caller: Line | None = None) -> Iterator[Table]:
+    """The floating tables of a program, and of those inside it, of another type than `dtype`."""
+    for var in closed.jaxpr.constvars:
+        kind = np.dtype(var.aval.dtype)
+        if jnp.issubdtype(kind, jnp.floating) and kind != dtype:
+            users = (eqn for eqn in closed.jaxpr.eqns if any(x is var for x in eqn.invars))
+            user = next(users, None)
+            line = line_of(user) if user is not None else None
+            yield Table(tuple(var.aval.shape), kind.name, line or caller)
+    for eqn in closed.jaxpr.eqns:
+        for inner in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_program):
+            if _is_program(inner):
+                yield from _others(inner, dtype, line_of(eqn) or caller)
+
+
+def _is_program(x: Any) -> bool:
+    return isinstance(x, jex.ClosedJaxpr)

@@ -1,0 +1,210 @@
+"""A method's program run equation by equation, with a look at comparisons and moving indices.
+
+Calls are looked into; loops, `lax.cond` and functions with a derivative by hand run as a whole.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend.core as jex
+import jax.numpy as jnp
+import numpy as np
+from jax.lax import GatherScatterMode
+from jaxtyping import Array
+
+from snapo.lanes import jax_private
+
+from .methods import Line, line_of, said_by_user
+
+COMPARISONS = ("lt", "gt", "le", "ge")
+_CALLS = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2")
+NONE = -1  # no site is changed
+
+
+class Site(NamedTuple):
+    """An equation that is watched: its primitive, its line, and of every axis that it indexes the
+    length and the size of a part."""
+
+    kind: str
+    line: Line | None
+    ranges: tuple[tuple[int, int], ...] = ()
+
+
+class Seen(NamedTuple):
+    """Numbers of one call: its results, the truth of every comparison, and of every read the
+    first index outside (0 where none is), its axis and whether there is one."""
+
+    results: list[Array]
+    truths: list[Array]
+    outside: list[tuple[Array, Array, Array]]
+
+
+class Change(NamedTuple):
+    """What one site does otherwise: a comparison has `truths`, reads outside are moved by `shift`
+    times their size and one more. `comparison` and `read` are the sites' numbers, or `NONE`."""
+
+    comparison: Any
+    truths: Any
+    read: Any
+    shift: Any
+
+
+class Watched:
+    """A program whose floating comparisons and reads by index are seen, and can be changed.
+
+    `tainted` says of each argument whether decisions or inputs move it: only comparisons of such
+    numbers are sites.
+    """
+
+    def __init__(self, closed, tainted: Sequence[bool]):
+        self.closed, self.tainted = closed, tainted
+        self.comparisons: list[Site] = []
+        self.reads: list[Site] = []
+        self.shapes = jax.eval_shape(self._unchanged, *closed.in_avals)
+
+    def _unchanged(self, *arguments) -> Seen:
+        return self(arguments, None)
+
+    def nothing(self) -> Change:
+        """The change that changes nothing."""
+        truths = [np.zeros(x.shape, bool) for x in self.shapes.truths]
+        return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
+
+    def __call__(self, arguments: Sequence[Any], change: Change | None) -> Seen:
+        walk = _Walk(change)
+        results, _ = walk.run(
+            self.closed.jaxpr, self.closed.consts, arguments, list(self.tainted), None
+        )
+        self.comparisons, self.reads = walk.comparisons, walk.reads
+        return Seen(results, walk.truths, walk.outside)
+
+
+class _Walk:
+    """One way through a program."""
+
+    def __init__(self, change: Change | None):
+        self.change = change
+        self.comparisons: list[Site] = []
+        self.reads: list[Site] = []
+        self.truths: list[Array] = []
+        self.outside: list[tuple[Array, Array, Array]] = []
+
+    def run(self, jaxpr, consts, arguments, tainted, caller: Line | None):
+        """The results of a program, and whether each is tainted."""
+        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments]))
+        marks = dict(zip(jaxpr.invars, tainted))
+
+        def read(atom):
+            return atom.val if isinstance(atom, jex.Literal) else values[atom]
+
+        def marked(atom):
+            return not isinstance(atom, jex.Literal) and marks.get(atom, False)
+
+        for eqn in jaxpr.eqns:
+            given, dirty = [read(x) for x in eqn.invars], [marked(x) for x in eqn.invars]
+            line = line_of(eqn) or caller
+            if eqn.primitive.name in _CALLS and (inner := _program(eqn)) is not None:
+                found, dirty = self.run(inner.jaxpr, inner.consts, given, dirty, line)
+            else:
+                found = jax_private.apply(eqn, given, eqn.source_info.traceback)
+                found = self._watched(eqn, given, found, line, any(dirty))
+                dirty = [any(dirty)] * len(found)
+            values.update(zip(eqn.outvars, found))
+            marks.update(zip(eqn.outvars, dirty))
+        return [read(x) for x in jaxpr.outvars], [marked(x) for x in jaxpr.outvars]
+
+    def _watched(self, eqn, given, found, line, dirty: bool):
+        """An equation's results, with its site's change."""
+        kind = eqn.primitive.name
+        if kind in COMPARISONS and dirty and jnp.issubdtype(given[0].dtype, jnp.floating):
+            number = len(self.comparisons)
+            self.comparisons.append(Site(kind, line))
+            if self.change is not None:
+                here = self.change.comparison == number
+                found = [jnp.where(here, self.change.truths[number], found[0])]
+            self.truths.append(found[0])
+        elif (indices := _indices(eqn, given)) is not None and not said_by_user(eqn):
+            index, ranges = indices
+            number = len(self.reads)
+            self.reads.append(Site(kind, line, tuple(ranges)))
+            self.outside.append(_first_outside(index, ranges))
+            if self.change is not None and not _writes(kind):
+                here = (self.change.read == number) & self.outside[-1][2]
+                found = [jnp.where(here, _shifted(found[0], self.change.shift), found[0])]
+        return found
+
+
+def _program(eqn) -> Any:
+    inner = jax_private.called(eqn)
+    if inner is None or isinstance(inner, jex.ClosedJaxpr):
+        return inner
+    return None if inner.constvars else jex.ClosedJaxpr(inner, ())
+
+
+def _writes(kind: str) -> bool:
+    return kind.startswith("scatter") or kind == "dynamic_update_slice"
+
+
+def _shifted(x: Array, shift: Any) -> Array:
+    if jnp.issubdtype(x.dtype, jnp.bool_):
+        return ~x
+    return x + (shift * (1 + abs(x))).astype(x.dtype)
+
+
+def _indices(eqn, given) -> tuple[Array, list[tuple[int, int]]] | None:
+    """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
+
+    None where the program says itself what is to be done outside: `mode="clip"` or "fill".
+    """
+    kind, params = eqn.primitive.name, eqn.params
+    shape = getattr(given[0], "shape", ()) if given else ()
+    if kind in ("dynamic_slice", "dynamic_update_slice"):
+        sizes, starts = (
+            (params["slice_sizes"], given[1:])
+            if kind == "dynamic_slice"
+            else (given[1].shape, given[2:])
+        )
+        return jnp.stack([jnp.asarray(x, int) for x in starts], -1), list(zip(shape, sizes))
+    numbers = params.get("dimension_numbers")
+    if kind == "gather" and params["mode"] == GatherScatterMode.PROMISE_IN_BOUNDS:
+        axes, sizes = numbers.start_index_map, params["slice_sizes"]
+        return given[1], [(shape[a], sizes[a]) for a in axes]
+    if kind.startswith("scatter") and params.get("mode") != GatherScatterMode.CLIP:
+        return given[1], [(shape[a], 1) for a in numbers.scatter_dims_to_operand_dims]
+    return None
+
+
+def _first_outside(index: Array, ranges: list[tuple[int, int]]) -> tuple[Array, Array, Array]:
+    """The first index outside of its range, its axis, and whether there is one."""
+    if not ranges or not index.size:
+        return jnp.int32(0), jnp.int32(0), jnp.bool_(False)
+    last = np.array([length - size for length, size in ranges])
+    flat = jnp.reshape(index, (-1, len(ranges)))
+    outside = jnp.ravel((flat < 0) | (flat > last))
+    first = jnp.argmax(outside)
+    return jnp.ravel(flat)[first], first % len(ranges), outside[first]
+
+
+def tainted_by(function: Callable[..., Any], *arguments) -> list[bool]:
+    """Which results of a function depend on its arguments."""
+    closed = jax.make_jaxpr(function)(*arguments)
+    return tainted_results(closed.jaxpr, [True] * len(closed.jaxpr.invars))
+
+
+def tainted_results(jaxpr, tainted: Sequence[bool]) -> list[bool]:
+    """Which results of a program depend on its tainted arguments."""
+    marks = dict(zip(jaxpr.invars, tainted))
+
+    def marked(atom):
+        return not isinstance(atom, jex.Literal) and marks.get(atom, False)
+
+    for eqn in jaxpr.eqns:
+        dirty = [marked(x) for x in eqn.invars]
+        inner = _program(eqn) if eqn.primitive.name in _CALLS else None
+        if inner is None:
+            found = [any(dirty)] * len(eqn.outvars)
+        else:
+            found = tainted_results(inner.jaxpr, dirty)
+        marks.update(zip(eqn.outvars, found))
+    return [marked(x) for x in jaxpr.outvars]

@@ -1,0 +1,103 @@
+"""Comparisons that make an output or the state jump are named; corners and smooth limits are not."""
+
+import equinox as eqx
+import jax.numpy as jnp
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from snapo.checker.check import check
+from snapo.checker.jumps import LEAST, _sides
+from snapo.problem.smooth import Exact
+
+from .test_check import Good, inputs
+
+
+class Jumping(Good):
+    """`how` says which number is compared, and what is made of it."""
+
+    how: str = eqx.field(static=True, default="corner")
+    level: float = eqx.field(static=True, default=1.3)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action, noise, smooth)
+        x, level, z = state["stock"], self.level, noise[0]
+        ways = {
+            "bool": lambda: 10 * (x > level),
+            "where": lambda: jnp.where(x > level, 10.0, 0.0),
+            "vector": lambda: jnp.where(x * jnp.ones(3) > level + jnp.arange(3), 10.0, x).sum(),
+            "both": lambda: jnp.where((x > level) & (x < 99.0), 10.0, 0.0),
+            "action": lambda: jnp.where(action[0] > 0.5, x + 10.0, x),
+            "input": lambda: jnp.where(z > constants["drift"], 10.0, 0.0),
+            "corner": lambda: jnp.where(x > level, x - level, 0.0),
+            "vector corner": lambda: jnp.where(jnp.stack([x, 2 * x]) > level, x, x).sum(),
+            "functions": lambda: (
+                jnp.maximum(x, level) + jnp.abs(x - level) + jnp.clip(x, 1.0, level)
+            ),
+            "smooth": lambda: smooth.indicator(x - level) + smooth.positive_part(x - level),
+            "exact": lambda: Exact().minimum(x, level),
+            "noise": lambda: jnp.where(z > 0.3, 10.0, 0.0),
+            "now": lambda: jnp.where(now["price"] > 1.05, 10.0, 0.0),
+            "count": lambda: jnp.where(state["count"] > 2, 10.0, 0.0),
+            "guard": lambda: jnp.where(x > -5.0, x, 10.0),
+            "rounding": lambda: jnp.where(x > level, x * (1 + 1e-12), x),
+        }
+        if self.how == "state":
+            return after | {"stock": jnp.where(x > level, 0.5, after["stock"])}, outputs
+        return after, {"cash": outputs["cash"] + ways.get(self.how, lambda: 0.0)()}
+
+    def terminal(self, constants, state, smooth):
+        paid = jnp.where(state["stock"] > 1.5, 10.0, 0.0) if self.how == "terminal" else 0.0
+        return {"cash": state["stock"] ** 2 * 0.1 + paid}
+
+
+def told(how: str):
+    return [f for f in check(Jumping(how=how), inputs(), paths=8) if "jump, by" in f.what]
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    "how, method, name",
+    [
+        ("bool", "step", "output cash"),
+        ("where", "step", "output cash"),
+        ("vector", "step", "output cash"),
+        ("both", "step", "output cash"),
+        ("action", "step", "output cash"),
+        ("input", "step", "output cash"),
+        ("state", "step", "state stock"),
+        ("terminal", "terminal", "output cash"),
+    ],
+)
+def test_a_jump_is_a_warning_with_its_line_size_and_remedy(how, method, name):
+    found = told(how)
+    assert len(found) == 1 and found[0].severity == "warning", str(found)
+    assert found[0].where.startswith(f"{method}, ") and "test_jumps.py:" in found[0].where
+    assert f"makes {name} jump" in found[0].what and ">" in found[0].what
+    assert "smooth.indicator(" in found[0].fix and "snapo.Choice" in found[0].fix
+    if how in ("bool", "where", "both", "action", "input", "terminal"):
+        assert "jump, by 10 on a path" in found[0].what
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    "how",
+    [
+        *("corner", "vector corner", "functions", "smooth", "exact", "noise", "now", "count"),
+        *("guard", "rounding"),
+    ],
+)
+def test_corners_smooth_limits_noise_and_time_are_no_jumps(how):
+    assert not (found := told(how)), str(found)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.integers(1, 5), st.integers(1, 6), st.integers(0, 2**30))
+def test_the_two_sides_are_of_one_step_and_differ(steps, paths, bits):
+    truth = np.array([bits >> k & 1 for k in range(steps * paths)], bool)
+    first, second = _sides(truth, steps)
+    assert np.all(first // paths == second // paths) and np.all(truth[first] != truth[second])
+    each = truth.reshape(steps, paths)
+    assert bool(first.size) == bool(np.any(each.any(1) & ~each.all(1)))
+    assert 0 < LEAST < 1
