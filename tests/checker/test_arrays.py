@@ -15,8 +15,8 @@ from snapo.checker.arrays.slices import beyond, short_slices
 from snapo.checker.arrays.tables import tables
 from snapo.checker.check import check
 from snapo.checker.findings import Notes, Stop
-from snapo.checker.methods import Method
-from snapo.checker.points import Points
+from snapo.checker.program.methods import Method
+from snapo.checker.program.points import Points
 from snapo.problem.prepare import prepare
 from snapo.problem.simulator import Schedule
 

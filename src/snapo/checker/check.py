@@ -20,8 +20,8 @@ from .bumps import bumped
 from .effects import reached, used
 from .findings import Findings, Notes, Stop
 from .jumps import jumps
-from .points import moments
 from .precision import both_precisions
+from .program.points import moments
 from .repeatable import repeatable
 from .rollout import observed, rolled
 from .shapes import declared, one_step, prepared

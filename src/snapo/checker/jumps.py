@@ -11,7 +11,7 @@ import jax
 import numpy as np
 
 from .findings import Notes
-from .points import Points
+from .program.points import Points
 
 PAIRS, ROUNDS = 6, 52  # pairs of points of each comparison; halvings of the way between them
 LEAST = 1e-4  # a jump, of the largest value of its result
@@ -91,7 +91,7 @@ def _largest(points: Points, number: int, first, second, held, results) -> Jump 
         )
         other = np.where(left.reshape(-1, *[1] * (truth.ndim - 1)), other, truth)
     at = points.watched.nothing()
-    truths = [np.broadcast_to(x, (len(first), *x.shape)) for x in at.truths]
+    truths: list[Any] = [np.broadcast_to(x, (len(first), *x.shape)) for x in at.truths]
     sides = []
     for truth in (one, other):
         truths[number] = truth

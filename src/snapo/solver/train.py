@@ -235,7 +235,10 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     # The price of a limit may lead to a bound of the decisions, where gradients are tiny, any time.
     first = training.steps if progress.dual.prices else clipping.FIRST
     fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
-    wild = step == horizon.FIRST and horizon.wild(norms[since:], paths)
+    # A bound that an early leap has brought hides chaos: the steps before it tell.
+    free = [record.gradient_norm for record in progress.history if not record.clip]
+    own = since if progress.clip is None else 0
+    wild = step == horizon.FIRST and horizon.wild(free[own:], paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have

@@ -18,7 +18,7 @@ from snapo.lanes.jax_private import arguments_of_scan
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..findings import Notes
-from ..methods import methods, preparation
+from ..program.methods import methods, preparation
 
 CORRECT = "Correct the index, or the size that is declared."
 

@@ -3,8 +3,8 @@
 import numpy as np
 
 from ..findings import Notes
-from ..points import Points
-from ..watch import Site
+from ..program.points import Points
+from ..program.watch import Site
 from .indices import CORRECT
 
 MEANT = "jnp.clip(index, 0, length - 1) says that the nearest entry is meant."

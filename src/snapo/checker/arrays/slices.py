@@ -13,12 +13,13 @@ from typing import Any, NamedTuple
 
 import jax
 import numpy as np
+from jax.core import Tracer
 from jaxtyping import PyTree
 
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..findings import Notes
-from ..methods import Line, line_among, methods, preparation
+from ..program.methods import Line, line_among, methods, preparation
 
 
 class Short(NamedTuple):
@@ -48,19 +49,18 @@ def short_slices(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: S
 def _asked() -> Iterator[list[Short]]:
     """The slices past an end that this thread's code takes of traced arrays."""
     found: list[Short] = []
-    tracer, mine = jax.core.Tracer, threading.get_ident()
-    before = tracer.__getitem__
+    mine, before = threading.get_ident(), Tracer.__getitem__
 
     def getitem(self, index):
         if threading.get_ident() == mine and (line := _users_line(sys._getframe(1))):
             found.extend(Short(*each, line) for each in _past(index, self.shape))
         return before(self, index)
 
-    tracer.__getitem__ = getitem
+    Tracer.__getitem__ = getitem
     try:
         yield found
     finally:
-        tracer.__getitem__ = before
+        Tracer.__getitem__ = before
 
 
 def _users_line(frame: Any) -> Line | None:

@@ -15,7 +15,7 @@ import numpy as np
 from snapo.problem.simulator import Schedule, Simulator
 
 from ..findings import Notes
-from ..methods import Line, line_of, methods
+from ..program.methods import Line, line_of, methods
 
 TABLE = (
     "A NumPy table that is used inside a method keeps the precision in which JAX met it first: "

@@ -32,12 +32,12 @@ class Site(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Numbers of one call: its results, the truth of every comparison, and of every read the
-    first index outside (0 where none is), its axis and whether there is one."""
+    """Arrays of one call (NumPy's by `Points.seen`): its results, the truth of every comparison,
+    and of every read the first index outside (0 where none is), its axis, whether there is one."""
 
-    results: list[Array]
-    truths: list[Array]
-    outside: list[tuple[Array, Array, Array]]
+    results: list[Any]
+    truths: list[Any]
+    outside: list[tuple[Any, Any, Any]]
 
 
 class Change(NamedTuple):
@@ -158,7 +158,7 @@ def _indices(eqn, given) -> tuple[Array, list[tuple[int, int]]] | None:
     None where the program says itself what is to be done outside: `mode="clip"` or "fill".
     """
     kind, params = eqn.primitive.name, eqn.params
-    shape = getattr(given[0], "shape", ()) if given else ()
+    shape = [int(n) for n in getattr(given[0], "shape", ())] if given else []
     if kind in ("dynamic_slice", "dynamic_update_slice"):
         sizes, starts = (
             (params["slice_sizes"], given[1:])

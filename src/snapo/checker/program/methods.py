@@ -15,7 +15,7 @@ from snapo.problem import inputs as inputs_
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact
 
-from .mistakes import short
+from ..mistakes import short
 
 _SNAPO = os.path.dirname(os.path.dirname(__file__))
 # Code that a user's line calls: its caller is named.

@@ -11,8 +11,8 @@ from jaxtyping import PyTree
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
 
+from ..rollout import Run
 from .methods import Method, methods, preparation
-from .rollout import Run
 from .watch import Change, Seen, Watched, tainted_by
 
 POINTS, PATHS, STEPS = 2048, 8, 256  # at most; paths of each run
