@@ -54,3 +54,16 @@ def test_a_pendulum_by_default_settings_is_swung_up(seed):
     assert solution.value > -160
     assert "windows of" in " ".join(solution.notes)
     assert solution.growth is not None and "a hundredfold before step" in solution.growth.words()
+
+
+@pytest.mark.prove
+def test_a_leap_before_the_choice_does_not_hide_the_chaos():
+    """With seed 9 a gradient leaps at step 19 and brings a bound, one step before windows are
+    chosen; without them the pendulum ended at -460."""
+    few = snapo.Evaluation(paths=64, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
+    training = snapo.Training(seed=9, steps=25)
+    solution = snapo.solve(
+        Pendulum(), {"gravity": snapo.Input(10.0)}, training=training, evaluation=few
+    )
+    found = [(record.clip > 0, record.window > 0) for record in solution.history]
+    assert found[19] == (True, False) and found[-1] == (False, True)
