@@ -125,7 +125,7 @@ def put(seed: int) -> Task:
 
     problem = snapo.Problem(Put(), example["inputs"], snapo.Mean("cash"))
     training = snapo.Training(
-        steps=240, paths=128, window=None, validation_paths=1024, validation_every=20, seed=seed
+        steps=720, paths=256, window=None, validation_paths=4096, validation_every=40, seed=seed
     )
     return Task(
         problem, snapo.MLP(), training,

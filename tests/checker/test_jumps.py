@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import snapo
 from snapo.checker.check import check
 from snapo.checker.jumps import LEAST, _sides
 from snapo.problem.smooth import Exact
@@ -101,3 +102,30 @@ def test_the_two_sides_are_of_one_step_and_differ(steps, paths, bits):
     each = truth.reshape(steps, paths)
     assert bool(first.size) == bool(np.any(each.any(1) & ~each.all(1)))
     assert 0 < LEAST < 1
+
+
+class Fall(snapo.Simulator):
+    """Draws nothing, and has a comparison without any number."""
+
+    horizon: int = 4
+    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    noise_size: int = 0
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.arange(4.0)})
+
+    def initial(self, constants, noise):
+        return {"height": constants["height"], "others": jnp.zeros(0) * constants["height"]}
+
+    def observe(self, constants, now, state):
+        return jnp.stack([state["height"], now["t"] / 4])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        others = jnp.where(state["others"] > 1, 0.0, state["others"])
+        after = {"height": state["height"] + action[0], "others": others}
+        return after, {"cost": after["height"] ** 2}
+
+
+def test_a_simulator_without_noise_has_no_findings():
+    found = snapo.check(Fall(), {"height": snapo.Input(2.0)})
+    assert "no findings" in str(found), str(found)

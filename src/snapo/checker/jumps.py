@@ -61,7 +61,7 @@ def _held(x: Any) -> bool:
 
 def _sides(truth: np.ndarray, steps: int) -> tuple[np.ndarray, np.ndarray]:
     """Pairs of points of the same step in which a comparison differs."""
-    by_step = truth.reshape(steps, -1, int(np.prod(truth.shape[1:], initial=1)))
+    by_step = truth.reshape(steps, len(truth) // steps, int(np.prod(truth.shape[1:], initial=1)))
     many, pairs = by_step.shape[1], []
     for shift in range(1, many):
         step, path = np.nonzero((by_step != np.roll(by_step, -shift, 1)).any(2))
@@ -84,7 +84,7 @@ def _largest(points: Points, number: int, first, second, held, results) -> Jump 
     for _ in range(ROUNDS):
         middle = [x if stays else (x + y) / 2 for x, y, stays in zip(near, far, held)]
         truth = points.seen(middle).truths[number]
-        left = (truth == one).reshape(len(truth), -1).all(1)
+        left = (truth == one).all(tuple(range(1, truth.ndim)))
         near, far = (
             [x if stays else _chosen(m, x, take) for x, m, stays in zip(side, middle, held)]
             for side, take in ((near, left), (far, ~left))

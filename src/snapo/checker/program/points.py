@@ -109,6 +109,7 @@ def _joined(trees: Sequence[Any], times: np.ndarray, paths: int) -> Any:
 
     def joined(*leaves):
         taken = np.concatenate([np.asarray(x)[times][:, :paths] for x in leaves], 1)
-        return jnp.asarray(taken.reshape(-1, *taken.shape[2:]))
+        steps, many, *rest = taken.shape  # without noise the last is 0
+        return jnp.asarray(taken.reshape(steps * many, *rest))
 
     return jax.tree.map(joined, *trees)
