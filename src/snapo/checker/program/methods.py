@@ -17,7 +17,7 @@ from snapo.problem.smooth import Exact
 
 from ..mistakes import short
 
-_SNAPO = os.path.dirname(os.path.dirname(__file__))
+_SNAPO = os.path.dirname(os.path.dirname(os.path.dirname(__file__)))
 # Code that a user's line calls: its caller is named.
 _OWN = tuple(os.path.join(_SNAPO, part, "") for part in ("problem", "checker", "engine", "solver"))
 _LIBRARIES = f"{os.sep}site-packages{os.sep}"
