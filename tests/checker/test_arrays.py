@@ -4,6 +4,7 @@ from contextlib import suppress
 
 import equinox as eqx
 import jax
+import jax.core
 import jax.numpy as jnp
 import numpy as np
 import pytest

@@ -20,6 +20,8 @@ from .methods import Line, line_of, said_by_user
 COMPARISONS = ("lt", "gt", "le", "ge")
 _CALLS = ("jit", "pjit", "closed_call", "core_call", "checkpoint", "remat", "remat2")
 NONE = -1  # no site is changed
+# Of a number in a program: known as it is traced, made of its arguments, of tainted ones.
+KNOWN, GIVEN, TAINTED = range(3)
 
 
 class Site(NamedTuple):
@@ -32,8 +34,8 @@ class Site(NamedTuple):
 
 
 class Seen(NamedTuple):
-    """Arrays of one call (NumPy's by `Points.seen`): its results, the truth of every comparison,
-    and of every read the first index outside (0 where none is), its axis, whether there is one."""
+    """Numbers of one call: its results, the truth of every comparison, and of every read the
+    first index outside (0 where none is), its axis and whether there is one."""
 
     results: list[Any]
     truths: list[Any]
@@ -41,8 +43,8 @@ class Seen(NamedTuple):
 
 
 class Change(NamedTuple):
-    """What one site does otherwise: a comparison has `truths`, reads outside are moved by `shift`
-    times their size and one more. `comparison` and `read` are the sites' numbers, or `NONE`."""
+    """A change of one site: a comparison has `truths`, a read outside is moved by `shift` times
+    its size and one more. `comparison` and `read` are the sites' numbers, or `NONE`."""
 
     comparison: Any
     truths: Any
@@ -73,9 +75,8 @@ class Watched:
 
     def __call__(self, arguments: Sequence[Any], change: Change | None) -> Seen:
         walk = _Walk(change)
-        results, _ = walk.run(
-            self.closed.jaxpr, self.closed.consts, arguments, list(self.tainted), None
-        )
+        marks = [TAINTED if each else GIVEN for each in self.tainted]
+        results, _ = walk.run(self.closed.jaxpr, self.closed.consts, arguments, marks, None)
         self.comparisons, self.reads = walk.comparisons, walk.reads
         return Seen(results, walk.truths, walk.outside)
 
@@ -90,16 +91,16 @@ class _Walk:
         self.truths: list[Array] = []
         self.outside: list[tuple[Array, Array, Array]] = []
 
-    def run(self, jaxpr, consts, arguments, tainted, caller: Line | None):
-        """The results of a program, and whether each is tainted."""
+    def run(self, jaxpr, consts, arguments, given_marks, caller: Line | None):
+        """The results of a program, and the mark of each."""
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*consts, *arguments]))
-        marks = dict(zip(jaxpr.invars, tainted))
+        marks = dict(zip(jaxpr.invars, given_marks))
 
         def read(atom):
             return atom.val if isinstance(atom, jex.Literal) else values[atom]
 
         def marked(atom):
-            return not isinstance(atom, jex.Literal) and marks.get(atom, False)
+            return KNOWN if isinstance(atom, jex.Literal) else marks.get(atom, KNOWN)
 
         for eqn in jaxpr.eqns:
             given, dirty = [read(x) for x in eqn.invars], [marked(x) for x in eqn.invars]
@@ -108,23 +109,27 @@ class _Walk:
                 found, dirty = self.run(inner.jaxpr, inner.consts, given, dirty, line)
             else:
                 found = jax_private.apply(eqn, given, eqn.source_info.traceback)
-                found = self._watched(eqn, given, found, line, any(dirty))
-                dirty = [any(dirty)] * len(found)
+                found = self._watched(eqn, given, found, line, dirty)
+                dirty = [max(dirty, default=KNOWN)] * len(found)
             values.update(zip(eqn.outvars, found))
             marks.update(zip(eqn.outvars, dirty))
         return [read(x) for x in jaxpr.outvars], [marked(x) for x in jaxpr.outvars]
 
-    def _watched(self, eqn, given, found, line, dirty: bool):
+    def _watched(self, eqn, given, found, line, dirty: list[int]):
         """An equation's results, with its site's change."""
         kind = eqn.primitive.name
-        if kind in COMPARISONS and dirty and jnp.issubdtype(given[0].dtype, jnp.floating):
+        if (
+            kind in COMPARISONS
+            and TAINTED in dirty
+            and jnp.issubdtype(given[0].dtype, jnp.floating)
+        ):
             number = len(self.comparisons)
             self.comparisons.append(Site(kind, line))
             if self.change is not None:
                 here = self.change.comparison == number
                 found = [jnp.where(here, self.change.truths[number], found[0])]
             self.truths.append(found[0])
-        elif (indices := _indices(eqn, given)) is not None and not said_by_user(eqn):
+        elif (indices := _indices(eqn, given, dirty)) is not None and not said_by_user(eqn):
             index, ranges = indices
             number = len(self.reads)
             self.reads.append(Site(kind, line, tuple(ranges)))
@@ -152,26 +157,27 @@ def _shifted(x: Array, shift: Any) -> Array:
     return x + (shift * (1 + abs(x))).astype(x.dtype)
 
 
-def _indices(eqn, given) -> tuple[Array, list[tuple[int, int]]] | None:
+def _indices(eqn, given, dirty: list[int]) -> tuple[Array, list[tuple[int, int]]] | None:
     """The indices [..., axes] of a read or write, and (length, size of a part) of each axis.
 
-    None where the program says itself what is to be done outside: `mode="clip"` or "fill".
+    None where they are known as a method is traced, and where the program itself says how to
+    read outside: `mode="clip"` or "fill".
     """
     kind, params = eqn.primitive.name, eqn.params
-    shape = [int(n) for n in getattr(given[0], "shape", ())] if given else []
+    first = 2 if kind == "dynamic_update_slice" else 1
     if kind in ("dynamic_slice", "dynamic_update_slice"):
-        sizes, starts = (
-            (params["slice_sizes"], given[1:])
-            if kind == "dynamic_slice"
-            else (given[1].shape, given[2:])
-        )
-        return jnp.stack([jnp.asarray(x, int) for x in starts], -1), list(zip(shape, sizes))
-    numbers = params.get("dimension_numbers")
-    if kind == "gather" and params["mode"] == GatherScatterMode.PROMISE_IN_BOUNDS:
-        axes, sizes = numbers.start_index_map, params["slice_sizes"]
-        return given[1], [(shape[a], sizes[a]) for a in axes]
-    if kind.startswith("scatter") and params.get("mode") != GatherScatterMode.CLIP:
-        return given[1], [(shape[a], 1) for a in numbers.scatter_dims_to_operand_dims]
+        if not any(dirty[first:]):
+            return None
+        sizes = params["slice_sizes"] if first == 1 else given[1].shape
+        starts = jnp.stack([jnp.asarray(x, int) for x in given[first:]], -1)
+        return starts, list(zip(given[0].shape, sizes))
+    if kind.startswith(("gather", "scatter")) and dirty[1] != KNOWN:
+        shape, numbers = given[0].shape, params["dimension_numbers"]
+        if kind != "gather" and params["mode"] != GatherScatterMode.CLIP:
+            return given[1], [(shape[a], 1) for a in numbers.scatter_dims_to_operand_dims]
+        if params["mode"] == GatherScatterMode.PROMISE_IN_BOUNDS:
+            sizes = params["slice_sizes"]
+            return given[1], [(shape[a], sizes[a]) for a in numbers.start_index_map]
     return None
 
 
