@@ -31,7 +31,7 @@ def jumps(notes: Notes, points: Points) -> None:
     asked = [k for k, each in enumerate(watched.comparisons) if each.line and not each.line.own]
     if points.method.name not in ("step", "terminal") or not asked:
         return
-    seen = points.seen(points.arguments)
+    seen = points.met
     held = [not moves or _held(x) for x, moves in zip(points.arguments, points.moving)]
     for number in asked:
         line = watched.comparisons[number].line
@@ -90,8 +90,8 @@ def _largest(points: Points, number: int, first, second, held, results) -> Jump 
             for side, take in ((near, left), (far, ~left))
         )
         other = np.where(left.reshape(-1, *[1] * (truth.ndim - 1)), other, truth)
-    at = points.watched.nothing()
-    truths: list[Any] = [np.broadcast_to(x, (len(first), *x.shape)) for x in at.truths]
+    at = points.watched.nothing(len(first))
+    truths = list(at.truths)
     sides = []
     for truth in (one, other):
         truths[number] = truth

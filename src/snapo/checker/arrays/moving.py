@@ -16,31 +16,26 @@ def moving_indices(notes: Notes, points: Points) -> None:
     watched, told = points.watched, set()
     if not watched.reads:
         return
-    outside = points.seen(points.arguments).outside
-    for number, (site, (index, axis, is_outside)) in enumerate(zip(watched.reads, outside)):
+    sites = zip(watched.reads, points.met.outside)
+    for number, (site, (index, axis, is_outside)) in enumerate(sites):
         which = np.flatnonzero(is_outside)
         if not which.size or (site.line is not None and site.line.own):
             continue
-        writes = not site.kind.startswith(("gather", "dynamic_slice"))
-        if not writes and not _matters(points, number, which):
+        if not site.writes and not _matters(points, number, which):
             continue
         met, length, size = _met(site, index[which], axis[which])
         if (site.line, length) not in told:
             told.add((site.line, length))
-            _write(notes, points.method.name, site, _said(met, length, size), writes)
+            _write(notes, points.method.name, site, _said(met, length, size))
 
 
 def _matters(points: Points, number: int, which: np.ndarray) -> bool:
     """Whether the entry that is read outside moves a result: `jnp.where` may leave it out."""
     which = which[np.unique(np.linspace(0, len(which) - 1, min(len(which), FEW)).astype(int))]
     arguments = points.some(which)
-    none = points.watched.nothing()
-    truths = [np.broadcast_to(x, (len(which), *x.shape)) for x in none.truths]
+    here = points.watched.nothing(len(which))._replace(read=np.int32(number))
     as_read, up, down = (
-        points.seen(
-            arguments,
-            none._replace(truths=truths, read=np.int32(number), shift=np.float64(shift)),
-        ).results
+        points.seen(arguments, here._replace(shift=np.float64(shift))).results
         for shift in (0, 1, -1)
     )
     return any(
@@ -65,14 +60,14 @@ def _said(met: int, length: int, size: int) -> str:
     return f"an index is {met} and the array has {length} entries"
 
 
-def _write(notes: Notes, method: str, site: Site, said: str, writes: bool) -> None:
+def _write(notes: Notes, method: str, site: Site, said: str) -> None:
     where = f"{method}, {site.line}" if site.line else notes.method(method)
     text = f" In: {site.line.text}" if site.line else ""
     met = "With these inputs" if method == "prepare" else "On a path"
-    done = "drops such a write" if writes else "reads the nearest one"
-    note = notes.warning if writes else notes.error
+    done = "drops such a write" if site.writes else "reads the nearest one"
+    note = notes.warning if site.writes else notes.error
     note(
         where,
         f"{met} {said}: JAX {done}, without an error.{text}",
-        CORRECT if writes else f"{CORRECT} {MEANT}",
+        CORRECT if site.writes else f"{CORRECT} {MEANT}",
     )

@@ -1,6 +1,7 @@
 """Moments of the recorded runs at which a method is evaluated: many points, in one call."""
 
 from collections.abc import Iterator, Sequence
+from functools import cached_property
 from typing import Any
 
 import jax
@@ -46,13 +47,16 @@ class Points:
         changed = Change(None, 0, None, None)  # pyright: ignore[reportArgumentType]
         self.compiled = jax.jit(jax.vmap(self.watched, (axes, changed)))
 
+    @cached_property
+    def met(self) -> Seen:
+        """All that is met at all points."""
+        return self.seen(self.arguments)
+
     def seen(self, arguments: Sequence[Any], change: Change | None = None) -> Seen:
         """All that is met at these arguments; the truths of a change have an entry a point."""
         if change is None:
             many = next(len(x) for x, moves in zip(arguments, self.moving) if moves)
-            none = self.watched.nothing()
-            truths = [np.broadcast_to(x, (many, *x.shape)) for x in none.truths]
-            change = none._replace(truths=truths)
+            change = self.watched.nothing(many)
         return jax.tree.map(np.asarray, self.compiled(tuple(arguments), change))
 
     def some(self, which: np.ndarray) -> list[Any]:

@@ -32,6 +32,10 @@ class Site(NamedTuple):
     line: Line | None
     ranges: tuple[tuple[int, int], ...] = ()
 
+    @property
+    def writes(self) -> bool:
+        return self.kind.startswith("scatter") or self.kind == "dynamic_update_slice"
+
 
 class Seen(NamedTuple):
     """Numbers of one call: its results, the truth of every comparison, and of every read the
@@ -68,9 +72,9 @@ class Watched:
     def _unchanged(self, *arguments) -> Seen:
         return self(arguments, None)
 
-    def nothing(self) -> Change:
-        """The change that changes nothing."""
-        truths = [np.zeros(x.shape, bool) for x in self.shapes.truths]
+    def nothing(self, many: int) -> Change:
+        """The change that changes nothing, of so many points."""
+        truths = [np.zeros((many, *x.shape), bool) for x in self.shapes.truths]
         return Change(np.int32(NONE), truths, np.int32(NONE), np.float64(0))
 
     def __call__(self, arguments: Sequence[Any], change: Change | None) -> Seen:
@@ -134,7 +138,7 @@ class _Walk:
             number = len(self.reads)
             self.reads.append(Site(kind, line, tuple(ranges)))
             self.outside.append(_first_outside(index, ranges))
-            if self.change is not None and not _writes(kind):
+            if self.change is not None and not self.reads[-1].writes:
                 here = (self.change.read == number) & self.outside[-1][2]
                 found = [jnp.where(here, _shifted(found[0], self.change.shift), found[0])]
         return found
@@ -145,10 +149,6 @@ def _program(eqn) -> Any:
     if inner is None or isinstance(inner, jex.ClosedJaxpr):
         return inner
     return None if inner.constvars else jex.ClosedJaxpr(inner, ())
-
-
-def _writes(kind: str) -> bool:
-    return kind.startswith("scatter") or kind == "dynamic_update_slice"
 
 
 def _shifted(x: Array, shift: Any) -> Array:

@@ -17,6 +17,7 @@ from ..actions import Actions, Box
 from ..policy import MLP, Network, Policy, widths
 from ..problem import Problem
 from ..simulator import Around, Interface, Simulator
+from ..smooth import Exact
 
 
 class Memory(Policy):
@@ -161,6 +162,13 @@ class Recent(Memory):
 def remembered(policy: Policy | None) -> int:
     """How many numbers a policy remembers; 0 for all without a memory."""
     return policy.memory if isinstance(policy, Memory) else 0
+
+
+def first_decision(policy: Policy, observation: Float[Array, " features"]) -> Float[Array, " size"]:
+    """The exact decision of the first step, at which nothing is remembered yet."""
+    if isinstance(policy, Memory):
+        return policy.decide(observation, jnp.zeros(policy.memory, observation.dtype), Exact())[0]
+    return policy(observation, Exact())
 
 
 class Remembering(Around):

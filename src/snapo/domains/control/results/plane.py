@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
@@ -13,7 +14,6 @@ from snapo.study.parts.profile import recorded
 from snapo.study.study import Part, StudyRun
 
 from ..plants.plant import Plant
-from .first import first_decision
 
 CELLS, PATHS, KNOWN = 48, 8, 512  # of the map to a side; drawn; recorded
 

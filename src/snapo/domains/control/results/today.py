@@ -6,12 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
 from snapo.study.study import Setup, Today
 
 from ..plants.plant import Plant
-from .first import first_decision
 
 
 def today(setup: Setup, policy: Policy) -> Today:
