@@ -56,7 +56,7 @@ FOLLOWS = "or left out: then it follows the problem"
 
 
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: four keys follow the problem.
+    """`[training]` of a plant or of a simulator of one's own: five keys follow the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
@@ -73,6 +73,9 @@ class FollowingTable(TrainingTable):
     )
     decay: Annotated[float, Field(ge=0, le=1e6)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         None, description=f"a number, 0 or more, {FOLLOWS}"
+    )
+    exploration: Annotated[float, Field(ge=0, lt=1)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a number from 0 to below 1, {FOLLOWS}"
     )
 
 

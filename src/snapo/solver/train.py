@@ -77,9 +77,10 @@ def train(
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
-    own, practice = remembering(problem, progress.policy), practised(problem, training)
-    seen = own if practice is problem else remembering(practice, progress.policy)
+    own = remembering(problem, progress.policy)
     training = fitted(training, own, progress.policy)
+    practice = practised(problem, training)
+    seen = own if practice is problem else remembering(practice, progress.policy)
     last = training.steps if until is None else min(until, training.steps)
     bound = engine.bind(seen, controls=False)
     exact = bound if seen is own else engine.bind(own, controls=False)

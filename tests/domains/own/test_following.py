@@ -66,8 +66,10 @@ def test_what_is_left_out_is_what_solve_takes(tmp_path):
 def test_what_is_given_stays_and_the_rest_follows_it(tmp_path):
     setup = setup_of(tmp_path, "[training]\nsteps = 300\n")
     assert (setup.training.steps, setup.training.paths) == (300, 512)
-    assert (setup.training.learning_rate, setup.training.decay) == (0.01, 0.0)
-    assert setup_of(tmp_path, "[training]\ndecay = 0.3\n").training.decay == 0.3
+    training = setup.training
+    assert (training.learning_rate, training.decay, training.exploration) == (0.01, 0.0, 0.0)
+    given = setup_of(tmp_path, "[training]\ndecay = 0.3\nexploration = 0.4\n").training
+    assert (given.decay, given.exploration) == (0.3, 0.4)
 
 
 def test_a_plant_without_settings_is_trained_as_solve_does():

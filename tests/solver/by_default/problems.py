@@ -1,7 +1,7 @@
 """Benchmark problems that are solved with no settings at all; `references.py` has their optima.
 
-A battery that decides 24 powers a day for a year, four reservoirs beside thermal plants, and a cart
-that swings its pole up. The regulator, the put and the pendulum stand where they were first used.
+A battery that decides 24 powers a day for a year, four reservoirs beside thermal plants, twelve
+stocks, and a cart that swings its pole up. The regulator, the put and the pendulum stand where they were first used.
 """
 
 import jax
@@ -145,6 +145,35 @@ class Hydro(snapo.Simulator):
 
 
 HYDRO = {"first": snapo.Input(FIRST), "demand": snapo.Input(DEMAND)}
+GOODS, PERIODS = 12, 20
+SOLD = np.linspace(4.0, 15.0, GOODS)  # mean demand of a period; its deviation is .3 of it
+SHORT = np.linspace(3.0, 19.0, GOODS)  # a unit that waits for a period, where holding one costs 1
+
+
+class Stocks(snapo.Simulator):
+    """Twelve goods that have nothing in common; orders come at once, and demand waits."""
+
+    horizon: int = PERIODS
+    action: snapo.Box = snapo.Box(GOODS, 0.0, 60.0)
+    noise_size: int = GOODS
+
+    def prepare(self, inputs):
+        constants = {"sold": jnp.asarray(SOLD, float), "short": jnp.asarray(SHORT, float)}
+        return snapo.Schedule(constants, {"time": jnp.arange(PERIODS) / PERIODS})
+
+    def initial(self, constants, noise):
+        return jnp.zeros(GOODS)
+
+    def observe(self, constants, now, state):
+        return state / constants["sold"]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after = state + action - constants["sold"] * (1 + 0.3 * noise)
+        over = smooth.positive_part(after, 5.0)
+        cost = over.sum() + constants["short"] @ smooth.positive_part(-after, 5.0)
+        return after, {"value": -cost}
+
+
 UPRIGHT = np.cos(np.radians(12))  # of the angle: within it Gymnasium's CartPole-v1 goes on
 
 

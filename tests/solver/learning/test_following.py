@@ -1,5 +1,6 @@
 """Steps and paths that nobody gave follow the horizon and the size of the policy."""
 
+import math
 from dataclasses import replace
 
 import jax
@@ -54,12 +55,38 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
 def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_given():
     of = problem(Regulator)
     many, made = replace(of, simulator=Regulator(action=snapo.Box(9))), policy(of)
-    assert fitted(Training(), many, made).decay == 0.2
+    found = fitted(Training(), many, made)
+    # The rate is half as large on average: a weight that nothing holds ends at a quarter.
+    assert math.exp(-found.decay * found.learning_rate * found.steps / 2) == pytest.approx(0.25)
     assert fitted(Training(), of, made).decay == 0
     assert fitted(Training(steps=50), many, made).decay == 0
     assert fitted(Training(steps=50, decay=0.3), many, made).decay == 0.3
     with pytest.raises(ValueError, match="decay is -1; allowed is a number, 0 or more"):
         Training(decay=-1)
+
+
+def test_decisions_explore_where_many_numbers_are_decided_unless_steps_or_a_share_are_given():
+    of = problem(Regulator)
+    made = policy(of)
+
+    def share(training=Training(), action=snapo.Box(9, -1.0, 1.0)):
+        return fitted(training, replace(of, simulator=Regulator(action=action)), made).exploration
+
+    assert share() == share(action=snapo.Whole(9, 0, 4)) == share(action=snapo.Simplex(9)) == 0.1
+    assert fitted(Training(), of, made).exploration == 0
+    assert share(Training(steps=50)) == 0
+    assert share(Training(steps=50, exploration=0.3)) == 0.3
+    assert share(Training(exploration=0.0)) == 0
+
+
+def test_none_explore_that_have_no_bounds_or_a_temperature_that_stays():
+    of = problem(Regulator)
+    unbounded = replace(of, simulator=Regulator(action=snapo.Box(9)))
+    choices = replace(of, simulator=Regulator(action=snapo.Choice(9)))
+    bounded = replace(of, simulator=Regulator(action=snapo.Box(9, -1.0, 1.0)))
+    for each in (unbounded, choices):
+        assert fitted(Training(), each, policy(of)).exploration == 0
+    assert fitted(Training(temperature_start=0.005), bounded, policy(of)).exploration == 0
 
 
 def test_hidden_layers_grow_with_the_numbers_that_are_decided():

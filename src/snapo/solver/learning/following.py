@@ -1,4 +1,4 @@
-"""Numbers of steps and paths, a rate and a decay, that follow the problem, where none is given.
+"""Settings that follow the problem where they are not given: paths, steps, rates and shares.
 
 A path of many steps holds many decisions, so fewer paths tell as much; and a step of training over
 a short horizon costs little, so there is time for more of them. Work counts the products that a
@@ -9,17 +9,22 @@ their weights move at once. A `Stop`, also in a `Product`, keeps the usual rate:
 scaled, and a put ended at 4.459 with the higher one, at 4.472 without.
 
 Where many numbers are decided, one of them may end where a limit cuts it off, which no gradient
-leads out of: a battery that always discharges at midnight, when it is empty. A decay of weights
-does, since nothing holds against it there: ten batteries earned 93.6 to 97.0 % of the best without
-it, 93.3 to 96.4 % with half of it, 94.1 to 96.1 % with it.
+leads out of: a battery that always discharges at midnight, when it is empty. Two remedies are
+taken. A tenth of every decision is drawn at random at first, which meets what the rule does not.
+And weights decay, since nothing holds against it there: to a quarter over all steps, however many
+they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 to 96.2 % with the
+decay alone, 95.2 to 97.7 % with both; of the first five with exploration alone one earned 94.4 %.
+Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
+both; .45 % with the decay of the battery, four times as large.
 """
 
 import math
 from dataclasses import replace
 
 import jax
+import numpy as np
 
-from snapo.problem.actions import Stop, holds
+from snapo.problem.actions import Actions, Stop, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
@@ -30,7 +35,9 @@ PATHS = (16, 512)  # at least, at most
 STEPS = (240, 3840)
 USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
 WIDTH = 32  # of hidden layers at which it is
-MANY, DECAY = 8, 0.2  # the decay where more numbers than so many are decided in one step
+MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
+LEFT = 1 / 4  # of a weight that nothing holds, after all steps
+EXPLORED = 0.1  # share of a decision
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
@@ -38,9 +45,9 @@ RATED = 48_000  # the same, of the steps that the rate follows: chosen before th
 def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     """The training with numbers in place of all that follows the problem."""
     paths, steps, rate = training.paths, training.steps, training.learning_rate
-    decay = training.decay
-    if follows(decay):
-        decay = DECAY if follows(steps) and problem.action.size > MANY else 0.0
+    decay, explored, free = training.decay, training.exploration, follows(training.steps)
+    if follows(explored):
+        explored = EXPLORED if free and _explores(problem.action, training) else 0.0
     horizon = problem.simulator.horizon
     if follows(paths):
         work = horizon * max(1, parameters(policy).size)
@@ -54,7 +61,18 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)
             rate *= min(1.0, WIDTH / _width(policy)) ** 0.25
-    return replace(training, paths=paths, steps=steps, learning_rate=float(rate), decay=decay)
+    if follows(decay):
+        # The rate falls to zero by a cosine, so that it is half as large on average.
+        decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
+    training = replace(training, paths=paths, steps=steps, learning_rate=float(rate))
+    return replace(training, decay=decay, exploration=explored)
+
+
+def _explores(action: Actions, training: Training) -> bool:
+    """Whether a share of these decisions can be drawn, and they are many; without bounds nobody
+    knows how far, and the share falls with the temperature."""
+    bounded = all(np.isfinite(bound).all() for bound in action.bounds())
+    return action.explores > MANY and bounded and training.cools
 
 
 def _width(policy: Policy) -> int:

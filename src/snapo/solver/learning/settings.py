@@ -19,6 +19,7 @@ class _Rate(float):
 
 FOLLOWS = _Follows(0)  # where a setting is not given (see `following`)
 DECAY = _Rate(0.0)  # of weights, where it is not given; it is this one where the steps are given
+EXPLORATION = _Rate(0.0)  # the same, of decisions
 RATE = _Rate(0.01)  # of Adam, where it is not given; it is this one where the steps are given
 
 
@@ -51,7 +52,8 @@ class Training:
       but where adjoints grow and gradients leap (`solver.learning.clipping`); 1.0: all, always.
     - `spread`: the normals of `initial` times this, in training only: wider starting states.
     - `exploration`: the share of a decision that is drawn at random in training (see
-      `learning.exploring`); it falls to 0 with the temperature. 0: none.
+      `learning.practice`); it falls to 0 with the temperature. 0: none. Where it is not given, as
+      the decay, if the decisions have bounds.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
       steps the better half goes on (`solver.learning.starts`).
     - `seed`: of the network's first weights and of all scenarios.
@@ -72,7 +74,7 @@ class Training:
     clip: float | str | None = "auto"
     keep: float | str = "auto"
     spread: float = 1.0
-    exploration: float = 0.0
+    exploration: float = EXPLORATION
     starts: int = 1
     seed: int = 0
 
@@ -91,7 +93,7 @@ class Training:
             number("Training: keep", self.keep, (SHARE[0], f"{SHARE[1]}, or 'auto'"))
         number("Training: spread", self.spread, ABOVE)
         number("Training: exploration", self.exploration, BELOW_ONE)
-        if self.exploration and not self.temperature_end < self.temperature_start:
+        if self.exploration and not self.cools:
             raise ValueError(
                 f"Training: exploration is {self.exploration!r} and falls with the temperature, "
                 f"but temperature_end, {self.temperature_end!r}, is not below temperature_start, "
@@ -104,6 +106,11 @@ class Training:
             )
         if self.clip is not None and self.clip != "auto":
             number("Training: clip", self.clip, (ABOVE[0], "a number above 0, 'auto' or None"))
+
+    @property
+    def cools(self) -> bool:
+        """Whether the temperature falls."""
+        return self.temperature_end < self.temperature_start
 
     def temperature(self, step: int) -> float:
         """Geometric from start to end, which is reached at three quarters of the steps."""
