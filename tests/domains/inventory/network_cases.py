@@ -3,6 +3,8 @@
 from pathlib import Path
 from typing import Any
 
+import jax
+
 from snapo.domains.inventory.item.records import InventoryCase
 from snapo.domains.inventory.network.levels import start
 from snapo.domains.inventory.network.records import NetworkCase
@@ -31,7 +33,8 @@ def one_place(
     more = {"season": {"file": season}} if season else {}
     whole = network({"name": "shop", "demand": demand, **more, **given}, folder=folder,
                     network={"unmet": unmet}, **tables)  # fmt: skip
-    stock, coming = start(whole)
+    with jax.enable_x64(True):
+        stock, coming = start(whole)
     # An item's stock has the arrival of this morning in it; in a network it is still on its way.
     arrived = float(coming[0, 0]) if coming.shape[1] else 0.0
     item = given | {"unmet": unmet, "stock": float(stock[0]) + arrived,
