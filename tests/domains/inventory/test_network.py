@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.domains.inventory.network.results import echelon_rule
+from snapo.domains.inventory.network.rivals import echelon_rule
 from snapo.domains.inventory.network.setup import make_setup
 from snapo.domains.inventory.read.network import read_network
 from snapo.domains.inventory.references.serial import serial_line

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.domains.inventory.network.results import ENDLESS, echelon_rule
+from snapo.domains.inventory.network.rivals import ENDLESS, echelon_rule
 from snapo.domains.inventory.network.setup import make_setup
 from snapo.domains.inventory.network.transshipment import in_pieces
 from snapo.domains.inventory.read.network import read_network

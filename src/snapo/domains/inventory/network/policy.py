@@ -4,10 +4,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
 
-from snapo.problem.actions import Actions
+from snapo.problem.actions import Actions, Choice, Product, Whole
 from snapo.problem.policy import Network, Policy
+from snapo.problem.smooth import Exact
 
+from ..policy.order_up_to import TRIGGER
 from .records import NetworkCase
 
 SHARP = 4.0  # of the softplus, as for one item
@@ -19,18 +22,25 @@ class EchelonRule(Policy):
 
     `gap` is the level of a place's echelon less its position: all goods there, on their way there
     and further down, less demand that waits. An echelon base-stock rule is optimal on a line
-    (Clark and Scarf, 1960). What stores of a pool hold back, or their bands, are
-    unit softplus(kept + network(seen)), and the shift of their balance is unit network(seen).
+    (Clark and Scarf, 1960). Where an order has a cost of its own, it is placed where
+    gap > wait + network(seen): an (s, S) rule of the echelon. What stores of a pool hold back, or
+    their bands, are unit softplus(kept + network(seen)), and the shift of their balance is
+    unit network(seen).
 
+    - `batch` [n], `wait` [m]: where it starts, in deviations: S above the first level of the
+      echelon, and s below it, of each of the m places where an order has a cost.
+    - `plain`: without a network, and no order of nothing is placed: a classical rule.
     - `movers`: the places of what is held back and of the bands, in the order of the action;
-      `shifts` of them, the last ones, have a shift.
+      `shifts` of them, the last ones, have a shift; `fixed`: the m places.
     """
 
     network: Network | None
     first: Float[Array, " n"]
     kept: Float[Array, " movers"]
+    wait: Float[Array, " m"]
     movers: tuple[int, ...]
     shifts: int
+    fixed: tuple[int, ...]
     action: Actions
 
     def __init__(
@@ -40,15 +50,19 @@ class EchelonRule(Policy):
         features: int,
         *,
         key,
+        batch: ArrayLike = 0.0,
+        wait: ArrayLike = 0.0,
         hidden: tuple[int, ...] = (32, 32),
         plain: bool = False,
     ):
         places, before = len(case.places), case.moving(True)
         self.movers, self.shifts = case.moving(False) + before, len(before)
-        self.action = action
-        self.first = jnp.zeros(places, jnp.float32)
+        self.fixed, self.action = case.fixed, action
+        self.first = jnp.full(places, jnp.asarray(batch), jnp.float32)
+        self.wait = jnp.full(len(self.fixed), jnp.asarray(wait), jnp.float32)
         self.kept = jnp.full(len(self.movers), 0.0 if plain else KEPT, jnp.float32)
-        widths = (features - places, *hidden, action.size)
+        # Of the two numbers of a choice the second is scored.
+        widths = (features - places, *hidden, action.size - len(self.fixed))
         self.network = None if plain else Network(widths, key=key)
 
     def __call__(self, observation, smooth):
@@ -57,10 +71,28 @@ class EchelonRule(Policy):
         raw = jnp.concatenate([gap + self.first, self.kept])
         units = unit[np.array([*range(n), *self.movers], int)]
         last = units[units.shape[0] - self.shifts :]
+        above = gap[np.array(self.fixed, int)] - self.wait
         if self.network is None:
-            amounts, shift = smooth.positive_part(raw), jnp.zeros_like(last)
+            amounts, shift = units * smooth.positive_part(raw), jnp.zeros_like(last)
+            above = self._something(above, amounts, smooth)
         else:
             found = self.network(jnp.concatenate([gap, observation[2 * n :]]))
-            amounts = jax.nn.softplus(SHARP * (raw + found[: raw.shape[0]])) / SHARP
-            shift = last * found[raw.shape[0] :]
-        return self.action.settle(jnp.concatenate([units * amounts, shift]), smooth)
+            amounts = raw + found[: raw.shape[0]]
+            amounts = units * jax.nn.softplus(SHARP * amounts) / SHARP
+            shift = last * found[raw.shape[0] : raw.shape[0] + self.shifts]
+            above = above + found[raw.shape[0] + self.shifts :]
+        parts = [amounts, shift, *self._choices(TRIGGER * above, smooth)]
+        return self.action.settle(jnp.concatenate(parts), smooth)
+
+    def _something(self, above, amounts, smooth):
+        """`above`, but below zero where an order, which has a cost, would be one of nothing."""
+        if not self.fixed or not isinstance(smooth, Exact):
+            return above
+        assert isinstance(self.action, Product)
+        least = 0.5 if isinstance(self.action["order"], Whole) else 0.0
+        return jnp.where(amounts[np.array(self.fixed, int)] > least, above, -1.0)
+
+    def _choices(self, scores, smooth) -> list[Array]:
+        """[2] whether to order, of each of `fixed`, by its score."""
+        pairs = jnp.stack([jnp.zeros_like(scores), scores], 1)
+        return [Choice(2).squash(pairs[k], smooth) for k in range(len(self.fixed))]

@@ -19,12 +19,16 @@ class Place:
     - `supplier`: the number of the place that it orders from; None: outside, which always delivers.
     - `lead`: periods from an order to its arrival, before the demand of that period.
     - `demand`: of customers; None where there are none.
+    - `season`: factors of its mean demand by place in the season; None where periods are alike.
+    - `fixed`: whether an order costs something whatever its size.
     """
 
     name: str
     supplier: int | None
     lead: int
     demand: Demand | None
+    season: Given | None = None
+    fixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,7 +61,8 @@ class NetworkCase:
 
     - `whole`: whether orders and all that is sent are whole numbers.
     - `holding`: by place, of goods there and on their way from there; `shortage`: by place that
-      sells, in the order of `sellers`; `transshipment`: by pool, of a unit moved.
+      sells, in the order of `sellers`; `transshipment`: by pool, of a unit moved; `ordering`: of
+      an order of any size, by place in the order of `fixed`, None where no order costs anything.
     - Other attributes as in `InventoryCase`.
     """
 
@@ -80,6 +85,7 @@ class NetworkCase:
     objective: ObjectiveTable
     training: TrainingTable
     evaluation: EvaluationTable
+    ordering: Given | None = None
     other_leads: bool = False
 
     @property
@@ -91,6 +97,16 @@ class NetworkCase:
     def sellers(self) -> tuple[int, ...]:
         """The numbers of the places with customers."""
         return tuple(i for i, place in enumerate(self.places) if place.demand is not None)
+
+    @cached_property
+    def fixed(self) -> tuple[int, ...]:
+        """The numbers of the places where an order costs something whatever its size."""
+        return tuple(i for i, place in enumerate(self.places) if place.fixed)
+
+    @property
+    def seasonal(self) -> bool:
+        """Whether periods differ, at any place."""
+        return any(place.season is not None for place in self.places)
 
     def moving(self, before: bool) -> tuple[int, ...]:
         """The numbers of the places that are in a pool before, or after demand is known."""
@@ -116,10 +132,22 @@ class NetworkCase:
         return found
 
     @cached_property
+    def linked(self) -> np.ndarray:
+        """[n, n]: 1 where what one place does may have an effect on the other."""
+        found = self.supplies + self.supplies.T + np.eye(len(self.places))
+        for pool in self.pools:
+            found[np.ix_(pool.places, pool.places)] = 1.0
+        return (np.linalg.matrix_power(found, len(self.places)) > 0).astype(float)
+
+    def way(self, i: int) -> int:
+        """Periods that goods need from outside to the customers of a place, its own included."""
+        return sum(self.places[j].lead + 1 for j in (i, *self._way(i)))
+
+    @cached_property
     def cover(self) -> np.ndarray:
         """[n] periods of demand from an order to the last customer that it can reach in time."""
         own = np.array([place.lead + 1 for place in self.places])
-        ways = [sum(own[j] for j in (i, *self._way(i))) for i in range(len(self.places))]
+        ways = [self.way(i) for i in range(len(self.places))]
         reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
         above = [way - step for way, step in zip(ways, own)]
         return np.array(reach) - np.array(above)

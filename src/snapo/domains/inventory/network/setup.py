@@ -10,9 +10,11 @@ from snapo.solver.train import Training
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
+from .estimates import first_batches
+from .inputs import network_inputs
 from .policy import EchelonRule
 from .records import NetworkCase
-from .simulator import NetworkSimulator, network_inputs
+from .simulator import NetworkSimulator
 
 
 def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
@@ -24,7 +26,8 @@ def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
     objective = make_objective(case.objective, "result")
     problem = Problem(simulator, network_inputs(case), objective, sources)
     key = jax.random.key(training.seed)
-    policy = EchelonRule(case, problem.action, problem.features, key=key)
+    batch, wait = first_batches(case)
+    policy = EchelonRule(case, problem.action, problem.features, key=key, batch=batch, wait=wait)
     engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines)
 

@@ -9,7 +9,8 @@ A period:
 3. Stores of a pool that acts before demand balance their stocks.
 4. Demand is met from stock; in a pool that acts after it, what is left goes where stock was short.
    Demand that is still unmet is lost, or waits (stock is then below zero).
-5. Holding is paid on stock and on goods on their way from a place, shortage on unmet demand.
+5. Holding is paid on stock and on goods on their way from a place, shortage on unmet demand; where
+   an order has a cost of its own, it is paid by order placed, also where less is sent, or nothing.
 
 A place has `lead_time + 1` periods of demand to cover before its next order can arrive, and one
 that it supplies as many more: the line of Clark and Scarf (1960) with lead times one longer.
@@ -18,36 +19,44 @@ that it supplies as many more: the line of Clark and Scarf (1960) with lead time
 from typing import Any
 
 import equinox as eqx
+import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy import stats
 
 from snapo.problem.actions import Actions, Box, Product, Whole
-from snapo.problem.inputs import Input
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
-from ..demand.base import Demand
+from .fixed import Weights, choices, placed
+from .inputs import demands, selling
+from .levels import levels, season, start
 from .records import NetworkCase
 from .transshipment import in_pieces, move_after, move_before
 
 CORNER = 8.0  # of a corner in deviations of demand, times the temperature
-OUTPUTS = ("result", "holding", "shortage", "transshipment")
-AVERAGES = ("demand", "sold", "stock", "short", "moved", "level")
+OUTPUTS = ("result", "holding", "shortage", "ordering", "transshipment")
+TOTALS = {each: each for each in ("demand", "sold", "stock", "orders")} | {"received": "moved"}
+AVERAGES = (*TOTALS.values(), "short", "level", "ordered")
+
+Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places that have any
 
 
 class NetworkSimulator(Simulator):
     """One path of a network; the inputs are those of `network_inputs(case)`.
 
-    State: "stock" [n], and where a lead time is above zero "coming" [n, longest lead time], the
-    next arrival first. Action [n]: the amount that each place asks for; with pools of stores more
+    State: "stock" [n]; where a lead time is above zero "coming" [n, longest lead time], the
+    next arrival first; with costs of an order the "likelihood" [m] of what training has drawn: 1,
+    with a derivative. Action [n]: the amount that each place asks for; with pools of stores more
     parts, [m] each: "held", the amount that a store holds back after demand; "band" and "shift",
-    how far from balance its stock may be before demand, and how much higher its balance is.
+    how far from balance its stock may be before demand, and how much higher its balance is; and
+    "order_NAME", whether a place orders, where an order has a cost of its own.
 
     Outputs: "result", minus all costs; "holding", "shortage"; averages of a period that counts:
     "demand", "sold" (met at once), "stock" and "short" (1 where any place falls short), and
     "stock_NAME", "sold_NAME", "demand_NAME" by place, "level_NAME" up to which it orders. With
-    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME".
+    pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME". With
+    costs of an order "ordering", and on average "orders", "orders_NAME", "ordered_NAME", a number
+    of goods; "level_NAME" is then that of a period with an order, 0 in another.
     """
 
     case: NetworkCase = eqx.field(static=True)
@@ -58,7 +67,8 @@ class NetworkSimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return len(self.case.sellers)
+        """Demands, and what decides in training whether a place orders."""
+        return len(self.case.sellers) + len(self.case.fixed)
 
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -68,6 +78,7 @@ class NetworkSimulator(Simulator):
             sets["held"] = amounts(held, 0.0)
         if balanced := len(case.moving(True)):
             sets |= {"band": amounts(balanced, 0.0), "shift": Box(balanced)}
+        sets |= choices(case)
         return Product(**sets) if len(sets) > 1 else sets["order"]
 
     @property
@@ -76,79 +87,60 @@ class NetworkSimulator(Simulator):
         return max(place.lead for place in self.case.places)
 
     def prepare(self, inputs: Any) -> Schedule:
-        case, one = self.case, jnp.ones(1)
-        mean, unit, level = self._levels(inputs)
-        demand = [
-            {name: leaf[0] for name, leaf in demand.prepare(own, one).items()}
-            for demand, own in self._demands(inputs)
-        ]
-        stock, coming = self._start()
+        """What differs by period stands in the steps where there is a season, else once in the
+        constants: `step` looks for it in both."""
+        case = self.case
+        periods = self.horizon if case.seasonal else 1
+        found = levels(case, inputs, periods)
+        each = {
+            "level": found.level,
+            "ahead": found.ahead,
+            "mean": found.ahead[:, :, 0],
+            "demand": [
+                demand.prepare(own, season(own, periods)) for demand, own in demands(case, inputs)
+            ],
+        }
+        stock, coming = start(case)
+        nothing = jnp.zeros(len(case.places))
         constants = {
             "holding": inputs["holding_cost"],
-            "shortage": inputs["shortage_cost"],
-            "level": level,
-            "unit": unit,
-            "corner": CORNER * unit,
-            "mean": mean,
+            "shortage": nothing.at[jnp.asarray(case.sellers)].set(inputs["shortage_cost"]),
+            "unit": found.unit,
+            "typical": found.typical,
+            "corner": CORNER * found.unit,
             "stock": stock,
             "coming": coming,
-            "demand": demand,
         }
         if case.transshipment is not None:
             constants["transshipment"] = inputs[case.transshipment.name]
+        if case.ordering is not None:
+            constants["order"] = nothing.at[jnp.asarray(case.fixed)].set(inputs["order_cost"])
         steps = {"weight": jnp.asarray(case.weights), "counted": jnp.asarray(case.counted)}
-        return Schedule(constants, steps)
-
-    @property
-    def _sold(self) -> list[Demand]:
-        """The demand of every place that sells."""
-        demands = [self.case.places[i].demand for i in self.case.sellers]
-        return [each for each in demands if each is not None]
-
-    def _demands(self, inputs: Any) -> list[tuple[Demand, dict[str, Any]]]:
-        """(demand, its parameters) of every place that sells."""
-        names = [self.case.places[i].name for i in self.case.sellers]
-        return [(demand, _own(inputs, name)) for demand, name in zip(self._sold, names)]
-
-    def _levels(self, inputs: Any):
-        """[n] means and deviations of the demand that a place serves, and first echelon levels."""
-        case, demands = self.case, self._demands(inputs)
-        reach = jnp.asarray(case.serves[:, case.sellers])
-        means = jnp.stack([jnp.asarray(own["demand_mean"]) for _, own in demands])
-        spreads = [demand.deviation(own, jnp.ones(1))[0] for demand, own in demands]
-        mean, unit = reach @ means, jnp.sqrt(reach @ jnp.stack(spreads) ** 2)
-        cover = jnp.asarray(case.cover, float)
-        safety = jnp.asarray(safety_factors(case)) * unit * jnp.sqrt(cover)
-        return mean, unit, cover * mean + safety
-
-    def _start(self):
-        """Stock and arrivals of a period [n] at the start: a fact that moves with no input.
-
-        A place starts with its echelon's level less those of the places that it supplies.
-        """
-        case = self.case
-        own = {name: each.value for name, each in network_inputs(case).items()}
-        mean, _, level = self._levels(own)
-        leads = jnp.asarray([float(place.lead) for place in case.places])
-        stock = jnp.maximum(level - jnp.asarray(case.supplies) @ level - leads * mean, 0.0)
-        return (jnp.round(stock), jnp.round(mean)) if case.whole else (stock, mean)
+        if not case.seasonal:
+            return Schedule(constants | jax.tree.map(lambda x: x[0], each), steps)
+        return Schedule(constants, steps | each)
 
     def initial(self, constants, noise):
         state = {"stock": constants["stock"]}
         if self.longest:
-            slots = np.arange(self.longest) < np.array([[p.lead] for p in self.case.places])
-            state["coming"] = constants["coming"][:, None] * slots
+            state["coming"] = constants["coming"]
+        if self.case.fixed:
+            state["likelihood"] = jnp.ones(len(self.case.fixed))
         return state
 
     def observe(self, constants, now, state):
-        """[gap of each echelon to its level, unit of each place, stock …, coming …]; all but the
-        units in units, the standard deviation of the demand that a place serves."""
-        unit, stock = constants["unit"], state["stock"]
-        coming = state.get("coming", jnp.zeros((len(self.case.places), 0)))
-        gap = (constants["level"] - self._echelon(state)) / unit
-        seen = [gap, unit, (stock - constants["stock"]) / unit]
-        for i, place in enumerate(self.case.places):
-            seen.append((coming[i, : place.lead] - constants["mean"][i]) / unit[i])
+        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]; all
+        but the units in units, the standard deviation of the demand that a place serves."""
+        case, here = self.case, {**constants, **now}
+        unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
+        coming = state.get("coming", jnp.zeros((len(case.places), 0)))
+        gap = (here["level"] - self._echelon(state)) / unit
+        seen = [gap, unit, (stock - here["stock"]) / unit]
+        for i, place in enumerate(case.places):
+            seen.append((coming[i, : place.lead] - ahead[i, : place.lead]) / unit[i])
+        for i, (place, _) in zip(case.sellers, selling(case)):
+            if place.season is not None:
+                seen.append((ahead[i, : case.way(i)] - here["typical"][i]) / unit[i])
         return jnp.concatenate(seen)
 
     def _echelon(self, state):
@@ -158,64 +150,99 @@ class NetworkSimulator(Simulator):
         return jnp.asarray(self.case.serves, stock.dtype) @ own
 
     def step(self, constants, now, state, action, noise, smooth):
-        case, n, corner = self.case, len(self.case.places), constants["corner"]
+        case, here = self.case, {**constants, **now}
         parts = {"order": action}
         if isinstance(self.action, Product):
             parts = self.action.parts(action)
-        stock, sent = self._sent(constants, state["stock"], parts["order"], smooth)
+        drawn, wanted = self._placed(parts, state, noise, smooth)
+        stock, sent = self._sent(here, state["stock"], wanted, smooth)
         after, arrived = self._moved(state, sent)
         stock, moves = stock + arrived, []
         if "band" in parts:
-            band, shift = parts["band"], parts["shift"]
-            moves.append(move_before(case, constants, stock, band, shift, smooth))
+            moves.append(move_before(case, here, stock, parts["band"], parts["shift"], smooth))
             stock = moves[-1].stock
-        asked = jnp.zeros(n, stock.dtype)
-        # In training orders are no whole numbers, so that a derivative by whole demand, which is
-        # right on lines that are straight between them, would be wrong.
-        spread = not isinstance(smooth, Exact)
-        for k, (i, demand) in enumerate(zip(case.sellers, self._sold)):
-            asked = asked.at[i].set(demand.draw(constants["demand"][k], noise[k], spread))
+        asked = self._asked(here, noise, smooth, stock.dtype)
         stock = stock - asked
         if "held" in parts:
-            moves.append(move_after(case, constants, stock, parts["held"], smooth))
+            moves.append(move_after(case, here, stock, parts["held"], smooth))
             stock = moves[-1].stock
-        left = smooth.positive_part(stock, corner)
+        left = smooth.positive_part(stock, here["corner"])
         short = left - stock
-        sold = smooth.positive_part(asked - short, corner)  # goods that waited were met first
-        costs, means = self._counted(constants, after, left, short, moves)
-        levels = self._echelon(state) + parts["order"]
-        means |= {f"level_{place.name}": levels[i] for i, place in enumerate(case.places)}
-        means |= {"demand": asked.sum(), "sold": sold[jnp.asarray(case.sellers)].sum()}
-        means["short"] = smooth.indicator(jnp.max(short) - 1e-3, corner[0])
-        for i in case.sellers:
-            name = case.places[i].name
-            means |= {f"sold_{name}": sold[i], f"demand_{name}": asked[i]}
-        outputs = {name: now["weight"] * each for name, each in costs.items()}
-        outputs["result"] = -sum(outputs.values())
-        outputs |= {name: now["counted"] * each for name, each in means.items()}
+        # Goods that waited were met first.
+        sold = smooth.positive_part(asked - short, here["corner"])
+        everywhere = tuple(range(len(case.places)))
+        level = self._echelon(state) + wanted
+        amounts: Amounts = {
+            "stock": (left, everywhere),
+            "demand": (asked, case.sellers),
+            "sold": (sold, case.sellers),
+            "level": (level if drawn is None else drawn.orders * level, everywhere),
+        }
+        if drawn is not None:
+            amounts |= {"orders": (drawn.orders, case.fixed), "ordered": (wanted, case.fixed)}
+            after["likelihood"] = drawn.likelihood
+        weights = Weights(case, None if drawn is None else drawn.likelihood)
+        outputs = self._costs(here, after, left, short, moves, drawn, weights)
+        outputs |= self._means(here, amounts, short, moves, weights, smooth)
         after["stock"] = left if case.lost else stock
         return after, outputs
 
-    def _counted(self, constants, after, left, short, moves):
-        """(costs by part, averages of stock and of goods moved)."""
-        case = self.case
+    def _placed(self, parts, state, noise, smooth):
+        """(which places order, None where no order has a cost; amounts asked for [n])."""
+        if not self.case.fixed:
+            return None, parts["order"]
+        assert isinstance(self.action, Product)
+        own = noise[len(self.case.sellers) :]
+        drawn = placed(self.case, self.action, parts, state["likelihood"], own, smooth)
+        return drawn, drawn.orders * parts["order"]
+
+    def _asked(self, here, noise, smooth, dtype):
+        """[n] demand of customers."""
+        asked = jnp.zeros(len(self.case.places), dtype)
+        # In training orders are no whole numbers, so that a derivative by whole demand, which is
+        # right on lines that are straight between them, would be wrong.
+        spread = not isinstance(smooth, Exact)
+        for k, (i, (_, demand)) in enumerate(zip(self.case.sellers, selling(self.case))):
+            asked = asked.at[i].set(demand.draw(here["demand"][k], noise[k], spread))
+        return asked
+
+    def _costs(self, here, after, left, short, moves, drawn, weights):
+        """Costs by part, and the result."""
         coming = after["coming"].sum(1) if self.longest else jnp.zeros_like(left)
-        away = jnp.asarray(case.supplies, left.dtype) @ coming
-        costs = {
-            "holding": constants["holding"] @ (left + away),
-            "shortage": constants["shortage"] @ short[jnp.asarray(case.sellers)],
+        away = jnp.asarray(self.case.supplies, left.dtype) @ coming
+        by_place = {
+            "holding": here["holding"] * (left + away),
+            "shortage": here["shortage"] * short,
         }
-        means = {"stock": left.sum()}
-        means |= {f"stock_{place.name}": left[i] for i, place in enumerate(case.places)}
+        if drawn is not None:
+            by_place["ordering"] = here["order"] * drawn.orders
+        costs = {name: jnp.sum(weights.of(each)) for name, each in by_place.items()}
+        together = sum(by_place.values())
+        result = jnp.sum(together) + weights.surprise(together)
         if moves:
-            costs["transshipment"] = jnp.stack([each.cost for each in moves]).sum()
-            given = jnp.stack([each.sent for each in moves]).sum(0)
-            taken = jnp.stack([each.received for each in moves]).sum(0)
-            means["moved"] = jnp.sum(taken)
-            for i in sorted({*case.moving(False), *case.moving(True)}):
-                name = case.places[i].name
-                means |= {f"sent_{name}": given[i], f"received_{name}": taken[i]}
-        return costs, means
+            moved = jnp.stack([each.cost for each in moves]).sum()
+            costs["transshipment"] = weights.of_all(moved)
+            result = result + costs["transshipment"]
+        outputs = {name: here["weight"] * each for name, each in costs.items()}
+        return outputs | {"result": -here["weight"] * result}
+
+    def _means(self, here, amounts: Amounts, short, moves, weights, smooth):
+        """Averages of a period, of the network and by place."""
+        case, means = self.case, {}
+        if moves:
+            members = tuple(sorted({*case.moving(False), *case.moving(True)}))
+            amounts = amounts | {
+                "sent": (jnp.stack([each.sent for each in moves]).sum(0), members),
+                "received": (jnp.stack([each.received for each in moves]).sum(0), members),
+            }
+        for way, (each, places) in amounts.items():
+            mine = weights.of(each)
+            means |= {f"{way}_{case.places[i].name}": mine[i] for i in places}
+            if way in TOTALS:
+                means[TOTALS[way]] = mine[jnp.asarray(places)].sum()
+        fell = smooth.indicator(jnp.max(short) - 1e-3, here["corner"][0])
+        means["short"] = weights.of_all(fell)
+        return {name: here["counted"] * each for name, each in means.items()}
 
     def _sent(self, constants, stock, wanted, smooth):
         """(stocks after sending [n], amounts sent to each place [n])."""
@@ -243,13 +270,12 @@ class NetworkSimulator(Simulator):
         return {"coming": full[:, 1:]}, full[:, 0]
 
     def in_mean(self):
-        """Parameters of whole demand."""
-        names = [self.case.places[i].name for i in self.case.sellers]
+        """Parameters of whole demand, and its season."""
         return tuple(
-            f"{name}.{each.name}"
-            for name, demand in zip(names, self._sold)
+            f"{place.name}.{each.name}"
+            for place, demand in selling(self.case)
             if demand.integral()
-            for each in demand.given()
+            for each in (*demand.given(), *([place.season] if place.season is not None else []))
         )
 
     def state_scale(self, constants):
@@ -257,42 +283,6 @@ class NetworkSimulator(Simulator):
         scale = {"stock": unit}
         if self.longest:
             scale["coming"] = unit[:, None] * jnp.ones((1, self.longest))
+        if self.case.fixed:
+            scale["likelihood"] = jnp.ones(len(self.case.fixed))
         return scale
-
-
-def safety_factors(case: NetworkCase) -> np.ndarray:
-    """[n] deviations of the first echelon levels above the mean: the middle of two newsvendors'.
-
-    Shang and Song, Management Science 49 (2003): with echelon holding costs h and u their sum
-    upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
-    """
-    holding, shortage = case.holding.values, case.shortage.values
-    found = []
-    for i, place in enumerate(case.places):
-        reached = [k for k, j in enumerate(case.sellers) if case.serves[i, j]]
-        p = float(np.mean(shortage[reached]))
-        local = float(np.mean([holding[case.sellers[k]] for k in reached]))
-        up = float(holding[place.supplier]) if place.supplier is not None else 0.0
-        ratios = (p + up) / (p + local), (p + up) / (p + max(holding[i], up))
-        found.append(np.mean([stats.norm.ppf(min(each, 0.9999)) for each in ratios]))
-    return np.clip(found, -1.0, 4.0)
-
-
-def network_inputs(case: NetworkCase) -> dict[str, Input]:
-    """Every number of the case that has a sensitivity."""
-    costs = [case.holding, case.shortage, *([case.transshipment] if case.transshipment else [])]
-    found = {each.name: each.input() for each in costs}
-    for i in case.sellers:
-        place = case.places[i]
-        assert place.demand is not None
-        for each in place.demand.given():
-            made = each.input()
-            made = eqx.tree_at(lambda x: x.value, made, made.value.reshape(()))
-            found[f"{place.name}.{each.name}"] = made
-    return found
-
-
-def _own(inputs: Any, name: str) -> dict[str, Any]:
-    """The parameters of the demand of one place."""
-    start = f"{name}."
-    return {key[len(start) :]: inputs[key] for key in inputs if key.startswith(start)}

@@ -13,10 +13,12 @@ from snapo.study.training import TRAINING
 from ..results.lead_time import LEAD_TIMES
 from ..results.shown import service_and_costs
 from ..told import about, result, without_references
+from .inputs import network_inputs
 from .records import NetworkCase
-from .results import RIVALS, SERVICE
+from .results import SERVICE
+from .rivals import RIVALS
 from .setup import make_setup, moved_setup
-from .simulator import AVERAGES, OUTPUTS, network_inputs
+from .simulator import AVERAGES, OUTPUTS
 
 
 def lines(case: NetworkCase) -> list[str]:
@@ -27,7 +29,13 @@ def lines(case: NetworkCase) -> list[str]:
     for place in case.places:
         supplier = "outside" if place.supplier is None else case.places[place.supplier].name
         sells = f"; demand {place.demand.words()}" if place.demand is not None else ""
-        found.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}")
+        season = f", a season of {len(place.season.values)} {case.period}s" if place.season else ""
+        found.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}{season}")
+    if (ordering := case.ordering) is not None:
+        found += [
+            f"an order of {name} costs {cost:,.4g} {ordering.unit}, whatever its size"
+            for name, cost in zip(ordering.labels, ordering.values)
+        ]
     if (moving := case.transshipment) is not None:
         found += [
             f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
@@ -45,7 +53,7 @@ def study(case: NetworkCase, options: Options) -> Study:
     units = units_of(case)
     leads = [LEAD_TIMES] if case.other_leads else []
     parts = [TRAINING, SERVICE, RIVALS, MOVES, *leads, distribution_part(units),
-             profile_part(units), CERTIFICATE]  # fmt: skip
+             profile_part(units, without=("likelihood",)), CERTIFICATE]  # fmt: skip
     return Study(
         "inventory",
         _about(case, units),
@@ -64,7 +72,9 @@ def units_of(case: NetworkCase) -> dict[str, str]:
     names = [f"{way}_{place.name}" for way in ways for place in case.places]
     amounts = dict.fromkeys((*AVERAGES, *names), f"{case.unit}/{case.period}")
     states = dict.fromkeys(("coming", "action"), case.unit)
-    return dict.fromkeys(OUTPUTS, case.value_unit) | amounts | states | {"short": ""}
+    orders = ["orders", *(f"orders_{place.name}" for place in case.places)]
+    counts = dict.fromkeys(orders, f"1/{case.period}") | {"short": ""}
+    return dict.fromkeys(OUTPUTS, case.value_unit) | amounts | states | counts
 
 
 def _about(case: NetworkCase, units: dict[str, str]) -> dict[str, Any]:

@@ -6,17 +6,14 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import Mention, read_rows
-from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.table import Section, parse
 
 from ..demand.registry import read_demand
 from ..item.records import InventoryCase, Item
+from .season import no_season, read_season
 from .settings import read_settings
-from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable, SeasonTable
-
-LONGEST_SEASON = 366
+from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
@@ -28,7 +25,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
     top = parse(InventoryTable, data, name, "")
     table = parse(ItemTable, top.item, name, "item")
     horizon = parse(HorizonTable, top.horizon, name, "horizon")
-    season = _season(Section(file, "season", notes), top.season)
+    season = read_season(Section(file, "season", notes), top.season) if top.season else no_season()
     per = f"{table.unit}/{table.period}"
     most = float(season.values.max())
     demand = read_demand(Section(file, "demand", notes), top.demand, per, most)
@@ -95,21 +92,6 @@ def _start(name: str, values: list[float], labels: list[str], unit: str) -> Give
     index = np.arange(len(values))
     words = "at the start"
     return Given(name, found, tuple(labels), unit, index, move=1.0, group="start", words=words)
-
-
-def _season(section: Section, data: Mapping[str, Any]) -> Given:
-    """Factors of demand by place in the season; one of 1 where there is none."""
-    words = "demand of a period, relative to the mean"
-    if not data:
-        return Given("season", np.ones(1), ("all",), "1", np.zeros(1, int), words=words)
-    table = parse(SeasonTable, data, str(section.file), "season")
-    rows = read_rows(Mention(section, "file", table.file), ["period", "factor"], [])
-    if len(rows) > LONGEST_SEASON:
-        what = f"there are {len(rows)} periods; allowed are {LONGEST_SEASON} at most"
-        raise CaseError(table.file, "", None, what)
-    found = np.array([row.number("factor", 0.001, 1000) for row in rows])
-    labels = tuple(row.cells["period"] for row in rows)
-    return Given("season", found, labels, "1", np.arange(len(rows)), group="demand", words=words)
 
 
 def _warm_up(table: HorizonTable, item: Item) -> int:

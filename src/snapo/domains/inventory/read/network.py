@@ -12,6 +12,7 @@ from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
 from ..demand.registry import read_demand
 from ..network.records import NetworkCase, Place, Pool
+from .season import read_season
 from .settings import read_settings
 from .tables import AMOUNT, LONGEST_LEAD, NAME, HorizonTable, Name, NotNegative
 
@@ -40,7 +41,9 @@ class PlaceTable(Table):
     )
     holding: Positive = Field(description="a number above 0")
     shortage: Positive | None = Field(None, description="a number above 0")
+    order: NotNegative = Field(0.0, description=AMOUNT)
     demand: dict[str, Any] | None = Field(None, description="a table, as [demand]")
+    season: dict[str, Any] | None = Field(None, description="a table, as [season]")
 
 
 class ReportTable(Table):
@@ -85,15 +88,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     sections = [Section(file, f"place[{i}]", notes) for i in range(len(rows))]
     _check(rows, sections, Section(file, "network", notes), table.unmet)
     names = [row.name for row in rows]
-    places = tuple(
-        Place(
-            row.name,
-            names.index(row.supplier) if row.supplier is not None else None,
-            row.lead_time,
-            _demand(section, row, f"{table.unit}/{table.period}"),
-        )
-        for row, section in zip(rows, sections)
-    )
+    per = f"{table.unit}/{table.period}"
+    places = tuple(_place(row, section, names, per) for row, section in zip(rows, sections))
     money = f"{table.currency}/{table.unit}"
     by_period = f"{money}/{table.period}"
     selling = [row for row in rows if row.demand is not None]
@@ -103,8 +99,10 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
                    money if table.unmet == "lost" else by_period,
                    "of a unit of unmet demand")  # fmt: skip
     pools, moving = _pools(file, notes, top.transshipment, rows, money)
-    demands = [place.demand for place in places if place.demand is not None]
-    whole = all(demand.in_pieces() for demand in demands)
+    paying = [row for row in rows if row.order > 0]
+    ordering = _costs("order_cost", paying, [row.order for row in paying], table.currency,
+                      "of an order of any size")  # fmt: skip
+    whole = all(_whole(place) for place in places)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
     return NetworkCase(
@@ -122,6 +120,7 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
         holding=held,
         shortage=short,
         transshipment=moving,
+        ordering=ordering if paying else None,
         periods=horizon.periods,
         warm_up=usual if horizon.warm_up is None else horizon.warm_up,
         discount=horizon.discount,
@@ -191,11 +190,28 @@ def _pools(
                                np.arange(len(pools)), group="costs", words=words)  # fmt: skip
 
 
-def _demand(section: Section, row: PlaceTable, unit: str):
-    if row.demand is None:
-        return None
-    inner = Section(section.file, f"{section.name}.demand", section.notes)
-    return read_demand(inner, row.demand, unit, 1.0)
+def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Place:
+    """The place of one table; `unit` of demand in a period."""
+    supplier = names.index(row.supplier) if row.supplier is not None else None
+    demand, season = None, None
+    if row.season is not None:
+        if row.demand is None:
+            raise section.error("season", row.season, "only a place with customers has a season")
+        season = read_season(_inner(section, "season"), row.season)
+    if row.demand is not None:
+        most = float(season.values.max()) if season is not None else 1.0
+        demand = read_demand(_inner(section, "demand"), row.demand, unit, most)
+    return Place(row.name, supplier, row.lead_time, demand, season, row.order > 0)
+
+
+def _inner(section: Section, name: str) -> Section:
+    return Section(section.file, f"{section.name}.{name}", section.notes)
+
+
+def _whole(place: Place) -> bool:
+    """Whether all that its customers ask for is whole: a history times a season is not."""
+    demand = place.demand
+    return demand is None or demand.whole or (demand.in_pieces() and place.season is None)
 
 
 def _costs(name: str, rows: list[PlaceTable], values: list[float], unit: str, words: str) -> Given:

@@ -55,7 +55,7 @@ class HorizonTable(Table):
 
 
 class SeasonTable(Table):
-    """`[season]`"""
+    """`[season]`: of an item; of a place of a network, its key `season`"""
 
     file: Name = Field(description="the name of a CSV file with columns period,factor")
 

@@ -9,11 +9,14 @@ def search(
     step: float,
     least: float,
     most: int = 300,
+    together: Sequence[tuple[int, int]] = (),
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `least`.
 
     Moves by `step` along every number, and of two along both diagonals, while that helps, then by
     half, down to `least`; at most `most` costs are asked for.
+
+    - `together`: of more than two numbers, pairs that move along their diagonals too.
     """
     seen: dict[tuple[float, ...], float] = {}
 
@@ -22,10 +25,11 @@ def search(
             seen[point] = cost(point)
         return seen[point]
 
+    ways = _ways(len(start), together)
     best = tuple(least * round(x / least) for x in start)
     while step >= least and len(seen) < most:
         grid = max(1, round(step / least)) * least
-        near = [tuple(x + grid * d for x, d in zip(best, way)) for way in _ways(len(best))]
+        near = [tuple(x + grid * d for x, d in zip(best, way)) for way in ways]
         found = min(near, key=of)
         if of(found) < of(best):
             best = found
@@ -34,9 +38,11 @@ def search(
     return best
 
 
-def _ways(size: int) -> list[tuple[int, ...]]:
-    """Every neighbour of a point of two numbers; of others, those along one number."""
-    if size != 2:
-        each = range(size)
-        return [tuple(way * (i == j) for j in each) for i in each for way in (1, -1)]
-    return [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+def _ways(size: int, together: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Every neighbour of a point of two numbers; of others, those along one number, and along the
+    diagonals of the pairs that move together."""
+    if size == 2:
+        return [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    found = [{i: way} for i in range(size) for way in (1, -1)]
+    found += [{i: a, j: b} for i, j in together for a in (1, -1) for b in (1, -1)]
+    return [tuple(way.get(i, 0) for i in range(size)) for way in found]

@@ -22,7 +22,7 @@ def rivals(run: Folder) -> Section:
         numbers = row.get("numbers") or {}
         cells.append(
             (
-                str(row["rule"]).capitalize(),
+                str(row["rule"])[:1].upper() + str(row["rule"])[1:],
                 ", ".join(f"{name} {number(value, 1)}" for name, value in numbers.items()),
                 number(-float(row["value"]), places),
                 plus_minus(row.get("standard_error"), places),

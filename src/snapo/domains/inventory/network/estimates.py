@@ -1,0 +1,127 @@
+"""Rules of thumb of a network: where rules start, and the cost of a period to expect, by place."""
+
+import numpy as np
+from scipy import stats
+
+from ..demand.base import MEAN
+from .inputs import selling
+from .records import NetworkCase
+
+
+def safety_factors(case: NetworkCase) -> np.ndarray:
+    """[n] deviations of the first echelon levels above the mean: the middle of two newsvendors'.
+
+    Shang and Song, Management Science 49 (2003): with echelon holding costs h and u their sum
+    upstream of a place, z of (p + u) / (p + all h) and of (p + u) / (p + h + u).
+    """
+    found = []
+    for i in range(len(case.places)):
+        p, local = _costs_below(case, i)
+        up = _above(case, i)
+        holding = float(case.holding.values[i])
+        ratios = (p + up) / (p + local), (p + up) / (p + max(holding, up))
+        found.append(np.mean([stats.norm.ppf(min(each, 0.9999)) for each in ratios]))
+    return np.clip(found, -1.0, 4.0)
+
+
+def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
+    """Mean shortage and local holding cost of the customers' places that one place reaches."""
+    reached = [k for k, j in enumerate(case.sellers) if case.serves[i, j]]
+    holding = [case.holding.values[case.sellers[k]] for k in reached]
+    return float(np.mean(case.shortage.values[reached])), float(np.mean(holding))
+
+
+def _above(case: NetworkCase, i: int) -> float:
+    """The holding cost of the supplier, 0 of what comes from outside."""
+    supplier = case.places[i].supplier
+    return float(case.holding.values[supplier]) if supplier is not None else 0.0
+
+
+def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
+    """[n] mean and standard deviation of the demand of a period that a place serves, over the
+    season."""
+    reach = case.serves[:, case.sellers]
+    means, spreads = [], []
+    for place, demand in selling(case):
+        own = demand.values()
+        factors = np.ones(1) if place.season is None else place.season.values
+        means.append(own[MEAN] * float(factors.mean()))
+        spreads.append(float(np.mean(demand.deviation(own, factors))))
+    return reach @ np.array(means), np.sqrt(reach @ np.array(spreads) ** 2)
+
+
+def economic_lots(case: NetworkCase) -> np.ndarray:
+    """[n] sqrt(2 K mean (p + h) / (e p)), 0 where an order has no cost of its own.
+
+    h is the local holding cost of the places with customers, e that of the place's echelon: what
+    holding a unit there costs more than at its supplier. One place alone has the lot of an item.
+    """
+    lots, (mean, _) = np.zeros(len(case.places)), served(case)
+    for i, cost in zip(case.fixed, _ordering(case)):
+        p, local = _costs_below(case, i)
+        lots[i] = np.sqrt(2 * cost * mean[i] * (p + local) / (_echelon_cost(case, i) * p))
+    return lots
+
+
+def _ordering(case: NetworkCase) -> np.ndarray:
+    return np.zeros(0) if case.ordering is None else case.ordering.values
+
+
+def _echelon_cost(case: NetworkCase, i: int) -> float:
+    own = float(case.holding.values[i])
+    return max(own - _above(case, i), own / 10)
+
+
+def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
+    """[n], [m] how far S lies above and s below the first level, in deviations; 0 and none where
+    an order has no cost of its own.
+
+    With a lot Q, stock runs short in the share e Q / ((p + u) mean + e Q) of its cycles (u, the
+    holding cost of the supplier); an order is placed half a period's demand too late on average.
+    """
+    (mean, unit), lots = served(case), economic_lots(case)
+    batch, wait = np.zeros(len(case.places)), np.zeros(len(case.fixed))
+    safety = safety_factors(case)
+    for k, i in enumerate(case.fixed):
+        p = _costs_below(case, i)[0] + _above(case, i)
+        held = _echelon_cost(case, i) * lots[i]
+        factor = float(stats.norm.ppf(1 - held / (p * mean[i] + held)))
+        below = (safety[i] - factor) * np.sqrt(case.cover[i]) * unit[i]
+        wait[k] = (below + mean[i] / 2) / unit[i]
+        batch[i] = (lots[i] - below - mean[i]) / unit[i]
+    return batch, wait
+
+
+def usual_costs(case: NetworkCase) -> np.ndarray:
+    """[n] costs of a period at each place: what is left over is the noise of training.
+
+    A place with customers has an item's: economic lots and a newsvendor's safety stock, as if at
+    right angles. Another one has its orders, and what its first levels leave there and on the way.
+    """
+    (mean, unit), lots = served(case), economic_lots(case)
+    batch, wait = first_batches(case)
+    middle = _usual_levels(case) + unit * batch / 2
+    middle[list(case.fixed)] -= unit[list(case.fixed)] * wait / 2
+    leads = np.array([place.lead for place in case.places])
+    kept = case.holding.values * np.maximum(middle - leads * mean - case.supplies @ middle, 0.0)
+    for i, cost in zip(case.fixed, _ordering(case)):
+        kept[i] += cost * mean[i] / lots[i]
+    for i in case.sellers:
+        p, h = _costs_below(case, i)
+        dense = float(stats.norm.pdf(stats.norm.ppf(p / (p + h))))
+        safety = (h + p) * dense * np.sqrt(leads[i] + 1) * unit[i]
+        kept[i] = np.hypot(lots[i] * h * p / (h + p), safety)
+    return kept
+
+
+def _usual_levels(case: NetworkCase) -> np.ndarray:
+    """[n] first levels of the echelons over the season."""
+    mean, unit = served(case)
+    return case.cover * mean + safety_factors(case) * unit * np.sqrt(case.cover)
+
+
+def memory(case: NetworkCase) -> np.ndarray:
+    """[m] periods after which an order has no effect any more: twenty times a lot's, and those
+    that it takes to the last customer. See `item.estimates.memory`."""
+    lots, (mean, _), places = economic_lots(case), served(case), list(case.fixed)
+    return 20 * (case.cover[places] + lots[places] / mean[places])

@@ -1,0 +1,36 @@
+"""The season of a demand: a factor for each period, over and over."""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+
+from snapo.case.csv import Mention, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.case.table import Section, parse
+
+from .tables import SeasonTable
+
+SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
+WORDS = "demand of a period, relative to the mean"
+
+
+def read_season(section: Section, data: Mapping[str, Any]) -> Given:
+    """Factors of demand by place in the season, of the table `section`.
+
+    **Raises:** `CaseError` for a table, a file or a number that is wrong.
+    """
+    table = parse(SeasonTable, data, str(section.file), section.name)
+    rows = read_rows(Mention(section, "file", table.file), ["period", "factor"], [])
+    if not SHORTEST_SEASON <= len(rows) <= LONGEST_SEASON:
+        what = f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
+        raise CaseError(table.file, "", None, what)
+    found = np.array([row.number("factor", 0.001, 1000) for row in rows])
+    labels = tuple(row.cells["period"] for row in rows)
+    return Given("season", found, labels, "1", np.arange(len(rows)), group="demand", words=WORDS)
+
+
+def no_season() -> Given:
+    """The factor 1 in all periods."""
+    return Given("season", np.ones(1), ("all",), "1", np.zeros(1, int), words=WORDS)
