@@ -94,6 +94,26 @@ def test_the_file_and_the_lines_tell_limits(budget, tmp_path):
     assert "mean of spent at most 6" in str(budget)
 
 
+class Blind(Spend):
+    """Sees nothing, so that a constant decision is best."""
+
+    def observe(self, constants, now, state):
+        return jnp.zeros(1)
+
+
+@pytest.mark.prove
+def test_a_constant_decision_beside_a_limit_is_compared_with_the_limit_paid():
+    """Without the price, spending more would be said to do better."""
+    few = snapo.Evaluation(paths=4096, sensitivity_paths=2048, smooth_paths=0, judge_paths=0)
+    found = snapo.solve(
+        Blind(), INPUTS, snapo.Linear(), objective=snapo.Mean("earned"),
+        limits=(snapo.AtMost("spent", 6.0),), evaluation=few,
+        training=snapo.Training(steps=300, paths=128, learning_rate=0.03),
+    )  # fmt: skip
+    notes = [each for each in found.notes if "constant decision" in each]
+    assert notes and all(each.startswith("With every unit of a limit") for each in notes)
+
+
 @pytest.mark.prove
 def test_a_limit_that_cannot_be_met_and_one_that_does_not_bind_are_told():
     found = solved((snapo.AtMost("spent", -50.0), snapo.AtLeast("earned", -1e4)), steps=60)

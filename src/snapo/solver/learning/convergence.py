@@ -27,6 +27,7 @@ SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
 SURE = 2.0  # standard errors of a gain
 LATE = 0.01  # of all that was gained, in the last quarter of the steps: more is still improving
 ENOUGH = 2048  # paths on which two rules are compared
+PRICED = "With every unit of a limit paid at its shadow price, "
 TRY = (
     "write a decision of when to stop with snapo.Stop, or try starts=4, features of mean 0 and "
     "deviation 1, wider starting states, or a higher temperature_start"
@@ -62,11 +63,14 @@ def ending(
     exact: Totals,
     held_paths: int,
     engine: Engine,
+    priced: bool = False,
 ) -> Ending:
-    """How training ended, by the exact simulator on paths of the evaluation.
+    """How training ended, by the exact simulator on paths of the evaluation; a training that
+    broke off has notes and no word.
 
     - `exact`: {output: [paths]} of the best policy on the evaluation's paths.
     - `held_paths`: of the held derivatives, which record decisions; 0 leaves out what needs them.
+    - `priced`: the problem's objective pays for its limits, and so do the gains that notes tell.
     """
     if not np.isfinite(worth(problem.objective, exact)):
         return Ending("")
@@ -87,14 +91,17 @@ def ending(
         if still:
             notes.append(f"{words(still, of)}: if that is not meant, {TRY}.")
         if len(still) < of and not over_constant.sure:
-            notes.append(_as_well(constant, over_constant))
+            said = _as_well(constant, over_constant)
+            notes.append(f"{PRICED}{said[0].lower()}{said[1:]}" if priced else said)
     late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
     if late:
         notes.append(
             f"Still improving: the last quarter of the {progress.step} steps gained {late:,.3g}; "
             f"try steps={2 * progress.step}."
         )
-    if not over_start.sure:
+    if progress.status == "diverged":
+        word = ""
+    elif not over_start.sure:
         word = UNMOVED
     elif len(still) == of and at_limit(still):
         word = SATURATED
