@@ -61,3 +61,38 @@ class Charging(snapo.Simulator):
 def test_rounding_of_an_output_that_is_zero_is_no_derivative():
     given = {"need": snapo.Input([20.0, 15.0]), "limit": snapo.Input(12.0)}
     assert not len(findings := check(Charging(), given)), str(findings)
+
+
+class Sold(snapo.Simulator):
+    """Demand whose mean is known in the step alone: no path moves with it."""
+
+    horizon, noise_size = 3, 1
+    action = snapo.Box(1, 0.0, 3.0)
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.arange(3.0)})
+
+    def initial(self, constants, noise):
+        return {"stock": 10.0}
+
+    def observe(self, constants, now, state):
+        return state["stock"][None] / 10
+
+    def step(self, constants, now, state, action, noise, smooth):
+        wanted = snapo.noise.Poisson(constants["rate"] * jnp.exp(-action[0]), most=20).draw(noise)
+        sold = smooth.minimum(wanted, state["stock"])
+        return {"stock": state["stock"] - sold}, {"cash": action[0] * sold}
+
+
+class Named(Sold):
+    """The same, with the remedy that the finding names."""
+
+    def in_mean(self):
+        return ("rate",)
+
+
+def test_a_mean_of_whole_numbers_made_in_the_step_is_told_with_its_remedy():
+    given = {"rate": snapo.Input(4.0)}
+    (found,) = check(Sold(), given)
+    assert "def in_mean(self): return ('rate',)" in found.fix, found
+    assert not len(findings := check(Named(), given)), str(findings)

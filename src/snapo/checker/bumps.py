@@ -162,7 +162,9 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
-        "way, or a derivative written by hand.",
+        "way, or a derivative written by hand. A parameter of whole-numbered noise that is made in "
+        "prepare or in the step is right in the mean of paths alone: name it, "
+        f"def in_mean(self): return ({pair.entry.name!r},).",
     )
     return True
 
