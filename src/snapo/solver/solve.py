@@ -236,7 +236,8 @@ def measure(
     within = problem.priced([abs(each.price) for each in limits])
     table = _sensitivities(within, progress, evaluation, smooth, engine)
     held = min(evaluation.sensitivity_paths, evaluation.paths)
-    ended = ending(within, untrained, progress, exact, held, engine, bool(limits))
+    alone = objective if limits else None
+    ended = ending(within, untrained, progress, exact, held, engine, alone)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
