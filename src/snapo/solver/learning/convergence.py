@@ -136,7 +136,7 @@ def _over_untrained(
         bound.values(untrained, source.draws(block, problem.simulator), Exact()).totals
         for block in blocks
     ]
-    parts = [float64(each) for each in found]
+    parts: list[Totals] = [float64(each) for each in found]
     return _gain(problem, exact, parts, np.concatenate(blocks), alone)
 
 
