@@ -248,6 +248,11 @@ def test_help_and_wrong_arguments_import_nothing_heavy(arguments, code):
     assert "usage: snapo" in done.stdout + done.stderr
 
 
+def test_the_package_runs_as_a_module():
+    done = run_python("-m", "snapo", "--version")
+    assert done.returncode == 0 and done.stdout.startswith("snapo ")
+
+
 def test_help_answers_at_once():
     def seconds() -> float:
         began = time.perf_counter()

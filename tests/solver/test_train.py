@@ -284,6 +284,25 @@ def test_a_training_that_breaks_says_where(kind, said):
     assert "snapo.check" in note
 
 
+class Brittle(Breaks):
+    """Earns what is decided, and breaks where that is more than six tenths."""
+
+    def step(self, constants, now, state, action, noise, smooth):
+        water = state["water"] + 0.01 * noise[0]
+        return {"water": water}, {"cash": jax.numpy.where(action[0] > 0.6, -np.inf, action[0])}
+
+
+def test_a_training_that_breaks_late_is_not_said_to_be_converged():
+    training = snapo.Training(steps=400, paths=64, validation_paths=64, learning_rate=0.03)
+    evaluation = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=0, judge_paths=0)
+    problem = snapo.Problem(Brittle(), {"water": snapo.Input(5.0)}, snapo.Mean("cash"))
+    solution = snapo.solve(problem, training=training, evaluation=evaluation, engine="xla")
+    assert solution.status == "diverged" and len(solution.history) > 1
+    assert np.isfinite(solution.value) and not solution.convergence
+    (note,) = [each for each in solution.notes if "Training stopped" in each]
+    assert "a smaller learning_rate than 0.03" in note
+
+
 @pytest.mark.prove
 def test_ruin_is_an_outcome_with_the_worst_utility():
     """Under a logarithm a path without wealth counts, in training and in the value."""

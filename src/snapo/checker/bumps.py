@@ -15,7 +15,7 @@ from snapo.engine.transpose import pull_back
 from snapo.problem import inputs as inputs_
 from snapo.problem.prepare import prepare
 from snapo.problem.problem import in_mean
-from snapo.problem.simulator import Simulator
+from snapo.problem.simulator import Schedule, Simulator
 
 from .derivatives import NOT_DIFFERENTIABLE
 from .findings import Notes
@@ -101,6 +101,7 @@ class _Comparison:
             [np.abs(total[np.isfinite(total)]).mean() for total in run.totals.values()]
         )
         self.size = np.maximum(means, 1e-300)
+        self.rounding = run.rounding()
 
     def difference(self, bump: float) -> np.ndarray:
         up, down = self._value(bump), self._value(-bump)
@@ -108,23 +109,33 @@ class _Comparison:
 
     def disagrees(self, found: np.ndarray, bump: float) -> np.ndarray:
         """The gap between adjoint and difference beyond tolerance and round-off, per output."""
-        roundoff = 1e-13 * self.size / bump
+        roundoff = np.maximum(1e-13 * self.size, self.rounding) / bump
         allowed = TOLERANCE * np.maximum(np.abs(found), np.abs(self.adjoint)) + roundoff
         return np.where(np.abs(found - self.adjoint) > allowed, np.abs(found - self.adjoint), 0.0)
 
     def moves(self, bump: float) -> np.ndarray | None:
         """The differences, where they are more than round-off of a sum over paths."""
         found = np.nan_to_num(self.difference(bump))
-        return found if (np.abs(found) * bump > 1e-12 * self.size).any() else None
+        least = np.maximum(1e-12 * self.size, self.rounding)
+        return found if (np.abs(found) * bump > least).any() else None
+
+    def moves_decisions(self, bump: float) -> bool:
+        """Whether outputs move where the policy decides, by what it sees: an error of a reading."""
+        there = self.run.values(self.simulator, False, schedule=self._schedule(bump))
+        back = self.run.values(self.simulator, False, schedule=self._schedule(-bump))
+        return not self.run.same(there, back)
 
     def _value(self, bump: float) -> np.ndarray:
+        totals = self.run.values(self.simulator, schedule=self._schedule(bump))
+        return np.array([total[np.isfinite(total)].mean() for total in totals.values()])
+
+    def _schedule(self, bump: float) -> Schedule:
         chosen = self.entry.input
         new = replace(chosen, value=chosen.value + bump * self.direction)
         inputs = jax.tree.map(
             lambda x: new if x is chosen else x, self.inputs, is_leaf=inputs_.is_input
         )
-        totals = self.run.values(self.simulator, schedule=prepare(self.simulator, inputs))
-        return np.array([total[np.isfinite(total)].mean() for total in totals.values()])
+        return prepare(self.simulator, inputs)
 
 
 def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
@@ -151,7 +162,9 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
-        "way, or a derivative written by hand.",
+        "way, or a derivative written by hand. A parameter of whole-numbered noise that is made in "
+        "prepare or in the step is right in the mean of paths alone: name it, "
+        f"def in_mean(self): return ({pair.entry.name!r},).",
     )
     return True
 
@@ -181,5 +194,7 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                     "comparison is.",
                 )
                 return True
+    if any(pair.moves_decisions(bump) for pair in pairs):
+        return False
     notes.warning(where, "It changes no output.", "Use it in prepare, or leave it out.")
     return True

@@ -13,8 +13,6 @@ from .derivatives import locate
 from .findings import Notes
 from .rollout import ENGINE, Run
 
-ROUNDING = 1e-14  # of the largest total
-
 
 def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
     """The components of the action that change an output in any of the runs.
@@ -45,7 +43,11 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
                 "Use it, or make the action set smaller.",
             )
     for component in range(simulator.noise_size):
-        if not _matters(simulator, runs, other_noise, component):
+        # An error of a reading moves what is observed, and by it the decisions.
+        matters = (
+            _matters(simulator, runs, other_noise, component, held) for held in (True, False)
+        )
+        if not any(matters):
             notes.warning(
                 f"{notes.method('step')}: noise[{component}]",
                 "It changes no output.",
@@ -69,19 +71,11 @@ def _numbered(group: list[int], size: int) -> str:
     return "" if len(group) == size else f"[{group[0]}:{group[-1] + 1}]"
 
 
-def _matters(simulator: Simulator, runs: list[Run], change, which) -> bool:
+def _matters(simulator: Simulator, runs: list[Run], change, which, held: bool = True) -> bool:
     """Whether a change of one component, or of a group, changes an output of any run."""
-    for run in runs:
-        after = run.values(simulator, **change(run, which))
-        if not all(_same(run.totals[name], found) for name, found in after.items()):
-            return True
-    return False
-
-
-def _same(one: np.ndarray, other: np.ndarray) -> bool:
-    """Whether two totals are equal but for rounding: they come from two compiled programs."""
-    size = np.max(np.abs(one), where=np.isfinite(one), initial=0.0)
-    return np.allclose(one, other, rtol=0, atol=ROUNDING * size, equal_nan=True)
+    return any(
+        not run.same(run.totals, run.values(simulator, held, **change(run, which))) for run in runs
+    )
 
 
 def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[int]) -> None:

@@ -7,10 +7,13 @@ from typing import Any
 
 import jax
 
+from snapo.problem.actions import Product
+
 
 def explained(error: BaseException, simulator: Any, method: str) -> tuple[str, str, str]:
     """The place of an exception with file:line, the mistake, and how to fix it."""
     what, fix = _sentence(error)
+    fix = _guess(str(error), simulator, method) or fix
     frame = _own_frame(error, simulator)
     if frame is None:
         return method, what, fix
@@ -24,6 +27,16 @@ def _sentence(error: BaseException) -> tuple[str, str]:
             return what, fix
     message = (str(error).strip().splitlines() or [""])[0]
     return f"{type(error).__name__}: {message}", "Correct this line; nothing after it was examined."
+
+
+def _guess(message: str, simulator: Any, method: str) -> str:
+    """The likely cause of an index that JAX refuses; empty where there is none."""
+    size = {"initial": "initial_noise_size", "step": "noise_size"}.get(method, "")
+    if "out of bounds for axis 0 with size 0" in message and getattr(simulator, size, None) == 0:
+        return f"Where this is its noise: {size} is 0; make it the number of normals that it reads."
+    if "string indexing" in message and isinstance(getattr(simulator, "action", None), Product):
+        return "Where this is an action: self.action.parts(action) holds its parts by name."
+    return ""
 
 
 def _own_frame(error: BaseException, simulator: Any) -> traceback.FrameSummary | None:

@@ -23,6 +23,8 @@ from .findings import Notes, Stop
 
 ENGINE = Xla(precision="float64")
 LARGE, SMALL = 30.0, 0.01  # an observed feature whose largest value is outside is badly scaled
+ROUNDING = 1e-14  # of an output's largest total
+EPSILONS = 10 * np.finfo(np.float64).eps  # of the largest number on the way to it
 
 
 class _Probe(Policy):
@@ -54,17 +56,34 @@ class Run(eqx.Module):
             name: np.outer(eye[k], np.full(paths, 1 / paths)) for k, name in enumerate(self.totals)
         }
 
-    def values(self, simulator, **changes) -> dict[str, Any]:
-        """Totals with the decisions held and something changed."""
+    def values(self, simulator, held: bool = True, **changes) -> dict[str, Any]:
+        """Totals with something changed, the decisions held or those of the policy on the way."""
         given = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
         return ENGINE.values(
             simulator,
-            None,
+            None if held else self.policy,
             given["schedule"],
             given["draws"],
             self.smooth,
-            actions=given["actions"],
+            actions=given["actions"] if held else None,
         ).totals
+
+    def rounding(self) -> float:
+        """How much an output may be off by rounding alone: a difference of large states, such as
+        a need that is met, is no more exact than they are."""
+        leaves = [np.asarray(leaf) for leaf in jax.tree.leaves((self.states, self.totals))]
+        finite = (leaf[np.isfinite(leaf)] for leaf in leaves if leaf.dtype.kind == "f")
+        return EPSILONS * float(max((np.abs(leaf).max(initial=0.0) for leaf in finite), default=0))
+
+    def same(self, one: dict[str, Any], other: dict[str, Any]) -> bool:
+        """Whether totals are equal but for rounding: they come from two compiled programs."""
+
+        def alike(mine: np.ndarray, theirs: np.ndarray) -> bool:
+            size = np.max(np.abs(mine), where=np.isfinite(mine), initial=0.0)
+            allowed = max(ROUNDING * size, self.rounding())
+            return np.allclose(mine, theirs, rtol=0, atol=allowed, equal_nan=True)
+
+        return all(alike(one[name], found) for name, found in other.items())
 
 
 LEVELS = (-4.0, 0.0, 4.0)  # before they are squashed: low, middle and high actions

@@ -81,7 +81,7 @@ def solve(
     *,
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
-    limits: Sequence[Limit] = (),
+    limits: Sequence[Limit] | Limit = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
     engine: Choice = "auto",
@@ -150,14 +150,19 @@ def problem_of(
     inputs: PyTree,
     objective: Objective | None,
     scenarios: Scenarios | Sources | None,
-    limits: Sequence[Limit],
+    limits: Sequence[Limit] | Limit,
     evaluation: Evaluation,
     seed: int,
 ) -> Problem:
     """The problem that a caller means: the one given, or that of a simulator with all beside it.
 
-    **Raises:** `ValueError` where a `Problem` has any of it beside it.
+    **Raises:** `ValueError` where a `Problem` has any of it beside it, and for a class in place of
+    its object.
     """
+    if isinstance(problem, type):
+        name = problem.__name__
+        raise ValueError(f"solve: {name} is a class; give its object, {name}().")
+    limits = (limits,) if isinstance(limits, Limit) else limits
     if isinstance(problem, Simulator):
         given = evaluation.sources(seed) if scenarios is None else scenarios
         objective = objective or _only_output(problem, inputs)
@@ -231,7 +236,8 @@ def measure(
     within = problem.priced([abs(each.price) for each in limits])
     table = _sensitivities(within, progress, evaluation, smooth, engine)
     held = min(evaluation.sensitivity_paths, evaluation.paths)
-    ended = ending(within, untrained, progress, exact, held, engine)
+    alone = objective if limits else None
+    ended = ending(within, untrained, progress, exact, held, engine, alone)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),

@@ -120,3 +120,8 @@ def test_inputs_of_the_ranges_have_no_derivative_in_the_training():
     """They are each member's own: zeros would be told as if they were known."""
     assert set(FAMILY.training.named) == set(PROBLEM.named) - set(FAMILY.ranges)
     assert FAMILY.at({}).named.keys() == PROBLEM.named.keys()
+
+
+def test_sensitivities_of_a_member_as_the_docs_write_it():
+    found = snapo.sensitivities(FAMILY.at({"effort": 1.5}), snapo.Constant(np.array([-0.25])))
+    assert found.held["effort"].value == pytest.approx(-T * 0.25**2)

@@ -1,5 +1,7 @@
 """Imitation of a rule, and training on from a policy or a solution."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.problem.families.test_family import PROBLEM
@@ -24,6 +26,14 @@ def test_a_network_imitates_a_rule_and_is_trained_on():
     short = snapo.Training(steps=40, paths=128, learning_rate=3e-3, validation_paths=1024)
     better = snapo.solve(PROBLEM, policy=same, training=short, evaluation=FEW)
     assert better.value > same.value + 0.005
+
+
+def test_a_rule_is_imitated_for_a_problem_with_limits():
+    """A limit is of an output that imitation does not have: it was a KeyError."""
+    limited = replace(PROBLEM, limits=(snapo.AtMost("cost", 5.0),))
+    few = snapo.Training(steps=2, paths=16, validation_paths=16)
+    begun = snapo.imitate(limited, RULE, snapo.Linear(), training=few, engine="xla")
+    assert np.isfinite(begun.distance)
 
 
 def test_a_rule_with_memory_is_refused():

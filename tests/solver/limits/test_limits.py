@@ -1,5 +1,7 @@
 """Limits on the average: prices known in closed form, and a limit that cannot be met."""
 
+from dataclasses import replace
+
 import jax
 import jax.numpy as jnp
 import numpy as np
@@ -13,6 +15,7 @@ from snapo.problem.objective import Probability
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 from snapo.solver.evaluate import path_totals
+from snapo.solver.learning.convergence import _gain
 from snapo.solver.limits.dual import Dual, moved
 from snapo.solver.limits.found import limits_found, notes_of
 
@@ -92,6 +95,40 @@ def test_the_file_and_the_lines_tell_limits(budget, tmp_path):
     budget.save(tmp_path)
     assert snapo.Solution.load(tmp_path).limits == budget.limits
     assert "mean of spent at most 6" in str(budget)
+
+
+class Blind(Spend):
+    """Sees numbers that mean nothing, so that a constant decision is best."""
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, _ = super().step(constants, now, state, action, noise, smooth)
+        x = action[0]
+        return after, {"earned": constants["worth"] * 2 * x - x**2 / 2, "spent": x}
+
+
+@pytest.mark.prove
+def test_a_constant_decision_beside_a_limit_is_compared_with_the_limit_paid():
+    """Without the price, spending more would be said to do better."""
+    few = snapo.Evaluation(paths=4096, sensitivity_paths=2048, smooth_paths=0, judge_paths=0)
+    found = snapo.solve(
+        Blind(), INPUTS, snapo.MLP(), objective=snapo.Mean("earned"), evaluation=few,
+        limits=(snapo.AtMost("spent", 6.0),), training=snapo.Training(steps=5, paths=128),
+    )  # fmt: skip
+    notes = [each for each in found.notes if "constant decision" in each]
+    assert notes and all(each.startswith("With what it uses more of a limit") for each in notes)
+
+
+def test_using_nothing_is_no_gain_beside_a_limit():
+    """Each dose averts more than the one before: none at all looks good at the last one's price."""
+    problem = snapo.Problem(Spend(), INPUTS, snapo.Mean("averted"))
+    objective = priced(problem.objective, (snapo.AtMost("doses", 0.5),), [1.0])
+    mine = {"averted": np.full(8, 0.25), "doses": np.full(8, 0.5)}
+    none = {"averted": np.zeros(8), "doses": np.zeros(8)}
+    more = {"averted": np.full(8, 0.5), "doses": np.full(8, 1.0)}
+    paid, paths = replace(problem, objective=objective), np.arange(8)
+    assert _gain(paid, mine, [none], paths, None).value == pytest.approx(-0.25)
+    assert _gain(paid, mine, [none], paths, problem.objective).value == pytest.approx(0.25)
+    assert _gain(paid, mine, [more], paths, problem.objective).value == pytest.approx(0.25)
 
 
 @pytest.mark.prove

@@ -32,7 +32,8 @@ class Family:
         snapo.sensitivities(member, solution.policy)
 
     The policy observes the inputs named, each from -1 at its lower to 1 at its upper bound, after
-    the simulator's own features.
+    the simulator's own features. An objective that is no mean, such as a CVaR, is that of the paths
+    of all members together, so that training heeds the worst members most.
 
     **Arguments:**
 
@@ -60,7 +61,7 @@ class Family:
 
     @cached_property
     def training(self) -> Problem:
-        """The problem to solve: its value is the mean over the members.
+        """The problem to solve: its value is the objective of all members' paths together.
 
         The inputs named are plain numbers there, without derivatives, since each member has its
         own; take those at a member.

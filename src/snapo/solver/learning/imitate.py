@@ -83,7 +83,8 @@ def imitate(
     training = training or SHORT
     rule = rule.for_problem(problem.interface, jax.random.key(training.seed))
     followed = Imitating(problem.simulator, rule, _ranges(problem))
-    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE))
+    # The rule's outputs are gone, and with them limits on them: the next training has those.
+    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), limits=())
     policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
     engines = choose(engine, problem, policy)
     progress = train(problem, begin(policy, training, problem), training, engines.train)

@@ -19,6 +19,10 @@ from ..learning.settings import Training
 
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
+LATER = (
+    "; where it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
+    "or narrower bounds of the decisions keep it away."
+)
 
 
 class Place(NamedTuple):
@@ -42,10 +46,13 @@ def why_broken(problem: Problem, progress: Progress, training: Training, engine:
     draws = problem.sources.training.batch(record.step - 1, training.paths, problem.simulator)
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     stopped = f"Training stopped at step {record.step} of {training.steps}:"
+    advice = ADVICE
+    if record.step > 1:  # the simulator was sound for all policies before
+        advice = ADVICE[:-1] + LATER.format(rate=float(training.learning_rate))
     bad = {name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs}
     bad = {name: paths for name, paths in bad.items() if paths.size}
     if not bad:
-        return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), ADVICE])
+        return " ".join([stopped, _by_derivative(problem, record.bad_paths, draws.size), advice])
     told = ", ".join(
         f"{paths.size} of {draws.size} paths are not finite in output {name!r}"
         for name, paths in bad.items()
@@ -53,10 +60,10 @@ def why_broken(problem: Problem, progress: Progress, training: Training, engine:
     lost = np.flatnonzero(~finite(totals, bad))[:FEW]
     place = _first(problem, policy, only(draws, lost), smooth)
     if place is None:
-        return f"{stopped} {told}, by its terminal part or the sum over steps. {ADVICE}"
+        return f"{stopped} {told}, by its terminal part or the sum over steps. {advice}"
     return (
         f"{stopped} {told}, first at step {place.step} of the {problem.simulator.horizon} of a "
-        f"path, in {place.name}. {ADVICE}"
+        f"path, in {place.name}. {advice}"
     )
 
 

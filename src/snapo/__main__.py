@@ -1,0 +1,8 @@
+"""The command line as a module, where no script is on the path: python -m snapo."""
+
+import sys
+
+from snapo.cli.main import main
+
+if __name__ == "__main__":
+    sys.exit(main())
