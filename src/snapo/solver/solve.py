@@ -231,7 +231,7 @@ def measure(
     within = problem.priced([abs(each.price) for each in limits])
     table = _sensitivities(within, progress, evaluation, smooth, engine)
     held = min(evaluation.sensitivity_paths, evaluation.paths)
-    ended = ending(within, untrained, progress, exact, held, engine)
+    ended = ending(problem, untrained, progress, exact, held, engine)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),

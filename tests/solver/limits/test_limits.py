@@ -13,8 +13,9 @@ from snapo.problem.objective import Probability
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 from snapo.solver.evaluate import path_totals
+from snapo.solver.learning.convergence import _gain
 from snapo.solver.limits.dual import Dual, moved
-from snapo.solver.limits.found import limits_found, notes_of
+from snapo.solver.limits.found import LimitFound, limits_found, notes_of
 
 
 class Spend(snapo.Simulator):
@@ -245,3 +246,55 @@ def test_a_network_keeps_limits_far_below_the_rule_that_it_begins_with():
     for k in (0, 1):
         slope = (values[k + 1] - values[k]) / (levels[k + 1] - levels[k])
         assert 0.98 * prices[k + 1] < slope < 1.02 * prices[k]
+
+
+class Budget(snapo.Simulator):
+    """Four days without noise, each worth more than the one before; a dose costs nothing but the
+    budget, so that the best constant decision spends all and breaks it."""
+
+    horizon: int = 4
+    noise_size: int = 0
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"day": jnp.arange(4.0)})
+
+    def initial(self, constants, noise):
+        return jnp.zeros(())
+
+    def observe(self, constants, now, state):
+        return now["day"][None] / 2 - 0.75
+
+    def step(self, constants, now, state, action, noise, smooth):
+        saved = constants["worth"] * (1 + now["day"]) * action[0]
+        return state, {"saved": saved, "doses": action[0]}
+
+
+def test_a_rule_that_breaks_a_limit_is_no_rival():
+    """Ten are saved with four doses, seven with the two that there are."""
+    problem = Problem(Budget(), INPUTS, snapo.Mean("saved"), limits=(snapo.AtMost("doses", 2.0),))
+    mine = {"saved": np.full(8, 7.0), "doses": np.full(8, 2.0)}
+    for doses, sure in ((4.0, True), (2.0, False)):
+        other = {"saved": np.full(8, 10.0), "doses": np.full(8, doses)}
+        assert _gain(problem, mine, [other], np.arange(8)).sure == sure
+
+
+@pytest.mark.prove
+def test_without_noise_a_limit_is_met_up_to_round_off():
+    """Two doses go to the last two days: 3 + 4. All paths are one, so no interval allows for the
+    last digits of a policy in float32."""
+    found = snapo.solve(
+        Budget(), INPUTS, objective=snapo.Mean("saved"), limits=(snapo.AtMost("doses", 2.0),),
+        training=snapo.Training(steps=400, paths=16, learning_rate=0.01), evaluation=FEW,
+        engine="xla",
+    )  # fmt: skip
+    assert found.value == pytest.approx(7.0, abs=1e-4)
+    assert found.limits[0].met in ("met", "met nearly") and found.convergence == "converged"
+    assert not found.notes
+
+
+def test_a_limit_at_its_level_without_a_price_is_not_said_to_have_room():
+    """All decisions at bounds of their set: nothing moves, and derivatives tell no price."""
+    at = LimitFound("doses", 2.0, 1.9999999, 0.0, 1.9999999, 1.9999999, 0.0, 0.0, 1.5, "met")
+    assert "no room" in notes_of((at,))[0] and "a price of 1.5" in notes_of((at,))[0]
+    assert "with room" in notes_of((at._replace(value=1.8, high=1.8),))[0]

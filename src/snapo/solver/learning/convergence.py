@@ -19,6 +19,7 @@ from .. import statistics
 from ..adjoint import float64
 from ..evaluate import chunks, worth
 from ..finite_paths import finite
+from ..limits.found import NEARLY
 from ..train import Progress
 from .constant import at_limit, constant_decisions, rivals, told, words
 
@@ -64,6 +65,8 @@ def ending(
     engine: Engine,
 ) -> Ending:
     """How training ended, by the exact simulator on paths of the evaluation.
+
+    A rule that breaks a limit of the problem, and more than the trained one does, is no rival.
 
     - `exact`: {output: [paths]} of the best policy on the evaluation's paths.
     - `held_paths`: of the held derivatives, which record decisions; 0 leaves out what needs them.
@@ -121,7 +124,7 @@ def _as_well(constant: np.ndarray, gain: Gain) -> str:
 
 def _over_untrained(problem: Problem, untrained: Policy, exact: Totals, engine: Engine) -> Gain:
     """On the first chunks of the evaluation, whose kernels are there."""
-    source, bound = problem.sources.evaluation, engine.bind(problem)
+    source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
     blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])))
     found = [
         bound.values(untrained, source.draws(block, problem.simulator), Exact()).totals
@@ -150,14 +153,15 @@ def _over_constants(
     engine: Engine,
 ) -> tuple[np.ndarray, Gain]:
     """The best constant decision [size] of some, and the gain over it: see `rivals`."""
-    bound = engine.bind(problem, controls=False)
+    unpriced = _unpriced(problem)
+    bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
     paths = np.concatenate([each[0] for each in taken])
     found = []
     for constant in rivals(problem.action, np.concatenate([each[2] for each in taken], axis=1)):
         parts: list[Totals] = []
         for _, draws, like in taken:
             each = np.full(like.shape[1], 1 / like.shape[1])
-            weights = dict.fromkeys(problem.objective.outputs, each)
+            weights = dict.fromkeys(outputs, each)
             same = np.broadcast_to(constant.astype(like.dtype), like.shape)
             # The held derivatives have this kernel compiled already.
             passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
@@ -185,10 +189,26 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
     with np.errstate(invalid="ignore"):
         value = objective.value(mine) - objective.value(other)
         spread = objective.influence(mine) - objective.influence(other)
-    if not np.isfinite(value):  # the other one is ruined
-        return Gain(np.inf, 0.0)
     groups = np.unique(problem.sources.evaluation.groups(paths), return_inverse=True)[1]
+    if not np.isfinite(value) or _breaks_a_limit(problem, mine, other, groups):  # or is ruined
+        return Gain(np.inf, 0.0)
     return Gain(float(value), float(statistics.mean(spread, groups).standard_error))
+
+
+def _unpriced(problem: Problem) -> Problem:
+    """With the outputs of its limits beside those of its objective, as kernels have them."""
+    return problem.priced([0.0] * len(problem.limits))
+
+
+def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.ndarray) -> bool:
+    """Whether the other rule is surely further beyond a limit than mine is."""
+    for limit in problem.limits:
+        influence = limit.measure.influence(other)
+        error = statistics.mean(influence, groups).standard_error
+        beyond = limit.excess(other) - max(limit.excess(mine), 0.0)
+        if beyond > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
+            return True
+    return False
 
 
 def _late(progress: Progress, gained: float, totals: np.ndarray) -> float:
