@@ -56,7 +56,7 @@ def bumped(notes: Notes, simulator: Simulator, inputs: PyTree, runs: list[Run], 
             continue
         for label, direction in _directions(entry, rng):
             pairs = [_Comparison(simulator, inputs, run, entry, direction, found) for run in judged]
-            if _judge(notes, pairs, list(judged[0].totals), f"input {entry.name}{label}"):
+            if _judge(notes, pairs, list(judged[0].totals), entry.name, label):
                 break
 
 
@@ -102,8 +102,8 @@ class _Comparison:
         )
         self.size = np.maximum(means, 1e-300)
 
-    def difference(self, bump: float) -> np.ndarray:
-        up, down = self._value(bump), self._value(-bump)
+    def difference(self, bump: float, **changes) -> np.ndarray:
+        up, down = self._value(bump, **changes), self._value(-bump, **changes)
         return (up - down) / (2 * bump)
 
     def disagrees(self, found: np.ndarray, bump: float) -> np.ndarray:
@@ -112,24 +112,27 @@ class _Comparison:
         allowed = TOLERANCE * np.maximum(np.abs(found), np.abs(self.adjoint)) + roundoff
         return np.where(np.abs(found - self.adjoint) > allowed, np.abs(found - self.adjoint), 0.0)
 
-    def moves(self, bump: float) -> np.ndarray | None:
+    def moves(self, bump: float, **changes) -> np.ndarray | None:
         """The differences, where they are more than round-off of a sum over paths."""
-        found = np.nan_to_num(self.difference(bump))
+        found = np.nan_to_num(self.difference(bump, **changes))
         return found if (np.abs(found) * bump > 1e-12 * self.size).any() else None
 
-    def _value(self, bump: float) -> np.ndarray:
+    def _value(self, bump: float, **changes) -> np.ndarray:
         chosen = self.entry.input
         new = replace(chosen, value=chosen.value + bump * self.direction)
         inputs = jax.tree.map(
             lambda x: new if x is chosen else x, self.inputs, is_leaf=inputs_.is_input
         )
-        totals = self.run.values(self.simulator, schedule=prepare(self.simulator, inputs))
+        schedule = prepare(self.simulator, inputs)
+        totals = self.run.values(self.simulator, schedule=schedule, **changes)
         return np.array([total[np.isfinite(total)].mean() for total in totals.values()])
 
 
-def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
+def _judge(
+    notes: Notes, pairs: list[_Comparison], outputs: list[str], name: str, label: str
+) -> bool:
     """Writes down the mistakes along one direction of an input; whether there was any."""
-    pair = pairs[0]
+    pair, where = pairs[0], f"input {name}{label}"
     small = pair.difference(pair.bump)
     if not np.all(np.isfinite(small)):
         notes.warning(
@@ -151,13 +154,15 @@ def _judge(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: st
         where,
         f"d {outputs[k]} is {pair.adjoint[k]:.6g} by the adjoint and {small[k]:.6g} by bumps.",
         "A jump (a comparison, rounding, argmax) that bumps cross, stop_gradient on part of the "
-        "way, or a derivative written by hand.",
+        "way, or a derivative written by hand. A mean of whole numbers (noise.Poisson) or a chance "
+        f"of regimes moves no path: name it, def in_mean(self): return ({name!r},).",
     )
     return True
 
 
 def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], where: str) -> bool:
-    """An input with derivative zero in every run: it does nothing, or its way is cut."""
+    """An input with derivative zero in every run: it does nothing, its way is cut, or it changes
+    what the policy sees alone."""
     bump = pairs[0].bump
     for pair in pairs:
         if (small := pair.moves(bump)) is not None:
@@ -181,5 +186,8 @@ def _judge_dead(notes: Notes, pairs: list[_Comparison], outputs: list[str], wher
                     "comparison is.",
                 )
                 return True
+    # The size of an error of measurement changes what the policy sees, and nothing else.
+    if any(pair.moves(bump, actions=None) is not None for pair in pairs):
+        return False
     notes.warning(where, "It changes no output.", "Use it in prepare, or leave it out.")
     return True

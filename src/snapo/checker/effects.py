@@ -35,6 +35,10 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
         noise[..., component] = np.roll(noise[..., component], 1, axis=1)
         return {"draws": Stored(run.draws.initial_noise, noise)}  # pyright: ignore
 
+    def seen_noise(run: Run, component: int) -> dict[str, Any]:
+        # The error of a reading changes what the policy sees, and nothing where decisions are held.
+        return other_noise(run, component) | {"actions": None}
+
     for group in simulator.action.together():
         if _matters(simulator, runs, other_action, group):
             moving += group
@@ -45,7 +49,7 @@ def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list
                 "Use it, or make the action set smaller.",
             )
     for component in range(simulator.noise_size):
-        if not _matters(simulator, runs, other_noise, component):
+        if not any(_matters(simulator, runs, by, component) for by in (other_noise, seen_noise)):
             notes.warning(
                 f"{notes.method('step')}: noise[{component}]",
                 "It changes no output.",

@@ -55,11 +55,12 @@ class Run(eqx.Module):
         }
 
     def values(self, simulator, **changes) -> dict[str, Any]:
-        """Totals with the decisions held and something changed."""
+        """Totals with the decisions held and something changed; `actions=None`: with the policy
+        reacting."""
         given = {"schedule": self.schedule, "draws": self.draws, "actions": self.actions} | changes
         return ENGINE.values(
             simulator,
-            None,
+            self.policy if given["actions"] is None else None,
             given["schedule"],
             given["draws"],
             self.smooth,
