@@ -27,6 +27,7 @@ ORDER = [
     "testing",
     "domains",
     "cli",
+    "__main__",
 ]
 
 

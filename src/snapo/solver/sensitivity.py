@@ -164,7 +164,7 @@ def _error(number: float) -> str:
 def sensitivities(
     problem: Problem,
     policy: Policy,
-    paths: int,
+    paths: int = 16384,
     *,
     smooth: Any = None,
     smooth_paths: int = 4096,

@@ -81,7 +81,7 @@ def solve(
     *,
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
-    limits: Sequence[Limit] = (),
+    limits: Sequence[Limit] | Limit = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
     engine: Choice = "auto",
@@ -102,7 +102,7 @@ def solve(
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
-    - `limits`: of means, probabilities or other numbers of all paths, such as
+    - `limits`: one or several, of means, probabilities or other numbers of all paths, such as
       `(AtMost("unserved", 0.05),)`: an augmented Lagrangian finds their prices in training, and the
       derivatives by inputs are those of the best value within the limits.
     - `engine`: "auto", "xla" or "native", or an engine.
@@ -112,7 +112,8 @@ def solve(
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
-    training, evaluation = training or Training(), evaluation or Evaluation()
+    training = _settings("training", training, Training)
+    evaluation = _settings("evaluation", evaluation, Evaluation)
     with Clock() as clock:
         given = (inputs, objective, scenarios, limits)
         problem = problem_of(problem, *given, evaluation, training.seed)
@@ -145,23 +146,41 @@ def solve(
     )
 
 
+def _settings(name: str, given: Any, kind: type) -> Any:
+    """The settings given, or the usual ones.
+
+    **Raises:** `ValueError` where they are of another kind, such as a dictionary.
+    """
+    found = kind() if given is None else given
+    if not isinstance(found, kind):
+        raise ValueError(f"solve: {name} is {given!r}; give snapo.{kind.__name__}(…).")
+    return found
+
+
 def problem_of(
     problem: Problem | Simulator,
     inputs: PyTree,
     objective: Objective | None,
     scenarios: Scenarios | Sources | None,
-    limits: Sequence[Limit],
+    limits: Sequence[Limit] | Limit,
     evaluation: Evaluation,
     seed: int,
 ) -> Problem:
     """The problem that a caller means: the one given, or that of a simulator with all beside it.
 
-    **Raises:** `ValueError` where a `Problem` has any of it beside it.
+    **Raises:** `ValueError` where a `Problem` has any of it beside it, or for what is neither.
     """
+    if isinstance(problem, type):
+        name = problem.__name__
+        raise ValueError(f"solve: {name} is a class; give one that is made: {name}().")
     if isinstance(problem, Simulator):
         given = evaluation.sources(seed) if scenarios is None else scenarios
         objective = objective or _only_output(problem, inputs)
-        return Problem(problem, inputs, objective, Sources.of(given, seed), tuple(limits))
+        limits = (limits,) if isinstance(limits, Limit) else tuple(limits)
+        return Problem(problem, inputs, objective, Sources.of(given, seed), limits)
+    if not isinstance(problem, Problem):
+        kind = type(problem).__name__
+        raise ValueError(f"solve: a {kind} is neither a simulator nor a Problem.")
     if limits or any(each is not None for each in (inputs, objective, scenarios)):
         what = "inputs, objective, scenarios and limits"
         raise ValueError(f"solve: a Problem has its own {what}.")

@@ -196,5 +196,5 @@ def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
     inputs = {"rate": snapo.Input(2.0)}
     (found,) = snapo.check(Shop(), inputs)
     (found,) = snapo.check(Shop(), inputs)
-    assert 'in_mean(self): return (\'rate\',)' in found.fix
+    assert "in_mean(self): return ('rate',)" in found.fix
     assert not list(snapo.check(Named(), inputs))
