@@ -185,6 +185,11 @@ def test_mistakes_that_one_step_shows(simulator, where, what):
     assert where in error.where and what in error.what and error.fix
 
 
+def test_a_class_and_a_vector_of_one_number_get_their_own_remedy():
+    assert "Good()" in only(check(Good, inputs())).fix
+    assert "action[0]" in only(check(NewShape(), inputs())).fix
+
+
 def test_errors_of_user_code_name_file_and_line():
     error = only(check(PlainNumpy(), inputs()))
     with open(__file__) as source:

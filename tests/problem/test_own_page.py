@@ -53,6 +53,9 @@ def test_the_tank_and_the_two_stages_are_solved(what):
     found = written(what)
     solution = found["solution"]
     assert solution.status == "trained" and solution.engine.startswith("native")
+    # The error of the tank's reading changes nothing but decisions.
+    findings = snapo.check(solution.problem.simulator, solution.problem.inputs, paths=8)
+    assert not findings, str(findings)
     by = solution.sensitivities.held
     assert all(np.all(np.isfinite(each.value)) for each in by.values())
     if what == "class Reactor":

@@ -150,3 +150,37 @@ def test_three_standard_errors_decide_and_the_likelier_one():
     curved = Verdict(0.5, 1.5, 0.1, (1.6, 0.0), None)
     assert (curved.supported, curved._replace(tie=True).supported) == (UNKNOWN, "held")
     assert Verdict.of([1, 2, 0.1, [1, 0], None, True]) == Verdict(1, 2, 0.1, (1, 0), None, True)
+
+
+class Sure(Once):
+    """No noise at all, and a value that bends: the cube of an input."""
+
+    noise_size: int = 0
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+
+    def initial(self, constants, noise):
+        return jnp.zeros(())
+
+    def observe(self, constants, now, state):
+        return state[None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        jump = jnp.where(constants["width"] > 2.001, 1.0, 0.0)
+        return state, {"cash": constants["width"] ** 3 + constants["size"] ** 3 + jump}
+
+
+def test_without_noise_a_bend_is_no_doubt_and_a_jump_is_one():
+    """Sides of a hundredth differ by a ten-thousandth of the third order, and round-off is far
+    less; where the value jumps, no move supports a derivative."""
+    inputs = {"width": snapo.Input(2.0), "size": snapo.Input(3.0)}
+    table = judged(Sure(), inputs, snapo.Constant([0.5]), "cash", 0.01)
+    assert float(table.held["size"].value) == pytest.approx(27.0)
+    assert table.believed("size") == "held"
+    assert table.believed("width") == UNKNOWN
+
+
+def test_a_smooth_derivative_with_a_wide_error_is_not_believed_for_its_width():
+    """Near to the move in its own wide error, while the held one is 2.3 errors away and sharp."""
+    verdict = Verdict(1.0, 1.0, 0.2, (0.5, 0.08), (3.0, 4.0))
+    assert verdict.supported == "held"
+    assert verdict._replace(smooth=(1.0, 0.08)).supported == "smooth"

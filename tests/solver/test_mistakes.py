@@ -110,6 +110,22 @@ def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, lim
     assert "The outputs are ['cost']." in str(refused.value)
 
 
+def test_a_class_in_place_of_a_simulator_and_other_things_are_told():
+    given = Inputs(Input(0.9))
+    with pytest.raises(ValueError, match=r"Drift is a class; give its object, Drift\(\)"):
+        solve(Drift, given)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="a str is neither a simulator nor a Problem"):
+        solve("drift", given)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match=r"training is {'steps': 2}; give snapo.Training"):
+        solve(Drift(), given, training={"steps": 2})  # pyright: ignore[reportArgumentType]
+
+
+def test_one_limit_needs_no_tuple():
+    """It comes as far as the outputs, of which it is none."""
+    with pytest.raises(ValueError, match=r"limits\[0\]\s+There is no output 'dose'"):
+        solve(Drift(), Inputs(Input(0.9)), objective=Mean("cost"), limits=AtMost("dose", 0.1))
+
+
 def test_an_action_outside_of_its_set_is_named():
     found = first_mistakes(problem(), Five())
     assert len(found.errors) == 1 and "Action 0 is 5, outside of 0 to 1" in str(found)

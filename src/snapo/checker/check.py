@@ -44,10 +44,6 @@ def check(
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
     notes = Notes(simulator)
-    if isinstance(simulator, type):
-        name = simulator.__name__
-        notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
-        return Findings(name, tuple(notes.items), "Nothing else was examined.")
     try:
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)

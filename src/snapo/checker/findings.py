@@ -113,7 +113,9 @@ class Notes:
 
     def finished(self, looked_at: str) -> Findings:
         ordered = sorted(self.items, key=lambda item: item.severity)
-        return Findings(type(self.simulator).__name__, tuple(ordered), looked_at)
+        # A class in place of its object is a finding too.
+        kind = self.simulator if isinstance(self.simulator, type) else type(self.simulator)
+        return Findings(kind.__name__, tuple(ordered), looked_at)
 
     def _add(self, finding: Finding) -> None:
         if finding not in self.items:

@@ -14,9 +14,17 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .findings import Notes, Stop
 
+KEEP = "Keep its shape and type; start a floating number as 0.0, not as 0."
+COMPONENTS = "Outputs are single real numbers; sum it, or return one output a component."
+ONE = "A vector of one number is no number: the only one of an action, or of noise, is action[0]."
+
 
 def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
     """Sizes, the action set and the inputs, as they are declared."""
+    if isinstance(simulator, type):
+        name = simulator.__name__
+        notes.error("simulator", f"{name} is a class.", f"Give its object: {name}().")
+        raise Stop
     for name, least in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
@@ -148,7 +156,7 @@ def _same_state(notes: Notes, before: PyTree, after: PyTree) -> None:
             notes.error(
                 f"{notes.method('step')}: state{jax.tree_util.keystr(path)}",
                 f"It changes from {_described(x)} in initial to {_described(y)} in step.",
-                "Keep its shape and type; start a floating number as 0.0, not as 0.",
+                ONE if (x.shape, y.shape) == ((), (1,)) else KEEP,
             )
 
 
@@ -165,7 +173,7 @@ def _scalars(notes: Notes, method: str, outputs) -> None:
             notes.error(
                 f"{notes.method(method)}: output {name!r}",
                 f"It is {_described(value)}.",
-                "Outputs are single real numbers; sum it, or return one output a component.",
+                ONE if value.shape == (1,) else COMPONENTS,
             )
 
 

@@ -25,7 +25,8 @@ from .statistics import independent, mean
 MOVE = 0.01  # of every number of an input
 SURE = 3.0  # standard errors
 LIKELIER = 4.0  # twice the logarithm of a ratio of likelihoods, e^2: about 7 to 1
-CORNER = 0.375  # of the gap between the sides, at half the move: a kink leaves 1/2, curvature 1/4
+# Of the gap between the sides, at half the move: a kink leaves 1/2, a bend 1/4, a jump all of it.
+CORNER, JUMP = 0.375, 0.75
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
 HELD, SMOOTH, UNKNOWN = "held", "smooth", "not known"
 COLUMNS = (
@@ -51,7 +52,8 @@ class Verdict(NamedTuple):
       derivative between them is one, and not by curvature.
     - `supported`: "held", "smooth" or "not known". Only what agrees with `change`, at a tie with
       anything between `up` and `down`, within three standard errors of the difference is believed.
-      The smooth one is believed before the held one where the move makes it far likelier.
+      The smooth one is believed before the held one where the move makes it far likelier; an error
+      that is much wider makes it less likely.
     """
 
     up: float
@@ -89,7 +91,18 @@ class Verdict(NamedTuple):
         smooth = np.inf if self.smooth is None else self._away(*self.smooth)
         if min(held, smooth) > SURE:
             return UNKNOWN
-        return SMOOTH if held**2 - smooth**2 > LIKELIER else HELD
+        if self.smooth is None or not np.isfinite(smooth):
+            return HELD
+        # One with a wide error is near to everything: its likelihood is low, and spread out.
+        widths = [independent(self.error, error) for _, error in (self.held, self.smooth)]
+        wider = 2 * np.log(widths[1] / widths[0]) if min(widths) > 0 else 0.0
+        return SMOOTH if held**2 - smooth**2 - wider > LIKELIER else HELD
+
+    def settled(self, up: float, down: float) -> "Verdict":
+        """For values without noise: where half the move, with these sides, comes so much nearer to
+        the held derivative that all between them is curvature, the error is that much."""
+        gap, rest = (abs(each - self.held[0]) for each in (self.change, up + down))
+        return self._replace(error=max(gap, self.error)) if rest <= CORNER * gap else self
 
     def distance(self) -> tuple[float, float]:
         """From the move to the derivative that is nearer in standard errors; the most of it that
@@ -137,6 +150,7 @@ def judge(
         low, high = (totals(problem.at({name: value + move})) for move in (-by, by))
         return _differences(problem, low, centre, high)
 
+    noiseless = problem.simulator.noise_size + problem.simulator.initial_noise_size == 0
     found = {}
     for name, given in problem.named.items():
         by = hundredth(given)
@@ -144,9 +158,11 @@ def judge(
             continue
         reacting = None if smooth is None else smooth[name].along(by)
         verdict = Verdict(*sides(name, by), held[name].along(by), reacting)
-        if verdict.supported != HELD and verdict.two_sided:
+        if verdict.supported != HELD and (noiseless or verdict.two_sided):
             up, down, _ = sides(name, by / 2)
-            verdict = verdict._replace(tie=abs(up - down) > CORNER * abs(verdict.up - verdict.down))
+            gap = abs(verdict.up - verdict.down)
+            verdict = verdict._replace(tie=CORNER * gap < abs(up - down) < JUMP * gap)
+            verdict = verdict.settled(up, down) if noiseless else verdict
         found[name] = verdict
     return found
 

@@ -6,7 +6,7 @@ A run is three plain stages on one problem: `train`, `path_totals`, `sensitiviti
 from collections.abc import Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, TypeVar
 
 import equinox as eqx
 import jax
@@ -39,6 +39,8 @@ from .provenance.versions import versions
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train, whole
+
+Given = TypeVar("Given")  # settings of one kind
 
 SCENARIOS = ("pseudo-random", "sobol")
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
@@ -102,7 +104,7 @@ def solve(
     - `objective`: made as large as possible; by default the mean of the only output there is.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
-    - `limits`: of means, probabilities or other numbers of all paths, such as
+    - `limits`: one or several, of means, probabilities or other numbers of all paths, such as
       `(AtMost("unserved", 0.05),)`: an augmented Lagrangian finds their prices in training, and the
       derivatives by inputs are those of the best value within the limits.
     - `engine`: "auto", "xla" or "native", or an engine.
@@ -112,7 +114,8 @@ def solve(
 
     **Raises:** `ValueError` with the first mistakes that `check` finds, before anything compiles.
     """
-    training, evaluation = training or Training(), evaluation or Evaluation()
+    training = _settings("training", training, Training)
+    evaluation = _settings("evaluation", evaluation, Evaluation)
     with Clock() as clock:
         given = (inputs, objective, scenarios, limits)
         problem = problem_of(problem, *given, evaluation, training.seed)
@@ -145,6 +148,17 @@ def solve(
     )
 
 
+def _settings(name: str, given: Given | None, kind: type[Given]) -> Given:
+    """The settings given, or the usual ones.
+
+    **Raises:** `ValueError` where they are of another kind, such as a dictionary.
+    """
+    found = kind() if given is None else given
+    if not isinstance(found, kind):
+        raise ValueError(f"solve: {name} is {given!r}; give snapo.{kind.__name__}(…).")
+    return found
+
+
 def problem_of(
     problem: Problem | Simulator,
     inputs: PyTree,
@@ -156,17 +170,19 @@ def problem_of(
 ) -> Problem:
     """The problem that a caller means: the one given, or that of a simulator with all beside it.
 
-    **Raises:** `ValueError` where a `Problem` has any of it beside it, and for a class in place of
-    its object.
+    **Raises:** `ValueError` where a `Problem` has any of it beside it, or for what is neither.
     """
     if isinstance(problem, type):
         name = problem.__name__
         raise ValueError(f"solve: {name} is a class; give its object, {name}().")
-    limits = (limits,) if isinstance(limits, Limit) else limits
     if isinstance(problem, Simulator):
         given = evaluation.sources(seed) if scenarios is None else scenarios
         objective = objective or _only_output(problem, inputs)
-        return Problem(problem, inputs, objective, Sources.of(given, seed), tuple(limits))
+        limits = (limits,) if isinstance(limits, Limit) else tuple(limits)
+        return Problem(problem, inputs, objective, Sources.of(given, seed), limits)
+    if not isinstance(problem, Problem):
+        kind = type(problem).__name__
+        raise ValueError(f"solve: a {kind} is neither a simulator nor a Problem.")
     if limits or any(each is not None for each in (inputs, objective, scenarios)):
         what = "inputs, objective, scenarios and limits"
         raise ValueError(f"solve: a Problem has its own {what}.")
@@ -236,8 +252,7 @@ def measure(
     within = problem.priced([abs(each.price) for each in limits])
     table = _sensitivities(within, progress, evaluation, smooth, engine)
     held = min(evaluation.sensitivity_paths, evaluation.paths)
-    alone = objective if limits else None
-    ended = ending(within, untrained, progress, exact, held, engine, alone)
+    ended = ending(problem, untrained, progress, exact, held, engine)
     norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),

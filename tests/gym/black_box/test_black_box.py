@@ -67,6 +67,14 @@ def test_decisions_are_held_by_default_where_episodes_are_long():
     assert [Real(Counter(), None, limit).hold for limit in (200, 250, 251, 999)] == [1, 1, 2, 4]
 
 
+def test_a_limit_of_time_around_an_environment_without_a_spec_is_found():
+    limited = gymnasium.wrappers.TimeLimit(Counter(), 50)
+    assert Real(limited, hold=None, limit=None).limit == 50
+    assert (
+        Real(gymnasium.wrappers.RecordEpisodeStatistics(limited), hold=None, limit=20).limit == 20
+    )
+
+
 def test_what_cannot_be_learnt_is_refused_with_a_remedy():
     discrete, unbounded = gymnasium.spaces.Discrete(2), gymnasium.spaces.Box(-np.inf, 1.0, (2,))
     for name, space, told in (

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+import snapo
 from snapo import noise
 from snapo.problem.inputs import Input, named
 from snapo.problem.noise.base import in_mean
@@ -165,3 +166,35 @@ def test_parameters_of_separate_draws_are_right_in_the_mean_alone():
     }
     assert set(in_mean(inputs)) == {"both.noises.calls.mean", "regimes.0.transition"}
     assert set(in_mean(inputs)) < {entry.name for entry in named(inputs)}
+
+
+def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
+    """A rate that stands alone, and its noise made in the step: no path moves with it."""
+
+    class Shop(snapo.Simulator):
+        horizon: int = 3
+        noise_size: int = 1
+        action: snapo.Box = snapo.Box(1, 0.0, 5.0)
+
+        def prepare(self, inputs):
+            return snapo.Schedule(dict(inputs), {"t": jnp.arange(3.0)})
+
+        def initial(self, constants, normals):
+            return jnp.asarray(1.0)
+
+        def observe(self, constants, now, state):
+            return state[None] / 5
+
+        def step(self, constants, now, state, action, normals, smooth):
+            wanted = noise.Poisson(constants["rate"], most=20).draw(normals)
+            return action[0], {"cash": -((wanted - action[0]) ** 2)}
+
+    class Named(Shop):
+        def in_mean(self):
+            return ("rate",)
+
+    inputs = {"rate": snapo.Input(2.0)}
+    (found,) = snapo.check(Shop(), inputs)
+    (found,) = snapo.check(Shop(), inputs)
+    assert "in_mean(self): return ('rate',)" in found.fix
+    assert not list(snapo.check(Named(), inputs))

@@ -115,12 +115,21 @@ def _box(environment: Any, name: str):
 
 def _limit(environment: Any, given: int | None) -> int:
     spec = getattr(environment, "spec", None)
-    limit = given or getattr(spec, "max_episode_steps", None)
+    limit = given or getattr(spec, "max_episode_steps", None) or _of_wrapper(environment)
     if not limit:
         raise ValueError(
             "learn: nothing limits the length of an episode; give limit=200, say, in steps."
         )
     return int(limit)
+
+
+def _of_wrapper(environment: Any) -> int | None:
+    """That of a `TimeLimit` around an environment that is not registered, and so has no spec."""
+    while isinstance(environment, gymnasium.Wrapper):
+        if isinstance(environment, gymnasium.wrappers.TimeLimit):
+            return environment._max_episode_steps
+        environment = environment.env
+    return None
 
 
 def _flat(seen: Any) -> np.ndarray:

@@ -55,7 +55,10 @@ class Family:
             raise ValueError("Family: ranges is empty; name at least one input.")
         if self.members < 2:
             raise ValueError(f"Family: members is {self.members}; at least 2 are needed.")
-        for name, (low, high) in self.ranges.items():
+        for name, ends in self.ranges.items():
+            if not isinstance(ends, tuple | list) or len(ends) != 2:
+                raise ValueError(f"Family: the range of {name} is {ends!r}; give (low, high).")
+            low, high = ends
             if not np.all(np.asarray(low) < np.asarray(high)):
                 raise ValueError(f"Family: the range of {name} is ({low}, {high}); low is less.")
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Totals
+from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
@@ -19,6 +19,7 @@ from .. import statistics
 from ..adjoint import float64
 from ..evaluate import chunks, worth
 from ..finite_paths import finite
+from ..limits.found import NEARLY
 from ..train import Progress
 from .constant import at_limit, constant_decisions, rivals, told, words
 
@@ -27,7 +28,6 @@ SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
 SURE = 2.0  # standard errors of a gain
 LATE = 0.01  # of all that was gained, in the last quarter of the steps: more is still improving
 ENOUGH = 2048  # paths on which two rules are compared
-PRICED = "With what it uses more of a limit paid at its shadow price, "
 TRY = (
     "write a decision of when to stop with snapo.Stop, or try starts=4, features of mean 0 and "
     "deviation 1, wider starting states, or a higher temperature_start"
@@ -63,19 +63,19 @@ def ending(
     exact: Totals,
     held_paths: int,
     engine: Engine,
-    alone: Objective | None = None,
 ) -> Ending:
     """How training ended, by the exact simulator on paths of the evaluation; a training that
     broke off has notes and no word.
 
+    A rule that breaks a limit of the problem, and more than the trained one does, is no rival.
+
     - `exact`: {output: [paths]} of the best policy on the evaluation's paths.
     - `held_paths`: of the held derivatives, which record decisions; 0 leaves out what needs them.
-    - `alone`: the objective without its limits, where that of `problem` pays for them.
     """
     if not np.isfinite(worth(problem.objective, exact)):
         return Ending("")
     notes = []
-    over_start = _over_untrained(problem, untrained, exact, engine, alone)
+    over_start = _over_untrained(problem, untrained, exact, engine)
     if not over_start.sure:
         notes.append(
             f"Training gained nothing over the rule that it began with ({over_start}). Unless that "
@@ -87,12 +87,11 @@ def ending(
         taken = _decisions(problem, progress.best, held_paths, engine)
         actions = np.concatenate([each[2] for each in taken], axis=1)
         still = constant_decisions(problem.action, actions)
-        constant, over_constant = _over_constants(problem, exact, taken, engine, alone)
+        constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
             notes.append(f"{words(still, of)}: if that is not meant, {TRY}.")
         if len(still) < of and not over_constant.sure:
-            said = _as_well(constant, over_constant)
-            notes.append(f"{PRICED}{said[0].lower()}{said[1:]}" if alone else said)
+            notes.append(_as_well(constant, over_constant))
     late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
     if late:
         notes.append(
@@ -126,18 +125,15 @@ def _as_well(constant: np.ndarray, gain: Gain) -> str:
     )
 
 
-def _over_untrained(
-    problem: Problem, untrained: Policy, exact: Totals, engine: Engine, alone: Objective | None
-) -> Gain:
+def _over_untrained(problem: Problem, untrained: Policy, exact: Totals, engine: Engine) -> Gain:
     """On the first chunks of the evaluation, whose kernels are there."""
-    source, bound = problem.sources.evaluation, engine.bind(problem)
+    source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
     blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])))
     found = [
         bound.values(untrained, source.draws(block, problem.simulator), Exact()).totals
         for block in blocks
     ]
-    parts: list[Totals] = [float64(each) for each in found]
-    return _gain(problem, exact, parts, np.concatenate(blocks), alone)
+    return _gain(problem, exact, [float64(each) for each in found], np.concatenate(blocks))
 
 
 def _decisions(
@@ -158,22 +154,22 @@ def _over_constants(
     exact: Totals,
     taken: list[tuple[np.ndarray, Draws, np.ndarray]],
     engine: Engine,
-    alone: Objective | None,
 ) -> tuple[np.ndarray, Gain]:
     """The best constant decision [size] of some, and the gain over it: see `rivals`."""
-    bound = engine.bind(problem, controls=False)
+    unpriced = _unpriced(problem)
+    bound, outputs = engine.bind(unpriced, controls=False), unpriced.objective.outputs
     paths = np.concatenate([each[0] for each in taken])
     found = []
     for constant in rivals(problem.action, np.concatenate([each[2] for each in taken], axis=1)):
         parts: list[Totals] = []
         for _, draws, like in taken:
             each = np.full(like.shape[1], 1 / like.shape[1])
-            weights = dict.fromkeys(problem.objective.outputs, each)
+            weights = dict.fromkeys(outputs, each)
             same = np.broadcast_to(constant.astype(like.dtype), like.shape)
             # The held derivatives have this kernel compiled already.
             passed = bound.adjoint(None, draws, Exact(), weights, actions=same, wrt=("schedule",))
             parts.append(float64(passed.totals))
-        found.append((constant, _gain(problem, exact, parts, paths, alone)))
+        found.append((constant, _gain(problem, exact, parts, paths)))
     return min(found, key=lambda each: each[1].value)
 
 
@@ -183,36 +179,39 @@ def _first(blocks: list[np.ndarray]) -> list[np.ndarray]:
     return blocks[: int(np.searchsorted(sizes, ENOUGH)) + 1]
 
 
-def _gain(
-    problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarray, alone: Objective | None
-) -> Gain:
-    """The difference of the objective, with the standard error of paired paths.
-
-    Beside limits the other rule pays for what it uses more of them, and earns nothing by using
-    less: where an outcome bends the wrong way, using nothing at the best rule's price looks better.
-    """
+def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarray) -> Gain:
+    """The difference of the objective, with the standard error of paired paths."""
+    objective = problem.objective
     mine = {name: np.asarray(total)[paths] for name, total in exact.items()}
     other = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
-    outputs = problem.objective.outputs
-    good = finite(mine, outputs) & finite(other, outputs)
+    good = finite(mine, objective.outputs) & finite(other, objective.outputs)
     if not good.any():
         return Gain(np.inf, 0.0)
     mine, other = ({n: total[good] for n, total in each.items()} for each in (mine, other))
-    groups = np.unique(problem.sources.evaluation.groups(paths[good]), return_inverse=True)[1]
-    objectives = [each for each in (problem.objective, alone) if each is not None]
-    return max(
-        (_difference(each, mine, other, groups) for each in objectives), key=lambda gain: gain.value
-    )
-
-
-def _difference(objective: Objective, mine: Totals, other: Totals, groups: np.ndarray) -> Gain:
-    """One objective of two rules on the same paths, all finite; `groups` are drawn together."""
+    paths = paths[good]
     with np.errstate(invalid="ignore"):
         value = objective.value(mine) - objective.value(other)
         spread = objective.influence(mine) - objective.influence(other)
-    if not np.isfinite(value):  # the other one is ruined
+    groups = np.unique(problem.sources.evaluation.groups(paths), return_inverse=True)[1]
+    if not np.isfinite(value) or _breaks_a_limit(problem, mine, other, groups):  # or is ruined
         return Gain(np.inf, 0.0)
     return Gain(float(value), float(statistics.mean(spread, groups).standard_error))
+
+
+def _unpriced(problem: Problem) -> Problem:
+    """With the outputs of its limits beside those of its objective, as kernels have them."""
+    return problem.priced([0.0] * len(problem.limits))
+
+
+def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.ndarray) -> bool:
+    """Whether the other rule is surely further beyond a limit than mine is."""
+    for limit in problem.limits:
+        influence = limit.measure.influence(other)
+        error = statistics.mean(influence, groups).standard_error
+        beyond = limit.excess(other) - max(limit.excess(mine), 0.0)
+        if beyond > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
+            return True
+    return False
 
 
 def _late(progress: Progress, gained: float, totals: np.ndarray) -> float:

@@ -22,6 +22,7 @@ from .slopes import slope_of
 BLOCKS, PATHS = 16, 4096  # of the shadow prices
 NEARLY = 1e-3  # of a path's deviation in the measure
 ROOM = 0.1  # of it: training's own paths place a measure no better than that
+ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths are the same
 
 
 class LimitFound(NamedTuple):
@@ -31,8 +32,8 @@ class LimitFound(NamedTuple):
     - `price`, `price_error`: what one unit more of the level is worth to the objective (negative
       for a lower limit); zero where the limit does not bind: where training gave it no multiplier,
       or the measure keeps a distance from the level. `multiplier`: the one in training.
-    - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, or
-      by less than a thousandth of one path's deviation.
+    - `met`: "met", "not met", or "met nearly": missed by less than the interval's half width, by
+      less than a thousandth of one path's deviation, or by less than round-off.
     """
 
     name: str
@@ -50,6 +51,12 @@ class LimitFound(NamedTuple):
     def binds(self) -> bool:
         """Whether it has a price."""
         return bool(self.price_error > 0 or self.price != 0)
+
+    @property
+    def at_level(self) -> bool:
+        """Whether the measure is at the level, as far as paths and round-off tell."""
+        near = max(self.high - self.value, ALIKE * abs(self.level))
+        return bool(abs(self.value - self.level) <= near)
 
     def __str__(self) -> str:
         worth = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
@@ -74,8 +81,9 @@ def limits_found(
     for i, (each, found) in enumerate(zip(limits, measured)):
         excess, half = each.sign * (found.value - each.level), found.value - found.interval()[0]
         deviation = float(each.measure.influence(totals).std())
-        binds[i] = multipliers[i] > 0 and -excess <= max(half, ROOM * deviation)
-        beyond = excess > max(half, NEARLY * deviation)
+        alike = max(half, ALIKE * abs(each.level))
+        binds[i] = multipliers[i] > 0 and -excess <= max(alike, ROOM * deviation)
+        beyond = excess > max(alike, NEARLY * deviation)
         met.append("met" if excess <= 0 else "not met" if beyond else "met nearly")
     prices, errors = _prices(problem, policy, binds, smooth, engine)
     return tuple(
@@ -97,6 +105,12 @@ def _note(found: LimitFound) -> str:
         return f"Limit not met on fresh paths: {found}. Try more steps; or no policy may meet it."
     if found.binds:
         return ""
+    if found.multiplier and found.at_level:
+        return (
+            f"Limit without a price, though it leaves no room: {found.name}. All decisions are at "
+            "bounds of their set, where none has a derivative. Training ended at a price of "
+            f"{found.multiplier:,.4g} for it."
+        )
     room = f"Limit with room, and so without a price: {found.name}, and it is {found.value:,.6g}."
     if found.multiplier:
         room += (
