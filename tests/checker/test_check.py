@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from snapo.checker.check import check
-from snapo.problem.actions import Box
+from snapo.problem.actions import Box, Stop
 from snapo.problem.inputs import Input
 from snapo.problem.scenarios import Pseudo, Supplied
 from snapo.problem.simulator import Schedule, Simulator
@@ -188,6 +188,34 @@ def test_mistakes_that_one_step_shows(simulator, where, what):
 def test_a_class_and_a_vector_of_one_number_get_their_own_remedy():
     assert "Good()" in only(check(Good, inputs())).fix
     assert "action[0]" in only(check(NewShape(), inputs())).fix
+
+
+class Sells(Good):
+    """Sells at a price, as often as it stops."""
+
+    action: Stop = Stop()
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after, outputs = Good.step(self, constants, now, state, action * 0.0, noise, smooth)
+        return after, outputs | {"sold": action[0] * now["price"]}
+
+
+class SellsOnce(Sells):
+    def initial(self, constants, noise):
+        return Good.initial(self, constants, noise) | {"right": self.action.initial()}
+
+    def step(self, constants, now, state, action, noise, smooth):
+        right, used = self.action.use(state["right"], action)
+        after, outputs = Good.step(self, constants, now, state, action * 0.0, noise, smooth)
+        return after | {"right": right}, outputs | {"sold": used * now["price"]}
+
+
+@pytest.mark.parametrize("rights", [1, 2])
+def test_a_stop_that_is_not_used_up_is_told(rights):
+    found = check(Sells(action=Stop(rights)), inputs())
+    assert any("more often than its rights" in each.what for each in found), str(found)
+    once = check(SellsOnce(action=Stop(rights)), inputs())
+    assert not any("more often" in each.what for each in once), str(once)
 
 
 def test_errors_of_user_code_name_file_and_line():

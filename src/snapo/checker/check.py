@@ -17,7 +17,7 @@ from .arrays.moving import moving_indices
 from .arrays.slices import short_slices
 from .arrays.tables import tables
 from .bumps import bumped
-from .effects import reached, used
+from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, Stop
 from .jumps import jumps
 from .precision import both_precisions
@@ -63,6 +63,7 @@ def check(
         both_precisions(notes, simulator, runs[0])
         moving = used(notes, simulator, runs, seed)
         reached(notes, simulator, runs, moving)
+        stopped_once(notes, simulator, runs[0])
         bumped(notes, simulator, inputs, runs, seed)
         looked = f"Examined {paths} paths of {simulator.horizon} steps and bumped every input."
     except Stop:

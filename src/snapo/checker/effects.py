@@ -1,4 +1,4 @@
-"""Actions and noise that change nothing, and actions that no derivative reaches."""
+"""Actions and noise that change nothing, actions that no derivative reaches, and stopping anew."""
 
 from typing import Any
 
@@ -6,12 +6,15 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.actions import Stop
 from snapo.problem.noise import Stored
 from snapo.problem.simulator import Simulator
 
 from .derivatives import locate
 from .findings import Notes
 from .rollout import ENGINE, Run
+
+STEPS = 16  # at which a stop is taken back
 
 
 def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
@@ -98,4 +101,29 @@ def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[in
             "It moves the outputs, but its derivative is exactly zero: nothing can be learnt.",
             "Look for rounding, a comparison, an integer or stop_gradient on its way; "
             "write smooth.indicator or smooth.choose for a jump.",
+        )
+
+
+def stopped_once(notes: Notes, simulator: Simulator, run: Run) -> None:
+    """Whether a `Stop` is used up: where all steps stop, as many matter as there are rights."""
+    action = simulator.action
+    if not isinstance(action, Stop):
+        return
+    always = np.ones_like(run.actions)
+    totals = run.values(simulator, actions=always)
+
+    def matters(step: int) -> bool:
+        held = always.copy()
+        held[step] = 0.0
+        return not run.same(totals, run.values(simulator, actions=held))
+
+    steps = np.unique(np.linspace(0, len(always) - 1, STEPS).astype(int))
+    count = sum(matters(step) for step in steps)
+    if count > action.rights:
+        notes.warning(
+            f"{notes.method('step')}: action",
+            f"It can stop more often than its rights ({action.rights}): where all steps stop, "
+            f"{count} of {len(steps)} steps that were looked at still change an output.",
+            'Keep the right in the state, right, used = self.action.use(state["right"], action), '
+            "and pay on what is used.",
         )

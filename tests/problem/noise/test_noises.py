@@ -198,3 +198,21 @@ def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
     (found,) = snapo.check(Shop(), inputs)
     assert "in_mean(self): return ('rate',)" in found.fix
     assert not list(snapo.check(Named(), inputs))
+
+
+@pytest.mark.parametrize("mean", [0.5, 2.0])
+@pytest.mark.parametrize("corner", [0, 1, 3])
+def test_a_corner_is_off_by_what_the_page_says(mean, corner):
+    """E max(q - k, 0) falls by P(k < q) with the mean; a bend of 1 at q adds (p(q - 1) - p(q)) / 4.
+    `weigh` is right."""
+    with jax.enable_x64(True):
+        k = np.arange(41)
+        slope = np.where(k < corner, -1.0, np.where(k == corner, -0.5, 0.0))
+        law = noise.Poisson(mean, most=40).prepare()
+        moves = jax.jvp(lambda m: noise.Poisson(m, most=40).prepare().moves, (mean,), (1.0,))[1]
+        chances = jax.jvp(lambda m: noise.Poisson(m, most=40).prepare().chance, (mean,), (1.0,))[1]
+    p = np.asarray(law.chance)
+    right, off = -p[:corner].sum(), ((p[corner - 1] if corner else 0.0) - p[corner]) / 4
+    assert (p * np.asarray(moves) * slope).sum() == pytest.approx(right + off, abs=1e-12)
+    weighed = (np.asarray(chances) * np.maximum(corner - k, 0)).sum()
+    assert weighed == pytest.approx(right, abs=1e-12)

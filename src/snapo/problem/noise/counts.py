@@ -7,9 +7,11 @@ derivative of use; a draw is given
 
 Summed over k by parts, the derivative of E f(k) then is the sum over k of -d F(k) times the mean of
 f'(k) and f'(k + 1): the trapezoid's rule for f(k + 1) - f(k). It is right for every f that is
-quadratic, or straight with corners at whole numbers only, between whole numbers (at a corner, the
-mean of both slopes, as JAX has it), and else off by a sixteenth of the third differences or so. For
-all others `weigh` gives the likelihood ratio, which is right whatever f does, with more noise.
+quadratic between whole numbers without corners, and else off by a twelfth of the third differences
+or so. A corner at a whole number q, whose slope JAX has as the mean of both, is off by a quarter of
+its bend times d F(q) - d F(q - 1): for the mean of a Poisson, times p(q - 1) - p(q). Where q
+differs by path that averages out; at the end of the range, where q is 0 and no draw lies below, it
+does not. `weigh` gives the likelihood ratio, which is right whatever f does, with more noise.
 """
 
 import abc
@@ -73,9 +75,10 @@ class Drawn(Noise):
 class Counts(Noise):
     """Whole numbers 0 … `most`. Subclass it and write `logarithms`.
 
-    `draw` gives a number whose derivative by the parameters is right where outcomes are straight or
-    quadratic between whole numbers; `weigh` gives a number and its likelihood, which is right
-    always. `most` is static, and follows from the parameters where these are known.
+    `draw` gives a number whose derivative by the parameters is right where outcomes are quadratic
+    without corners, and nearly so where corners lie at different numbers on different paths;
+    `weigh` gives a number and its likelihood, which is right always. `most` is static, and follows
+    from the parameters where these are known.
     """
 
     separate = True
