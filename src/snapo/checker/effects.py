@@ -14,7 +14,7 @@ from .derivatives import locate
 from .findings import Notes
 from .rollout import ENGINE, Run
 
-STEPS = 16  # at which a stop is taken back
+RIGHTS = 3  # of a `Stop`, at most: every right takes a rollout
 
 
 def used(notes: Notes, simulator: Simulator, runs: list[Run], seed: int) -> list[int]:
@@ -105,25 +105,24 @@ def reached(notes: Notes, simulator: Simulator, runs: list[Run], moving: list[in
 
 
 def stopped_once(notes: Notes, simulator: Simulator, run: Run) -> None:
-    """Whether a `Stop` is used up: where all steps stop, as many matter as there are rights."""
+    """Whether a `Stop` is used up: where all steps stop, only so many of them count as there are
+    rights, so that of one part of the steps more at least one does not."""
     action = simulator.action
-    if not isinstance(action, Stop):
+    if not isinstance(action, Stop) or action.rights > min(RIGHTS, len(run.actions) - 1):
         return
     always = np.ones_like(run.actions)
     totals = run.values(simulator, actions=always)
 
-    def matters(step: int) -> bool:
+    def counts(part: np.ndarray) -> bool:
         held = always.copy()
-        held[step] = 0.0
+        held[part] = 0.0
         return not run.same(totals, run.values(simulator, actions=held))
 
-    steps = np.unique(np.linspace(0, len(always) - 1, STEPS).astype(int))
-    count = sum(matters(step) for step in steps)
-    if count > action.rights:
+    if all(counts(part) for part in np.array_split(np.arange(len(always)), action.rights + 1)):
         notes.warning(
             f"{notes.method('step')}: action",
-            f"It can stop more often than its rights ({action.rights}): where all steps stop, "
-            f"{count} of {len(steps)} steps that were looked at still change an output.",
+            f"It can stop more often than its rights ({action.rights}): where all steps stop, more "
+            "of them change an output.",
             'Keep the right in the state, right, used = self.action.use(state["right"], action), '
             "and pay on what is used.",
         )
