@@ -77,10 +77,11 @@ class Run(eqx.Module):
 
     def same(self, one: dict[str, Any], other: dict[str, Any]) -> bool:
         """Whether totals are equal but for rounding: they come from two compiled programs."""
+        rounding = self.rounding()
 
         def alike(mine: np.ndarray, theirs: np.ndarray) -> bool:
             size = np.max(np.abs(mine), where=np.isfinite(mine), initial=0.0)
-            allowed = max(ROUNDING * size, self.rounding())
+            allowed = max(ROUNDING * size, rounding)
             return np.allclose(mine, theirs, rtol=0, atol=allowed, equal_nan=True)
 
         return all(alike(one[name], found) for name, found in other.items())

@@ -55,8 +55,7 @@ class LimitFound(NamedTuple):
     @property
     def at_level(self) -> bool:
         """Whether the measure is at the level, as far as paths and round-off tell."""
-        near = max(self.high - self.value, ALIKE * abs(self.level))
-        return bool(abs(self.value - self.level) <= near)
+        return bool(abs(self.value - self.level) <= _alike(self.high - self.value, self.level))
 
     def __str__(self) -> str:
         worth = f"one more of it is worth {self.price:,.5g} ± {self.price_error:,.3g}"
@@ -64,6 +63,11 @@ class LimitFound(NamedTuple):
             f"{self.name}: {self.value:,.6g} ± {self.standard_error:,.3g} (95 %: {self.low:,.6g} "
             f"to {self.high:,.6g}), {self.met}; {worth if self.binds else 'it has no price'}"
         )
+
+
+def _alike(half: float, level: float) -> float:
+    """How far a measure with this half width may be from the level and yet be taken for it."""
+    return max(half, ALIKE * abs(level))
 
 
 def limits_found(
@@ -81,7 +85,7 @@ def limits_found(
     for i, (each, found) in enumerate(zip(limits, measured)):
         excess, half = each.sign * (found.value - each.level), found.value - found.interval()[0]
         deviation = float(each.measure.influence(totals).std())
-        alike = max(half, ALIKE * abs(each.level))
+        alike = _alike(half, each.level)
         binds[i] = multipliers[i] > 0 and -excess <= max(alike, ROOM * deviation)
         beyond = excess > max(alike, NEARLY * deviation)
         met.append("met" if excess <= 0 else "not met" if beyond else "met nearly")

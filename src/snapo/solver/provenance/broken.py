@@ -20,7 +20,7 @@ from ..learning.settings import Training
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
 LATER = (
-    "; where it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
+    "Where it finds none, training led the policy there: a smaller learning_rate than {rate:.3g} "
     "or narrower bounds of the decisions keep it away."
 )
 
@@ -48,7 +48,7 @@ def why_broken(problem: Problem, progress: Progress, training: Training, engine:
     stopped = f"Training stopped at step {record.step} of {training.steps}:"
     advice = ADVICE
     if record.step > 1:  # the simulator was sound for all policies before
-        advice = ADVICE[:-1] + LATER.format(rate=float(training.learning_rate))
+        advice = f"{ADVICE} {LATER.format(rate=float(training.learning_rate))}"
     bad = {name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs}
     bad = {name: paths for name, paths in bad.items() if paths.size}
     if not bad:
