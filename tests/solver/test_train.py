@@ -12,6 +12,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
+from snapo.solver.learning.told import chosen
 from snapo.solver.train import Training, begin, train
 
 SHORT = Training(steps=12, paths=32, validation_paths=64, validation_every=4, warmup=2)
@@ -301,6 +302,39 @@ def test_a_training_that_breaks_late_is_not_said_to_be_converged():
     assert np.isfinite(solution.value) and not solution.convergence
     (note,) = [each for each in solution.notes if "Training stopped" in each]
     assert "a smaller learning_rate than 0.03" in note
+
+
+class Edge(Brittle):
+    """Best just below where it breaks: momentum leads over the edge."""
+
+    def step(self, constants, now, state, action, noise, smooth):
+        state, outputs = super().step(constants, now, state, action, noise, smooth)
+        return state, {"cash": outputs["cash"] - action[0] - (action[0] - 0.58) ** 2}
+
+
+@pytest.mark.prove
+def test_a_rate_that_nobody_gave_is_lowered_where_it_breaks_the_training(tmp_path):
+    problem = snapo.Problem(Edge(), {"water": snapo.Input(5.0)}, snapo.Mean("cash"))
+    few = {"paths": 64, "validation_paths": 64, "validation_every": 20, "seed": 1}
+    training, engine = snapo.Training(steps=200, **few), Xla()
+    policy = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
+    whole = train(problem, begin(policy, training, problem), training, engine)
+    assert whole.status == "trained" and whole.best_value > -0.01  # from 10 x -.08^2
+    assert whole.slowed and whole.rate(training) == 0.01 * 0.25 ** len(whole.slowed)
+    steps = [record.step for record in whole.history]
+    assert steps == list(range(1, 201))
+    # A run that stops in between goes on with the lower rate, bit for bit.
+    half = train(problem, begin(policy, training, problem), training, engine, until=100)
+    checkpoint.save(half, tmp_path / "half.npz")
+    again = checkpoint.load(tmp_path / "half.npz", begin(policy, training, problem))
+    again = train(problem, again, training, engine)
+    assert again.slowed == whole.slowed
+    assert eqx.tree_equal(again.policy, whole.policy)
+    (told,) = chosen(whole)
+    assert f"step {whole.slowed[0]}" in told or f"steps {whole.slowed[0]}" in told
+    given = replace(training, learning_rate=0.01)
+    broken = train(problem, begin(policy, given, problem), given, engine)
+    assert broken.status == "diverged" and not broken.slowed
 
 
 @pytest.mark.prove

@@ -28,10 +28,12 @@ class Schedule(eqx.Module):
 
     - `constants`: any tree of arrays that holds for the whole horizon.
     - `steps`: a tree of arrays with a leading axis of length `horizon`; step t sees `steps[t]`.
+
+    Either may be left out where there is none.
     """
 
-    constants: PyTree
-    steps: PyTree
+    constants: PyTree = eqx.field(default_factory=dict)
+    steps: PyTree = eqx.field(default_factory=dict)
 
 
 class Interface(NamedTuple):

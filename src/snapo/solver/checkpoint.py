@@ -45,6 +45,7 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "growth": progress.growth,
         "dual": progress.dual,
         "raced": progress.raced,
+        "slowed": progress.slowed,
         "scale": progress.scale,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
@@ -67,13 +68,14 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         history = tuple(Record(*record) for record in state["history"])
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
         raced = tuple(map(Round.read, state.get("raced", ())))
+        slowed = tuple(map(int, state.get("slowed", ())))
         scale = Scale.read(state.get("scale"))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
-    told = {"history": history, "growth": growth, "dual": dual, "raced": raced, "scale": scale}
-    return replace(like, **trees, **plain, **told)
+    told = {"history": history, "growth": growth, "dual": dual, "raced": raced}
+    return replace(like, **trees, **plain, **told, slowed=slowed, scale=scale)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:

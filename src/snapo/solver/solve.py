@@ -16,6 +16,7 @@ from jaxtyping import PyTree
 from snapo.checker.first import first_mistakes
 from snapo.engine import Choice, Engine, Engines, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
+from snapo.problem.actions.base import count
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective, Totals
 from snapo.problem.policies.plain import as_policy
@@ -38,7 +39,7 @@ from .provenance.clock import Clock
 from .provenance.versions import versions
 from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
-from .train import Callback, Progress, Training, begin, train, whole
+from .train import Callback, Progress, Training, begin, train
 
 Given = TypeVar("Given")  # settings of one kind
 
@@ -68,7 +69,7 @@ class Evaluation:
             raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
         least = {"paths": 2, "sensitivity_paths": 0, "smooth_paths": 0, "judge_paths": 0}
         for name, number in least.items():
-            whole(f"Evaluation: {name}", getattr(self, name), number)
+            count(f"Evaluation: {name}", getattr(self, name), number)
 
     def sources(self, seed: int) -> Sources:
         """Fresh scenarios for every role, those of the evaluation as they are asked for here."""

@@ -25,21 +25,20 @@ from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
-from .learning.features import Scale
 from .learning.following import fitted
 from .learning.growth import Growth
-from .learning.optimiser import anew, begun, updater
+from .learning.optimiser import anew, begun, memory, updater
 from .learning.practice import practised
 from .learning.progress import Progress, Record
 from .learning.progress import begin as begin
-from .learning.settings import Training
-from .learning.settings import whole as whole
+from .learning.settings import Training, follows
 from .limits.dual import Dual
 from .limits.dual import moved as moved_prices
 from .windows.critic import Learner, has_worth_ahead, learner
 from .windows.window import UPDATES, sweep, window_adjoint
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
+AGAIN = 3  # times that a run whose rate nobody gave goes on after it, with a lower one
 
 
 Callback = Callable[[Progress], object]  # one that returns True stops the training
@@ -84,7 +83,7 @@ def train(
     last = training.steps if until is None else min(until, training.steps)
     bound = engine.bind(seen, controls=False)
     exact = bound if seen is own else engine.bind(own, controls=False)
-    loop = Loop(seen, training, bound, own, exact, *_updaters(training, progress.scale))
+    loop = Loop(seen, training, bound, own, exact, *_updaters(training, progress))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -94,6 +93,8 @@ def train(
         while progress.status == "training" and (until is None or progress.step < last):
             # An interrupt must not leave a step whose validation is due and not done.
             moved = _advance(loop, progress) if progress.step < training.steps else progress
+            if moved.slowed != progress.slowed:
+                loop = Loop(*loop[:5], *_updaters(training, moved))
             due = _due(moved, training) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
@@ -108,7 +109,10 @@ def train(
     return progress
 
 
-def _updaters(training: Training, scale: Scale | None) -> tuple[Callable, Callable]:
+def _updaters(training: Training, progress: Progress) -> tuple[Callable, Callable]:
+    """At the rate in force."""
+    training = replace(training, learning_rate=progress.rate(training))
+    scale = progress.scale
     return updater(training, scale=scale), updater(training, UPDATES, scale)
 
 
@@ -131,7 +135,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         moved, value, bad = _climbed(loop, progress, draws, smooth)
     else:
         moved, value, bad = _climbed_by_windows(loop, progress, draws, smooth, progress.window)
-    lost = bad + sum(record.bad_paths for record in progress.history)
+    lost = bad + sum(record.bad_paths for record in progress.history[progress.restarted :])
     last = progress.history[-1] if progress.history else None
     exact, best, seconds = (last.exact, last.best, last.seconds) if last else (math.nan,) * 3
     back = {"window": progress.window or 0, "clip": progress.clip or 0.0, "keep": progress.keep}
@@ -139,7 +143,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     broken = bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training)
     if broken or not np.isfinite(moved.norm):
         # The policy is that of the step before; the step that broke is written down.
-        return replace(progress, history=(*progress.history, record), status="diverged")
+        broken = replace(progress, history=(*progress.history, record), status="diverged")
+        return _slower(loop, broken) if _may_be_slower(training, progress) else broken
     kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -153,6 +158,32 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         history=(*progress.history, record),
         critic=moved.critic,
         dual=dual,
+        status="training",
+    )
+
+
+def _may_be_slower(training: Training, progress: Progress) -> bool:
+    """Whether a rate that the problem chose may have led training astray: its first step did not
+    break, nor its first value."""
+    known = progress.step > 0 and np.isfinite(progress.best_value)
+    return known and follows(training.learning_rate) and len(progress.slowed) < AGAIN
+
+
+def _slower(loop: Loop, progress: Progress) -> Progress:
+    """On from the best policy so far, with a lower rate and nothing that the steps before left."""
+    training, best, step = loop.training, progress.best, progress.step + 1
+    known = None if progress.window is None else learner(loop.problem, training.seed)
+    return replace(
+        progress,
+        step=step,
+        policy=best,
+        average=best,
+        recent=best,
+        optimiser=anew(training, best, progress.optimiser, 1),
+        critic=known,
+        dual=Dual(),
+        since=step,
+        slowed=(*progress.slowed, step),
         status="training",
     )
 
@@ -236,6 +267,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
     # The price of a limit may lead to a bound of the decisions, where gradients are tiny, any time.
     first = training.steps if progress.dual.prices else clipping.FIRST
     fell, leapt = clipping.fell(norms, since, first), clipping.leapt(norms, since)
+    held_down = clipping.held_down(norms, since, memory(progress.scale))
     # A bound that an early leap has brought hides chaos: the steps before it tell.
     free = [record.gradient_norm for record in progress.history if not record.clip]
     own = since if progress.clip is None else 0
@@ -255,7 +287,7 @@ def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
             progress = replace(progress, keep=horizon.share(measured.whole))
     if auto and (leapt or wild or (progress.clip is not None and clipping.due(step))):
         progress = _clipped(loop, progress, smooth)
-    if not auto or not (fell or leapt or wild):
+    if not auto or not (fell or leapt or wild or held_down):
         return progress
     # Adam's memory of gradients that were far larger would hold its steps down.
     fresh = anew(training, progress.policy, progress.optimiser, 1)
@@ -275,11 +307,14 @@ def _may_window(
 
 
 def _clipped(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:
-    """With a bound as adjoints are now."""
+    """With a bound as adjoints are now, or without one where they grow no more."""
     step = progress.step
-    if progress.growth is None:
+    if progress.growth is None or progress.clip is not None:
         measured = clipping.measured(loop.problem, progress.policy, smooth, step)
-        progress = replace(progress, growth=Growth.of(measured, step))
+        if progress.growth is None:
+            progress = replace(progress, growth=Growth.of(measured, step))
+        elif not horizon.grows(measured.whole):
+            return replace(progress, clip=None)
     norms = clipping.short(loop.problem, progress.policy, smooth, step)
     return replace(progress, clip=clipping.bound(norms) or progress.clip)
 

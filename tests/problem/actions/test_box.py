@@ -57,6 +57,9 @@ def test_a_residual_stays_within_bounds_of_its_own():
         ((2, 1.0, 1.0), "low is 1.0 and high is 1.0"),
         ((2, [0.0, 2.0], 1.0), r"low\[1\] is 2.0 and high\[1\] is 1.0"),
         ((2, 0.0, math.nan), "high is nan"),
+        (((0.0, -1.0), (1.0, 1.0)), r"size is \(0.0, -1.0\); .* bounds come after it"),
+        ((2, 0.0, "much"), "high is 'much'"),
+        ((2, None, 1.0), "low is None"),
         ((3, [0.0, 1.0], 2.0), r"low has shape \(2,\) and size is 3"),
         ((2, 0.0, np.ones((2, 1))), r"high has shape \(2, 1\)"),
     ],
@@ -64,7 +67,7 @@ def test_a_residual_stays_within_bounds_of_its_own():
 def test_a_box_that_makes_no_sense_is_refused(arguments, message):
     with pytest.raises(ValueError, match=message):
         Box(*arguments)
-    with pytest.raises(ValueError, match="at least two"):
+    with pytest.raises(ValueError, match="at least 2"):
         Simplex(1)
 
 

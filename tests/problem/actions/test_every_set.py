@@ -108,7 +108,11 @@ def test_what_is_no_number_is_refused(action):
 @pytest.mark.parametrize(
     "make, said",
     [
-        (lambda: Choice(1), "at least two options"),
+        (lambda: Choice(1), "at least 2, the number of options"),
+        (lambda: Choice(2.5), "size is 2.5"),
+        (lambda: Choice(("run", "stop")), r"size is \('run', 'stop'\)"),
+        (lambda: Simplex(2.5), "size is 2.5"),
+        (lambda: Whole(0, 9), "Whole: size is 0; .* bounds come after it"),
         (lambda: Stop(rights=0), "rights is 0"),
         (lambda: Stop(hazard=1.0), "hazard is 1.0"),
         (lambda: Whole(1, 0.5, 3), "low is 0.5"),

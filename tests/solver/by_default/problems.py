@@ -174,6 +174,48 @@ class Stocks(snapo.Simulator):
         return after, {"value": -cost}
 
 
+MONTH, AVERSE, LEAST = 1 / 12, 5.0, 1e-3
+
+
+class Saver(snapo.Simulator):
+    """Ten years of a wealth of 1, part in a stock and part consumed, under a power utility.
+
+    As a first attempt writes it: wealth and consumption with a floor, below which no decision
+    matters, so that paths near ruin are worth -2.5e11 and the best rule earns -2.3e4.
+    """
+
+    horizon: int = 120
+    action: snapo.Box = snapo.Box(2, (-1.0, 0.0), (4.0, 1.0))  # the stock's weight, consumption
+    noise_size: int = 1
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"year": jnp.arange(self.horizon) * MONTH})
+
+    def initial(self, constants, noise):
+        return {"wealth": jnp.ones(())}
+
+    def observe(self, constants, now, state):
+        return jnp.stack([jnp.log(jnp.maximum(state["wealth"], LEAST)), now["year"] / 10])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        over = (constants["drift"] - constants["rate"]) * MONTH
+        over = over + constants["volatility"] * MONTH**0.5 * noise[0]
+        consumed = action[1] * state["wealth"]
+        grown = (state["wealth"] - consumed) * (1 + constants["rate"] * MONTH + action[0] * over)
+        return {"wealth": jnp.maximum(grown, LEAST)}, {
+            "utility": MONTH * utility(jnp.maximum(consumed / MONTH, LEAST))
+        }
+
+    def terminal(self, constants, state, smooth):
+        return {"utility": utility(state["wealth"])}
+
+
+def utility(amount):
+    return amount ** (1 - AVERSE) / (1 - AVERSE)
+
+
+SAVER = {"rate": 0.02, "drift": 0.07, "volatility": 0.2}
+
 UPRIGHT = np.cos(np.radians(12))  # of the angle: within it Gymnasium's CartPole-v1 goes on
 
 

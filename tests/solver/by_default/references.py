@@ -1,9 +1,9 @@
 """Optima of the benchmark problems: a linear program for each day, and stochastic dual dynamic
-programming (Pereira and Pinto 1991), both on HiGHS through SciPy."""
+programming (Pereira and Pinto 1991), both on HiGHS through SciPy; recursions of one number."""
 
 import numpy as np
 from scipy import sparse
-from scipy.optimize import linprog
+from scipy.optimize import linprog, minimize_scalar
 from scipy.stats import norm
 
 from . import problems as p
@@ -128,6 +128,30 @@ class Sddp:
     def bound(self) -> float:
         """A cost that no rule is below."""
         return float(self.month(0, (p.FIRST + self.inflows[0, 0])[None])[0][0])
+
+
+def best_saver() -> float:
+    """The utility of the best rule of a `Saver` who never comes near the floors.
+
+    The worth of a wealth W is -K W^-4 / 4, the stock's weight the same at all times, and a share c
+    of W is consumed with dt^5 c^-5 = K E[growth^-4] (1 - c)^-5.
+    """
+    power, month, market = p.AVERSE - 1, p.MONTH, p.SAVER
+    normals, weights = np.polynomial.hermite_e.hermegauss(41)
+    over = (market["drift"] - market["rate"]) * month
+    over = over + market["volatility"] * month**0.5 * normals
+
+    def shrunk(weight: float) -> float:
+        growth = 1 + market["rate"] * month + weight * over
+        return float(weights @ growth**-power / weights.sum())
+
+    least = minimize_scalar(shrunk, bounds=(0.0, 0.6), method="bounded", options={"xatol": 1e-9})
+    worth = 1.0
+    for _ in range(p.Saver().horizon):
+        ratio = month * (worth * least.fun) ** (-1 / p.AVERSE)
+        share = ratio / (1 + ratio)
+        worth = month * (share / month) ** -power + worth * least.fun * (1 - share) ** -power
+    return -worth / power
 
 
 def _blocks(one: np.ndarray, count: int):

@@ -17,7 +17,7 @@ import snapo
 from snapo.problem.noise.counter import Stored
 
 from . import problems
-from .references import Sddp, best_days, best_stocks
+from .references import Sddp, best_days, best_saver, best_stocks
 
 LIMIT = 120.0  # seconds of all processors
 SEEDS = pytest.mark.parametrize("seed", range(10))
@@ -143,3 +143,19 @@ def test_stocks(seed):
     solution, seconds = solved(problem, None, seed, 65_536)
     print(f"{-solution.value / best_stocks() - 1:.3%} above")
     assert -solution.value < 1.003 * best_stocks() and seconds < LIMIT
+
+
+@SEEDS
+@pytest.mark.study
+def test_saver(seed):
+    """A certainty equivalent within 2 % of the best one, although first gradients are of 5e10."""
+    inputs = {name: snapo.Input(value) for name, value in problems.SAVER.items()}
+    solution, seconds = solved(problems.Saver(), inputs, seed, 65_536)
+    share = (best_saver() / solution.value) ** (1 / (problems.AVERSE - 1))
+    print(f"{share:.2%} of the best certainty equivalent")
+    assert 0.98 < share < 1.001 and seconds < LIMIT
+
+
+def test_the_best_saver_is_that_of_a_search_in_every_month():
+    """-23,051.11 by Nelder-Mead over weight and share at once, with 31 nodes."""
+    assert best_saver() == pytest.approx(-23_051.11, abs=0.02)

@@ -74,6 +74,16 @@ def test_only_a_fall_early_on_or_a_leap_is_far_apart():
     assert clipping.leapt([1.0, 2.0, 1.0, 1.5, 300.0], 0)
 
 
+def test_gradients_far_smaller_than_those_adam_remembers_hold_its_steps_down():
+    """A thousandth after one step of 1: the root mean square of forty steps is about .16."""
+    norms = [1.0, *[1e-3] * 39]
+    assert clipping.held_down(norms, 0, 0.999)
+    assert not clipping.held_down(norms, 1, 0.999)  # begun after it
+    assert not clipping.held_down(norms[:39], 0, 0.999)  # too early to tell
+    assert not clipping.held_down(norms, 0, 0.5)  # forgotten by itself
+    assert not clipping.held_down([1.0, *[1e-2] * 39], 0, 0.999)
+
+
 def test_a_bound_is_measured_more_rarely_as_training_goes_on():
     found = [step for step in range(1, 501) if clipping.due(step)]
     assert found[:20] == list(range(10, 201, 10))

@@ -90,6 +90,12 @@ def test_large_growth_is_told_with_step_state_and_bound(how, said):
     assert said in told and ("step 20 of the training" in told or not how)
 
 
+def test_a_bound_that_was_lifted_is_told_with_its_steps():
+    (told,) = chosen(replace(ended(5000.0, clip=12.3), clip=None))
+    said = "From step 20 of the training on to step 30, after which they grew no more, each path's"
+    assert said in told and "in the end" not in told
+
+
 def test_a_quiet_horizon_is_not_told_of():
     """As of a storage or a fund, whose adjoints add up over a year of steps at most."""
     assert chosen(ended(99.0, clip=3.0)) == ()

@@ -7,6 +7,19 @@ import numpy as np
 from jaxtyping import Array, Float
 
 
+def count(name: str, given: object, least: int, more: str = "") -> int:
+    """A whole number of at least `least`.
+
+    **Raises:** `ValueError` for anything else; `more` ends its sentence.
+    """
+    known = isinstance(given, int | np.integer) and not isinstance(given, bool)
+    if not known or given < least:
+        raise ValueError(
+            f"{name} is {given!r}; allowed is a whole number of at least {least}{more}."
+        )
+    return int(given)
+
+
 class Actions(eqx.Module):
     """Where a decision lies: `size` numbers, and the way in from a network's unbounded ones.
 

@@ -11,14 +11,19 @@ import numpy as np
 from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
-from .base import ROUNDING, Actions
+from .base import ROUNDING, Actions, count
 
 Bound = float | tuple[float, ...]
 
 
 def _bound(name: str, given: Any, size: int) -> Bound:
     """One number where all components share it, else a tuple with one for each."""
-    each = np.asarray(given, np.float64)
+    try:
+        each = np.asarray(given, np.float64)
+    except (TypeError, ValueError):
+        each = np.asarray(np.nan)
+    if np.isnan(each).any():
+        raise ValueError(f"Box: {name} is {given!r}; allowed is a number, or one per component.")
     if each.ndim == 0:
         return float(each)
     if each.shape != (size,):
@@ -50,12 +55,11 @@ class Box(Actions):
 
     def __init__(
         self,
-        size: int,
+        size: int = 1,
         low: float | Sequence[float] | np.ndarray = -math.inf,
         high: float | Sequence[float] | np.ndarray = math.inf,
     ):
-        if size < 1:
-            raise ValueError(f"Box: size is {size}; an action has at least one number.")
+        size = count("Box: size", size, 1, ", and bounds come after it: Box(2, low=0.0, high=1.0)")
         self.size = size
         self.low, self.high = _bound("low", low, size), _bound("high", high, size)
         for i, (least, most) in enumerate(zip(*self.bounds())):

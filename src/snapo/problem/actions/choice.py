@@ -8,7 +8,7 @@ from jax.scipy.special import ndtr
 from jaxtyping import Array, Float
 
 from ..smooth import Exact
-from .base import ROUNDING, Actions
+from .base import ROUNDING, Actions, count
 
 LEAST = 1e-6  # a probability whose logarithm is still taken
 
@@ -31,11 +31,10 @@ class Choice(Actions):
     """
 
     size: int = eqx.field(static=True)
-    scale: float = eqx.field(static=True, default=50.0)
+    scale: float = eqx.field(static=True)
 
-    def __check_init__(self):
-        if self.size < 2:
-            raise ValueError(f"Choice: size is {self.size}; a choice has at least two options.")
+    def __init__(self, size: int, scale: float = 50.0):
+        self.size, self.scale = count("Choice: size", size, 2, ", the number of options"), scale
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
         """softmax(raw / (temperature * scale)); exact: 1 on the largest score."""

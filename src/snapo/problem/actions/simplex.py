@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import ROUNDING, Actions
+from .base import ROUNDING, Actions, count
 
 
 class Simplex(Actions):
@@ -18,9 +18,8 @@ class Simplex(Actions):
 
     size: int = eqx.field(static=True)
 
-    def __check_init__(self):
-        if self.size < 2:
-            raise ValueError(f"Simplex: size is {self.size}; shares of a whole need at least two.")
+    def __init__(self, size: int):
+        self.size = count("Simplex: size", size, 2, ", the number of shares")
 
     def squash(self, raw: Float[Array, " size"], smooth=None) -> Float[Array, " size"]:
         """Maps unbounded numbers onto the simplex by a softmax."""

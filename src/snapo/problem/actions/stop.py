@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from ..smooth import Smooth
-from .base import ROUNDING, Actions
+from .base import ROUNDING, Actions, count
 
 NEAR = 1e-3  # a hazard nearer to 0 or 1 than this moves as if it were this
 
@@ -32,15 +32,14 @@ class Stop(Actions):
     - `scale`: scores count in units of temperature times `scale`.
     """
 
-    rights: int = eqx.field(static=True, default=1)
-    hazard: float = eqx.field(static=True, default=0.005)
-    scale: float = eqx.field(static=True, default=50.0)
+    rights: int = eqx.field(static=True)
+    hazard: float = eqx.field(static=True)
+    scale: float = eqx.field(static=True)
 
-    def __check_init__(self):
-        if self.rights < 1:
-            raise ValueError(f"Stop: rights is {self.rights}; there is at least one.")
-        if not 0 < self.hazard < 1:
-            raise ValueError(f"Stop: hazard is {self.hazard}; allowed is above 0 and below 1.")
+    def __init__(self, rights: int = 1, hazard: float = 0.005, scale: float = 50.0):
+        if not 0 < hazard < 1:
+            raise ValueError(f"Stop: hazard is {hazard}; allowed is above 0 and below 1.")
+        self.rights, self.hazard, self.scale = count("Stop: rights", rights, 1), hazard, scale
 
     @property
     def size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -7,7 +7,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import ROUNDING, Actions
+from .base import ROUNDING, Actions, count
 from .box import Bound, Box
 
 
@@ -35,7 +35,8 @@ class Whole(Actions):
         low: float | Sequence[float] | np.ndarray = 0.0,
         high: float | Sequence[float] | np.ndarray = math.inf,
     ):
-        box = Box(size, low, high)
+        more = ", and bounds come after it: Whole(2, low=0, high=9)"
+        box = Box(count("Whole: size", size, 1, more), low, high)
         for name, bound in zip(("low", "high"), box.bounds()):
             broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
             if broken.size:

@@ -5,12 +5,16 @@ its way back, a few paths lead training astray. That shows in the norms of the f
 `horizon.wild`), or in a leap of one norm over all before it, and costs nothing to see. Only then
 the paths' adjoints are measured, with a memory of sqrt(T) steps, and bounded at the usual size of
 the largest on a path: an adjoint that has grown beyond it is that of chaos, or of a policy that is
-being left behind. No unit enters. Where the first gradients are only far larger than those after
-them, Adam's memory of them would hold its steps down for the rest of the run: it forgets them.
+being left behind. No unit enters. Where gradients were far larger than they are now, Adam's memory
+of them would hold its steps down for the rest of the run: it forgets them.
 
 It is the largest of the whole horizon: where a plant comes to rest, its last steps have small
 adjoints, and a bound from them cuts off what the way there teaches. (A quadrotor at -41.5 climbed
 down to -73 so, and ends at -38.5 now.)
+
+Once adjoints do not grow on their way back any more, the bound is lifted: those that are still far
+larger than the usual one belong to paths that matter, such as those near ruin, and a rule trained
+with a bound on them takes too much risk.
 """
 
 import math
@@ -26,6 +30,7 @@ from snapo.problem.smooth import Smooth
 FIRST = 20  # steps after a beginning in which a fall of the norm counts
 APART = 100.0  # times that a norm falls or leaps: more than a trained policy's first steps do
 EVERY = 10  # steps between two measurements at first, later a tenth of all steps
+HELD = 30.0  # times that all gradients exceed the last ones; with 10 noise alone is enough
 PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 FEW = 64  # of a bound, which is a median
 
@@ -40,6 +45,16 @@ def leapt(norms: Sequence[float], since: int) -> bool:
     """Whether the last gradient is far above the usual one of all before it, after `since`."""
     own = np.asarray(norms[since:])
     return len(own) > 3 and bool(own[-1] > APART * np.median(own[:-1]))
+
+
+def held_down(norms: Sequence[float], since: int, forget: float) -> bool:
+    """Whether Adam's mean square of all gradients after `since`, of which it keeps a share `forget`
+    a step, is far above the usual size of the last ones: its steps are as many times too short."""
+    own = np.asarray(norms[since:])
+    if len(own) < 2 * FIRST:
+        return False
+    weights = forget ** np.arange(len(own))[::-1]
+    return bool(np.median(own[-FIRST:]) * HELD < np.sqrt(np.average(own**2, weights=weights)))
 
 
 def bound(norms: np.ndarray) -> float | None:

@@ -28,7 +28,7 @@ from snapo.problem.actions import Actions, Stop, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
-from .settings import Training, follows
+from .settings import Training, chosen_rate, follows
 
 WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
 PATHS = (16, 512)  # at least, at most
@@ -64,7 +64,9 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     if follows(decay):
         # The rate falls to zero by a cosine, so that it is half as large on average.
         decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
-    training = replace(training, paths=paths, steps=steps, learning_rate=float(rate))
+    # A rate that is chosen stays known as such: it is lowered where it breaks the training.
+    rate = chosen_rate(rate) if follows(training.learning_rate) else rate
+    training = replace(training, paths=paths, steps=steps, learning_rate=rate)
     return replace(training, decay=decay, exploration=explored)
 
 

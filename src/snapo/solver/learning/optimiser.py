@@ -83,10 +83,15 @@ def _ascent(plan: _Numbers, updates: int, forget: float):
     return ascend
 
 
+def memory(scale: Scale | None) -> float:
+    """The share of its mean square of gradients that Adam keeps a step, over the whole horizon."""
+    return FORGET if scale is None else SCALED_FORGET
+
+
 def updater(plan: Plan, updates: int = 1, scale: Scale | None = None):
     """The compiled update: ascend, and move the average along; with a scale, in its numbers."""
     numbers = _Numbers(plan.steps, plan.learning_rate, plan.warmup, plan.average, plan.decay)
-    ascend = _ascent(numbers, updates, FORGET if scale is None else SCALED_FORGET)
+    ascend = _ascent(numbers, updates, memory(scale))
     parts: list[Parts] = []
 
     def update(policy, average, state, gradient, step):

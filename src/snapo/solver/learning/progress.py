@@ -18,6 +18,8 @@ from .growth import Growth
 from .optimiser import begun
 from .settings import Training
 
+SLOWER = 0.25  # of the rate, after a step that broke
+
 
 class Record(NamedTuple):
     """One line of the training history; `exact` and `best` as of the last validation.
@@ -70,6 +72,7 @@ class Progress:
     they were measured.
     `dual`: the prices of the problem's limits.
     `raced`: the rounds in which starts fell out, where there were several.
+    `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """
 
@@ -92,6 +95,7 @@ class Progress:
     growth: Growth | None = None
     dual: Dual = Dual()
     raced: tuple[Round, ...] = ()
+    slowed: tuple[int, ...] = ()
     scale: Scale | None = None
 
     def __str__(self) -> str:
@@ -103,6 +107,15 @@ class Progress:
             f"step {last.step:>5}: exact value {last.exact:>14,.7g}, best {last.best:>14,.7g}, "
             f"{last.seconds:6.1f} s"
         )
+
+    @property
+    def restarted(self) -> int:
+        """The last step after which training went on with a lower rate; 0: none."""
+        return self.slowed[-1] if self.slowed else 0
+
+    def rate(self, training: Training) -> float:
+        """The highest rate of the schedule in force."""
+        return training.learning_rate * SLOWER ** len(self.slowed)
 
     @property
     def record(self) -> Record:

@@ -5,6 +5,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from snapo.problem.actions.base import count
+
 
 class _Follows(int):
     """A number that is chosen when the problem is known."""
@@ -21,6 +23,11 @@ FOLLOWS = _Follows(0)  # where a setting is not given (see `following`)
 DECAY = _Rate(0.0)  # of weights, where it is not given; it is this one where the steps are given
 EXPLORATION = _Rate(0.0)  # the same, of decisions
 RATE = _Rate(0.01)  # of Adam, where it is not given; it is this one where the steps are given
+
+
+def chosen_rate(value: float) -> float:
+    """A rate that `follows` still knows as one that nobody gave."""
+    return _Rate(value)
 
 
 def follows(value: object) -> bool:
@@ -83,7 +90,7 @@ class Training:
             value = getattr(self, name)
             given = value is not None and not follows(value)
             if given and (name, value) != ("window", "auto"):
-                whole(f"Training: {name}", value, least)
+                count(f"Training: {name}", value, least)
         number("Training: learning_rate", self.learning_rate, ABOVE)
         number("Training: decay", self.decay, NOT_BELOW)
         number("Training: temperature_start", self.temperature_start, ABOVE)
@@ -122,12 +129,6 @@ COUNTS = {
     "steps": 0, "paths": 1, "warmup": 0, "validation_paths": 1, "validation_every": 1,
     "patience": 1, "window": 1, "starts": 1, "seed": 0,
 }  # fmt: skip
-
-
-def whole(name: str, value: object, least: int) -> None:
-    """Refuses what is no whole number of at least `least`."""
-    if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-        raise ValueError(f"{name} is {value!r}; allowed is a whole number of at least {least}.")
 
 
 def number(name: str, value: object, allowed: tuple[Callable[[float], bool], str]) -> None:

@@ -29,12 +29,24 @@ def recorded(problem: Problem, progress: Progress, training: Training) -> Progre
 
 
 def chosen(progress: Progress) -> tuple[str, ...]:
-    """Which start went on; by how much adjoints grow, where they do, and how training went back."""
+    """Which start went on; by how much adjoints grow, where they do, and how training went back;
+    the steps that broke."""
     raced = (words(progress.raced),) if progress.raced else ()
+    slowed = (_slowed(progress.slowed),) if progress.slowed else ()
     growth = progress.growth
     if growth is None or not growth.large:
-        return raced
-    return (*raced, f"{growth.words()} {went_back(progress)}")
+        return raced + slowed
+    return (*raced, f"{growth.words()} {went_back(progress)}", *slowed)
+
+
+def _slowed(steps: tuple[int, ...]) -> str:
+    """One sentence on the steps that broke, after which the rate was lowered."""
+    *first, last = map(str, steps)
+    told = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
+    return (
+        f"Training broke at {told}, where too many paths were not finite, and went on each time "
+        "from the best policy so far with a quarter of the learning rate."
+    )
 
 
 def went_back(progress: Progress) -> str:
@@ -47,11 +59,18 @@ def went_back(progress: Progress) -> str:
             f"{progress.window} steps with a critic (Training(window=None) never does)."
         )
     ways = []
-    if progress.clip is not None:
-        since = _before(record.clip > 0 for record in history)
+    bounded = [number for number, record in enumerate(history) if record.clip > 0]
+    if bounded or progress.clip is not None:
+        since = bounded[0] if bounded else 0
+        lifted = f"on to step {bounded[-1] + 1}, after which they grew no more,"
+        on, end = (
+            (lifted, "")
+            if progress.clip is None
+            else ("on", f", at {progress.clip:,.3g} in the end")
+        )
         ways.append(
-            f"from step {since} of the training on each path's own adjoint was bounded, at "
-            f"{progress.clip:,.3g} in the end (Training(clip=None) never does)"
+            f"from step {since} of the training {on} each path's own adjoint was bounded{end} "
+            "(Training(clip=None) never does)"
         )
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)

@@ -48,7 +48,7 @@ def why_broken(problem: Problem, progress: Progress, training: Training, engine:
     stopped = f"Training stopped at step {record.step} of {training.steps}:"
     advice = ADVICE
     if record.step > 1:  # the simulator was sound for all policies before
-        advice = f"{ADVICE} {LATER.format(rate=float(training.learning_rate))}"
+        advice = f"{ADVICE} {LATER.format(rate=progress.rate(training))}"
     bad = {name: np.flatnonzero(~np.isfinite(totals[name])) for name in problem.objective.outputs}
     bad = {name: paths for name, paths in bad.items() if paths.size}
     if not bad:
