@@ -1,13 +1,14 @@
 """What every set of actions can do."""
 
 import abc
+from typing import Any
 
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
 
-def count(name: str, given: object, least: int, more: str = "") -> int:
+def count(name: str, given: Any, least: int, more: str = "") -> int:
     """A whole number of at least `least`.
 
     **Raises:** `ValueError` for anything else; `more` ends its sentence.
