@@ -11,6 +11,7 @@ from ..smooth import Exact
 from .base import ROUNDING, Actions, count
 
 LEAST = 1e-6  # a probability whose logarithm is still taken
+LARGEST = 0.06  # root mean square of all scores, times the scale
 
 
 class Choice(Actions):
@@ -26,6 +27,11 @@ class Choice(Actions):
 
     `scale`: scores count in units of temperature times `scale`.
 
+    Scores are counted from their mean, and their root mean square is kept below a level: at the
+    usual temperature of the first steps an option keeps some thousandths of the weight, however
+    long all steps have said "not this one". Without, the slope of its weight would vanish with it,
+    and a state in which it is the best one could not bring it back.
+
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]
     """
@@ -37,8 +43,13 @@ class Choice(Actions):
         self.size, self.scale = count("Choice: size", size, 2, ", the number of options"), scale
 
     def squash(self, raw: Float[Array, " size"], smooth) -> Float[Array, " size"]:
-        """softmax(raw / (temperature * scale)); exact: 1 on the largest score."""
-        return smooth.weights(raw, self.scale)
+        """softmax(kept(raw) / (temperature * scale)); exact: 1 on the largest score."""
+        return smooth.weights(raw if isinstance(smooth, Exact) else self._kept(raw), self.scale)
+
+    def _kept(self, raw: Float[Array, " size"]) -> Float[Array, " size"]:
+        """Scores in the same order and proportion, below the level."""
+        apart, most = raw - raw.mean(), LARGEST * self.scale
+        return apart * (most / jnp.sqrt(most**2 + (apart**2).mean()))
 
     def near(self, base: Array, correction: Array, smooth) -> Float[Array, " size"]:
         """Weights whose scores are the logarithms of `base` plus a correction."""
