@@ -84,7 +84,7 @@ def inventory(seed: int) -> Task:
         for horizon in horizons
     )
     training = replace(
-        setup.training, steps=100, paths=128, window=None, validation_paths=512,
+        setup.training, steps=200, paths=128, window=None, validation_paths=512,
         validation_every=10, seed=seed,
     )  # fmt: skip
     return Task(
