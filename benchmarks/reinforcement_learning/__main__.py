@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from .clock import Budget, Point, read, write
-from .table import lines
+from .table import lines, summary
 from .told import TOLD
 
 AGENTS = ("ppo", "sac", "td3")
@@ -76,7 +76,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
             print(f"{told.words} (best possible: {told.exact}), {method}, seed {seed}", flush=True)
             _apart(problem, method, seed, asked, out)
         points = read(out) if out.exists() else []
-        for line in lines(points, {name: told.shown for name, told in TOLD.items()}):
+        shown = {name: told.shown for name, told in TOLD.items()}
+        for line in itertools.chain(lines(points, shown), [""], summary(points, shown)):
             print(line)
         if asked.figure:
             from .figures import draw

@@ -1,6 +1,7 @@
 """Curves beside each other: when snapo is as good as the best of each agent."""
 
-from collections.abc import Iterator, Sequence
+import itertools
+from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from .clock import Point
@@ -78,3 +79,83 @@ def lines(points: Sequence[Point], shown: dict) -> Iterator[str]:
         yield (
             f"{head} {one.other_steps:,.0f} | {one.other_processor:.1f} | {fewer} | {sooner:.3g} |"
         )
+
+
+def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
+    """A row for every method, with all its seeds: the table of docs/reinforcement.md.
+
+    Values and times fewer are lists in the order of the seeds; steps and seconds are ranges. Twenty
+    times and more are bold.
+    """
+    yield (
+        "| problem | method, seeds | best value, by seed | its s | s, times fewer, by seed "
+        "| steps, times fewer |"
+    )
+    yield "|---|---|---|---|---|---|"
+    found = runs(points)
+    before = None
+    for problem, method in _methods(found, shown):
+        seeds = sorted(seed for name, other, seed in found if (name, other) == (problem, method))
+        mine = [found[problem, method, seed] for seed in seeds]
+        best = [max(run, key=lambda each: each.value) for run in mine]
+        values = _list([f"{shown[problem](each.value):.5g}" for each in best])
+        seconds = _range([each.processor for each in best], ".1f")
+        head = "|" if problem == before else f"| `{problem}`"
+        head += f" | {_name(method)}, {_ranges(seeds)} | {values} | {seconds} |"
+        before = problem
+        ours = [found.get((problem, "snapo", seed)) for seed in seeds]
+        if method == "snapo" or None in ours:
+            yield f"{head} | |"
+            continue
+        compared = [reached(run, our) for run, our in zip(mine, ours) if our is not None]
+        yield f"{head} {', '.join(map(_sooner, compared))} | {_fewer(compared)} |"
+
+
+def _methods(found: Iterable[tuple[str, str, int]], shown: dict) -> list[tuple[str, str]]:
+    """(problem, method) in the order of the page, snapo last."""
+    pairs = {(problem, method) for problem, method, _ in found}
+    order = ("ppo", "sac", "td3", "regression", "snapo")
+    return [each for each in itertools.product(shown, order) if each in pairs]
+
+
+def _name(method: str) -> str:
+    return method.upper() if method in ("ppo", "sac", "td3") else method
+
+
+def _ranges(seeds: Sequence[int]) -> str:
+    """ "0 to 4, 6"."""
+    told, start = [], 0
+    for i, seed in enumerate(seeds):
+        if i + 1 == len(seeds) or seeds[i + 1] != seed + 1:
+            run = seeds[start : i + 1]
+            told += [f"{run[0]} to {run[-1]}"] if len(run) > 2 else map(str, run)
+            start = i + 1
+    return ", ".join(told)
+
+
+def _list(words: Sequence[str]) -> str:
+    return f"{words[0]} (all)" if len(words) > 1 and len(set(words)) == 1 else ", ".join(words)
+
+
+def _range(numbers: Sequence[float], form: str) -> str:
+    low, high = (f"{each:{form}}" for each in (min(numbers), max(numbers)))
+    return low if low == high else f"{low} to {high}"
+
+
+def _sooner(one: Reached) -> str:
+    if one.other_processor is None:
+        return "never"
+    times = one.processor / one.other_processor
+    told = f"{times:.0f}" if times >= 10 else f"{times:.1f}"
+    return f"**{told}**" if times >= NEEDED["processor"] else told
+
+
+def _fewer(compared: Sequence[Reached]) -> str:
+    """The range of the ratios, and how many have none."""
+    ratios = [each.steps / each.other_steps for each in compared if each.other_steps]
+    told = [_range(ratios, ".3g")] if ratios else []
+    for words, steps in (("none needed", 0), ("never", None)):
+        many = sum(each.other_steps == steps for each in compared)
+        if many:
+            told.append(words if many == len(compared) else f"{words} ({many})")
+    return ", ".join(told)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from benchmarks.reinforcement_learning.clock import Clock, Point, read, write
 from benchmarks.reinforcement_learning.settings import settings
-from benchmarks.reinforcement_learning.table import lines, reached, when
+from benchmarks.reinforcement_learning.table import lines, reached, summary, when
 
 
 def curve(method, *points):
@@ -27,6 +27,23 @@ def test_the_table_tells_every_run():
     assert told[2] == "| put | ppo, 0 | 3 | 9,000 | 40.0 | 150 | 1.5 | 60 | 26.7 |"
     assert told[3] == "| put | snapo, 0 | 4 | 200 | 2.0 | | | | |"
     assert "never" in list(lines([*OURS[:1], *THEIRS], {"put": float}))[2]
+
+
+def test_the_table_of_the_page_has_a_row_for_every_method():
+    """Seed 2 of the agent ends above snapo; seed 4 has no run of snapo's beside it."""
+    points = []
+    for seed, most in ((0, 3.0), (1, 3.0), (2, 9.0)):
+        both = [*OURS, *curve("ppo", (9000, 40.0, most))]
+        points += [point._replace(seed=seed) for point in both]
+    told = list(summary(points, {"put": float}))
+    assert told[2] == (
+        "| `put` | PPO, 0 to 2 | 3, 3, 9 | 40.0 | **27**, **27**, never | 60, never (1) |"
+    )
+    assert told[3] == "| | snapo, 0 to 2 | 4 (all) | 2.0 | | |"
+    alone = [point._replace(seed=4) for point in THEIRS]
+    assert list(summary([*points, *alone], {"put": float}))[2].startswith(
+        "| `put` | PPO, 0 to 2, 4 | 3, 3, 9, 3 | 40.0 | | |"
+    )
 
 
 def test_a_rule_that_is_as_good_before_any_training_needs_no_step():

@@ -278,6 +278,22 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     assert not constant.at_limit(many)
 
 
+def test_options_that_are_never_taken_are_told_with_the_name_of_their_choice():
+    three = np.zeros((2, 4, 3))
+    three[0, :, 1] = three[1, :, 2] = 1.0
+    said = "Options that are never taken: 0 of 0 to 2"
+    assert constant.never_taken(snapo.Choice(3), three) == said
+    speed = snapo.Product(much=snapo.Box(2, 0.0, 1.0), speed=snapo.Choice(3))
+    pump = snapo.Product(pump=speed)
+    part = np.concatenate([np.full((2, 4, 2), 0.1), three], axis=-1)
+    assert constant.never_taken(pump, part) == f"{said} of pump.speed"
+    # One alone is a constant decision; shares and bounds have no options.
+    assert not constant.never_taken(snapo.Choice(3), three[:1])
+    assert not constant.never_taken(snapo.Simplex(3), three)
+    three[0, 0] = [1.0, 0.0, 0.0]
+    assert not constant.never_taken(snapo.Choice(3), three)
+
+
 def test_a_rule_is_compared_with_its_mean_and_with_the_limits_where_they_are_few():
     def of(action, mean):
         taken = np.broadcast_to(np.asarray(mean, float), (2, 3, action.size))

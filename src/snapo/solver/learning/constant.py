@@ -2,12 +2,13 @@
 
 import itertools
 import math
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import jax
 import numpy as np
 
-from snapo.problem.actions import Actions
+from snapo.problem.actions import Actions, Choice, Product
 from snapo.problem.actions.product import decision_names
 from snapo.problem.smooth import Exact
 
@@ -67,6 +68,28 @@ def words(found: list[Constant], of: int) -> str:
     more = f" and {len(found) - TOLD} more" if len(found) > TOLD else ""
     listed = ", ".join(f"{each.number}{each.named} ({each.where})" for each in found[:TOLD])
     return f"{len(found)} of {of} decisions never change: {listed}{more}"
+
+
+def never_taken(action: Actions, actions: np.ndarray) -> str:
+    """A sentence on the options that no `Choice` of several ever takes in the recorded decisions
+    [T, paths, size]; empty where all are taken, or one alone, which is a constant decision."""
+    found = []
+    for name, first, size in _choices(action):
+        idle = np.flatnonzero(actions[..., first : first + size].max((0, 1)) < 0.5)
+        if 0 < len(idle) < size - 1:
+            of = f" of {name}" if name else ""
+            found.append(f"{', '.join(map(str, idle[:LONG]))} of 0 to {size - 1}{of}")
+    return f"Options that are never taken: {'; '.join(found)}" if found else ""
+
+
+def _choices(action: Actions, name: str = "", first: int = 0) -> Iterator[tuple[str, int, int]]:
+    """The name, the first number and the size of every `Choice` in a set."""
+    if isinstance(action, Choice):
+        yield name, first, action.size
+    elif isinstance(action, Product):
+        for own, each in zip(action.names, action.sets):
+            yield from _choices(each, f"{name}.{own}" if name else own, first)
+            first += each.size
 
 
 def at_limit(found: list[Constant]) -> bool:

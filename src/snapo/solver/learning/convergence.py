@@ -21,7 +21,7 @@ from ..evaluate import chunks, worth
 from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
-from .constant import at_limit, constant_decisions, rivals, told, words
+from .constant import at_limit, constant_decisions, never_taken, rivals, told, words
 
 CONVERGED, IMPROVING = "converged", "still improving"
 SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
@@ -32,6 +32,7 @@ TRY = (
     "write a decision of when to stop with snapo.Stop, or try starts=4, features of mean 0 and "
     "deviation 1, wider starting states, or a higher temperature_start"
 )
+TRY_OPTIONS = "try features of mean 0 and deviation 1, starts=4, or a higher temperature_start"
 
 
 class Ending(NamedTuple):
@@ -92,6 +93,8 @@ def ending(
             notes.append(f"{words(still, of)}: if that is not meant, {TRY}.")
         if len(still) < of and not over_constant.sure:
             notes.append(_as_well(constant, over_constant))
+        if unused := never_taken(problem.action, actions):
+            notes.append(f"{unused}. If one of them should be, {TRY_OPTIONS}.")
     late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
     if late:
         notes.append(
