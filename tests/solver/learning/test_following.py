@@ -43,6 +43,15 @@ def test_the_rate_follows_the_steps_and_the_width_unless_one_of_them_is_given():
     assert fitted(Training(learning_rate=0.02), of, made).learning_rate == 0.02
 
 
+def test_where_nothing_is_random_a_few_paths_do_in_as_many_steps():
+    of = problem(Regulator)
+    sure = replace(of, simulator=Regulator(noise_size=0, horizon=100))
+    found = fitted(Training(), sure, policy(of))
+    assert (found.steps, found.paths) == (960, 64)
+    # Decisions that explore make paths differ again.
+    assert fitted(Training(exploration=0.1), sure, policy(of)).paths == 512
+
+
 def test_numbers_that_are_given_stay_and_the_rest_follows():
     of = problem(Regulator)
     assert follows(Training().steps) and follows(Training().paths)

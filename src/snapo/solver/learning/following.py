@@ -32,6 +32,7 @@ from .settings import Training, chosen_rate, follows
 
 WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
 PATHS = (16, 512)  # at least, at most
+ALIKE = 64  # at most, where all paths are one
 STEPS = (240, 3840)
 USUAL = 480  # steps, at a horizon of 100, up to which `RATE` is right: a plant's must not leap
 WIDTH = 32  # of hidden layers at which it is
@@ -48,13 +49,14 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     decay, explored, free = training.decay, training.exploration, follows(training.steps)
     if follows(explored):
         explored = EXPLORED if free and _explores(problem.action, training) else 0.0
-    horizon = problem.simulator.horizon
+    horizon, sure = problem.simulator.horizon, explored == 0 and not _random(problem)
     if follows(paths):
         work = horizon * max(1, parameters(policy).size)
         paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
+        paths = min(paths, ALIKE) if sure else paths
     if follows(steps):
         # The gradient of fewer paths is noisier, which more steps average out.
-        noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] else 1.0
+        noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not sure else 1.0
         steps = round(noisy * _within(STEPS, LONG // horizon))
         if follows(rate) and not holds(problem.action, Stop):
             usual = _within(STEPS, RATED // horizon)
@@ -75,6 +77,11 @@ def _explores(action: Actions, training: Training) -> bool:
     knows how far, and the share falls with the temperature."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     return action.explores > MANY and bounded and training.cools
+
+
+def _random(problem: Problem) -> bool:
+    """Whether paths differ from one another."""
+    return problem.simulator.noise_size + problem.simulator.initial_noise_size > 0
 
 
 def _width(policy: Policy) -> int:
