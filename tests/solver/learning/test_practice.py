@@ -169,7 +169,7 @@ def test_a_store_at_rest_begins_to_trade_and_more_so_where_its_decisions_explore
         plan = snapo.Training(steps=400, paths=128, **setting)
         return snapo.solve(problem, policy=rest, training=plan, evaluation=few).value
 
-    assert abs(path_totals(problem, rest, 8192)["cash"].mean()) < 0.01
+    assert abs(path_totals(problem, rest, 8192)["cash"].mean()) < 0.05
     assert 1.5 < ended() < ended(exploration=0.6)
 
 
