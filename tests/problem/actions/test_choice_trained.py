@@ -73,11 +73,11 @@ def test_no_option_is_lost(unit):
 
 @pytest.mark.parametrize("size", [2, 3, 10])
 def test_an_option_keeps_some_weight_however_large_scores_are(size):
-    """Of k options with one ahead, scores of root mean square 3 lie 3 k / sqrt(k - 1) apart."""
+    """Of k options with one ahead, scores of root mean square 6 lie 6 k / sqrt(k - 1) apart."""
     raw = np.zeros(size, np.float32)
     raw[1] = 1e4
     weights = np.asarray(Choice(size).squash(jnp.asarray(raw), SMOOTH))
-    odds = np.exp(3 * size / np.sqrt(size - 1) / USUAL)
+    odds = np.exp(6 * size / np.sqrt(size - 1) / USUAL)
     np.testing.assert_allclose(weights[1] / weights[0], odds, rtol=1e-3)
 
 
