@@ -108,7 +108,7 @@ def test_a_season_moves_the_level_and_demand_and_both_engines_see_it(tmp_path):
 
 @pytest.mark.prove
 def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(monkeypatch):
-    """Eight times: the adjoint less a difference of the smooth value on the same paths, by where
+    """Sixteen times: the adjoint less a difference of the smooth value on the same paths, by where
     orders begin, their size and the mean demand; without forgetting, which bends them a little.
     """
     monkeypatch.setattr("snapo.domains.inventory.item.simulator.memory", lambda case: 1e12)
@@ -117,7 +117,7 @@ def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(mon
     policy = first_policy(problem(given), given, 0)
     smooth, engine, paths = Smooth(jnp.asarray(0.02)), Native("float64"), 32768
     off = []
-    for seed in range(8):
+    for seed in range(16):
         of = replace(problem(given), sources=Sources.of(None, seed))
         slope = value_and_gradient(of, policy, paths=paths, smooth=smooth, engine=engine)[1]
 
