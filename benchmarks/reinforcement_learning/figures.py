@@ -12,11 +12,10 @@ from matplotlib.figure import Figure
 
 from .clock import Point
 from .table import runs
-from .told import Told
+from .told import NAMES, Told
 
 COLOURS = {"snapo": "#0072b2", "ppo": "#e69f00", "sac": "#d55e00", "td3": "#009e73",
            "regression": "#666666"}  # fmt: skip
-NAMES = {"snapo": "snapo", "ppo": "PPO", "sac": "SAC", "td3": "TD3", "regression": "regression"}
 PANELS = (("processor", "seconds of processor time"), ("steps", "simulated steps"))
 FLOOR = 0.4  # below the least best value of a run, of the distance to the highest
 

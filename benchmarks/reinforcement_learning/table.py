@@ -5,6 +5,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from .clock import Point
+from .told import NAMES
 
 NEEDED = {"processor": 20, "steps": 50}  # times less than an agent
 
@@ -101,7 +102,7 @@ def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
         values = _list([f"{shown[problem](each.value):.5g}" for each in best])
         seconds = _range([each.processor for each in best], ".1f")
         head = "|" if problem == before else f"| `{problem}`"
-        head += f" | {_name(method)}, {_ranges(seeds)} | {values} | {seconds} |"
+        head += f" | {NAMES[method]}, {_ranges(seeds)} | {values} | {seconds} |"
         before = problem
         ours = [found.get((problem, "snapo", seed)) for seed in seeds]
         if method == "snapo" or None in ours:
@@ -114,12 +115,8 @@ def summary(points: Sequence[Point], shown: dict) -> Iterator[str]:
 def _methods(found: Iterable[tuple[str, str, int]], shown: dict) -> list[tuple[str, str]]:
     """(problem, method) in the order of the page, snapo last."""
     pairs = {(problem, method) for problem, method, _ in found}
-    order = ("ppo", "sac", "td3", "regression", "snapo")
+    order = sorted(NAMES, key=lambda name: name == "snapo")
     return [each for each in itertools.product(shown, order) if each in pairs]
-
-
-def _name(method: str) -> str:
-    return method.upper() if method in ("ppo", "sac", "td3") else method
 
 
 def _ranges(seeds: Sequence[int]) -> str:

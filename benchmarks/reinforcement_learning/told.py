@@ -17,6 +17,8 @@ def certainty(utility: float) -> float:
     return (-4 * utility) ** -0.25
 
 
+# Of the methods, as pages write them.
+NAMES = {"snapo": "snapo", "ppo": "PPO", "sac": "SAC", "td3": "TD3", "regression": "regression"}
 STORE = "gas storage G6, 365 days"
 TOLD = {
     "pendulum": Told("Pendulum-v1, 200 steps", "-137.2, dynamic programming"),

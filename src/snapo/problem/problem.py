@@ -48,6 +48,11 @@ class Problem:
         """All that a policy has to fit."""
         return self.simulator.interface(self.schedule)
 
+    @property
+    def is_random(self) -> bool:
+        """Whether paths differ from one another under the same decisions."""
+        return self.simulator.noise_size + self.simulator.initial_noise_size > 0
+
     def _repr_html_(self) -> str:
         """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""
         rows = [

@@ -150,7 +150,7 @@ def judge(
         low, high = (totals(problem.at({name: value + move})) for move in (-by, by))
         return _differences(problem, low, centre, high)
 
-    noiseless = problem.simulator.noise_size + problem.simulator.initial_noise_size == 0
+    noiseless = not problem.is_random
     found = {}
     for name, given in problem.named.items():
         by = hundredth(given)

@@ -143,8 +143,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     broken = bad > DIVERGED_SHARE * training.paths or lost > most_dropped(training)
     if broken or not np.isfinite(moved.norm):
         # The policy is that of the step before; the step that broke is written down.
-        broken = replace(progress, history=(*progress.history, record), status="diverged")
-        return _slower(loop, broken) if _may_be_slower(training, progress) else broken
+        ended = replace(progress, history=(*progress.history, record), status="diverged")
+        return _slower(loop, ended) if _may_be_slower(training, progress) else ended
     kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -170,9 +170,10 @@ def _may_be_slower(training: Training, progress: Progress) -> bool:
 
 
 def _slower(loop: Loop, progress: Progress) -> Progress:
-    """On from the best policy so far, with a lower rate and nothing that the steps before left."""
+    """On from the best policy so far, with a lower rate; the optimiser, the critic and the prices
+    of limits, which the steps before led astray too, begin anew."""
     training, best, step = loop.training, progress.best, progress.step + 1
-    known = None if progress.window is None else learner(loop.problem, training.seed)
+    critic = None if progress.window is None else learner(loop.problem, training.seed)
     return replace(
         progress,
         step=step,
@@ -180,7 +181,7 @@ def _slower(loop: Loop, progress: Progress) -> Progress:
         average=best,
         recent=best,
         optimiser=anew(training, best, progress.optimiser, 1),
-        critic=known,
+        critic=critic,
         dual=Dual(),
         since=step,
         slowed=(*progress.slowed, step),

@@ -11,7 +11,7 @@ from ..smooth import Exact
 from .base import ROUNDING, Actions, count
 
 LEAST = 1e-6  # a probability whose logarithm is still taken
-LARGEST = 0.12  # root mean square of all scores, times the scale
+LARGEST = 0.12  # share of the scale that the root mean square of scores stays below
 
 
 class Choice(Actions):
@@ -28,9 +28,9 @@ class Choice(Actions):
     `scale`: scores count in units of temperature times `scale`.
 
     Scores are counted from their mean, and their root mean square is kept below a level: at the
-    usual temperature of the first steps an option keeps a part of the weight, however
-    long all steps have said "not this one". Without, the slope of its weight would vanish with it,
-    and a state in which it is the best one could not bring it back.
+    usual temperature of the first steps an option keeps a part of the weight, however long all
+    steps have said "not this one". Without, the slope of its weight would vanish with it, and a
+    state in which it is the best one could not bring it back.
 
     >>> snapo.Choice(3).squash(np.float32([0.1, 0.7, 0.2]), snapo.Exact()).tolist()
     [0.0, 1.0, 0.0]

@@ -28,11 +28,11 @@ SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
 SURE = 2.0  # standard errors of a gain
 LATE = 0.01  # of all that was gained, in the last quarter of the steps: more is still improving
 ENOUGH = 2048  # paths on which two rules are compared
-TRY = (
-    "write a decision of when to stop with snapo.Stop, or try starts=4, features of mean 0 and "
-    "deviation 1, wider starting states, or a higher temperature_start"
+TRY_OTHERS = (
+    "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
+    "temperature_start"
 )
-TRY_OPTIONS = "try features of mean 0 and deviation 1, starts=4, or a higher temperature_start"
+TRY = f"write a decision of when to stop with snapo.Stop, or {TRY_OTHERS}"
 
 
 class Ending(NamedTuple):
@@ -94,7 +94,7 @@ def ending(
         if len(still) < of and not over_constant.sure:
             notes.append(_as_well(constant, over_constant))
         if unused := never_taken(problem.action, actions):
-            notes.append(f"{unused}. If one of them should be, {TRY_OPTIONS}.")
+            notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
     late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
     if late:
         notes.append(

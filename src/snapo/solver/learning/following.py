@@ -49,7 +49,7 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     decay, explored, free = training.decay, training.exploration, follows(training.steps)
     if follows(explored):
         explored = EXPLORED if free and _explores(problem.action, training) else 0.0
-    horizon, sure = problem.simulator.horizon, explored == 0 and not _random(problem)
+    horizon, sure = problem.simulator.horizon, explored == 0 and not problem.is_random
     if follows(paths):
         work = horizon * max(1, parameters(policy).size)
         paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
@@ -77,11 +77,6 @@ def _explores(action: Actions, training: Training) -> bool:
     knows how far, and the share falls with the temperature."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     return action.explores > MANY and bounded and training.cools
-
-
-def _random(problem: Problem) -> bool:
-    """Whether paths differ from one another."""
-    return problem.simulator.noise_size + problem.simulator.initial_noise_size > 0
 
 
 def _width(policy: Policy) -> int:

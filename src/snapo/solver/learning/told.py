@@ -59,18 +59,15 @@ def went_back(progress: Progress) -> str:
             f"{progress.window} steps with a critic (Training(window=None) never does)."
         )
     ways = []
-    bounded = [number for number, record in enumerate(history) if record.clip > 0]
-    if bounded or progress.clip is not None:
-        since = bounded[0] if bounded else 0
-        lifted = f"on to step {bounded[-1] + 1}, after which they grew no more,"
-        on, end = (
-            (lifted, "")
-            if progress.clip is None
-            else ("on", f", at {progress.clip:,.3g} in the end")
-        )
+    clips = [record.clip > 0 for record in history]
+    if any(clips) or progress.clip is not None:
+        until, end = "", f", at {progress.clip or 0.0:,.3g} in the end"
+        if progress.clip is None:
+            lifted = len(clips) - _before(reversed(clips))
+            until, end = f" to step {lifted}, after which they grew no more,", ""
         ways.append(
-            f"from step {since} of the training {on} each path's own adjoint was bounded{end} "
-            "(Training(clip=None) never does)"
+            f"from step {_before(clips)} of the training on{until} each path's own adjoint was "
+            f"bounded{end} (Training(clip=None) never does)"
         )
     if progress.keep < 1:
         since = _before(record.keep < 1 for record in history)
