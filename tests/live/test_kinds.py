@@ -16,7 +16,7 @@ from snapo.live.moves import Moves
 from snapo.live.recalculation import Recalculation
 from snapo.live.reopen import open_run
 from snapo.live.valuation import Valuation
-from snapo.solver.solve import measure
+from snapo.solver.measure.measure import Run, measure
 from snapo.solver.train import begin
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -81,9 +81,9 @@ def as_solved(valuation, values, folder):
     assert policy is not None
     from dataclasses import replace
 
-    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0)
+    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
     state = replace(begin(policy, setup.training), best=policy)
-    return measure(setup.problem, policy, state, setup.training, asked, setup.engines)
+    return measure(Run(setup.problem, policy, state, setup.training, asked, setup.engines))
 
 
 @pytest.mark.prove

@@ -11,8 +11,8 @@ import pytest
 from tests.miniatures import MINIATURES
 
 from snapo.live.terms import derivatives
+from snapo.solver.measure.measure import Run, measure
 from snapo.solver.solution import Solution
-from snapo.solver.solve import measure
 from snapo.solver.train import begin
 from snapo.study import commands
 from snapo.study.domain import Options
@@ -101,8 +101,8 @@ def test_the_page_shows_what_solve_finds(kind, worker, solved, tmp_path):
     policy = Solution.load(solved(kind) / "run", like=setup.policy).policy
     state = replace(begin(policy, setup.training), best=policy)
     # The figures of the page alone: no smooth derivatives and no moves that judge.
-    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0)
-    solved_anew = measure(setup.problem, policy, state, setup.training, asked, setup.engines)
+    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
+    solved_anew = measure(Run(setup.problem, policy, state, setup.training, asked, setup.engines))
     assert found["value"]["value"] == solved_anew["value"]
     assert found["value"]["standard_error"] == solved_anew["standard_error"]
     held = derivatives(solved_anew["sensitivities"].held, setup.problem.named)

@@ -132,9 +132,9 @@ def test_sections_of_a_whole_run(tmp_path):
     total = np.random.default_rng(0).normal(1000, 50, 512)
     fan = {"name": "water", "kind": "state", "unit": "hm3", **bands(np.ones((5, 1)) * total[:40])}
     moved = {"input": "rain", "words": "of a week", "amount": 1.0, "share": None, "unit": "hm3",
-             "effect": 12.5, "standard_error": 0.5, "held": 12.5, "held_error": 0.5,
-             "smooth": 12.0, "smooth_error": 1.0, "tried": 12.4, "tried_error": 0.1,
-             "more": 12.0, "less": 12.8, "believed": "held"}  # fmt: skip
+             "effect": 12.5, "low": 11.4, "high": 13.6, "sampling": 1.0, "policy": 0.1,
+             "held": 12.5, "held_error": 0.5, "smooth": 12.0, "smooth_error": 1.0, "bump": 12.4,
+             "bump_error": 0.1, "more": 12.0, "less": 12.8, "source": "held"}  # fmt: skip
     parts = {
         "distribution": {"distribution": [{"name": "cash", "unit": "EUR", **described(total)}]},
         "profile": {"profile": {"series": [fan], "paths": 40, "notes": ["a remark"]}},
@@ -144,7 +144,8 @@ def test_sections_of_a_whole_run(tmp_path):
     states = {name: {"state": "done", "note": "", "seconds": 1.0} for name in parts}
     result = {"value": 1000.0, "standard_error": 2.2, "status": "trained", "smoothing_gap": -0.5}
     (tmp_path / "sensitivities.csv").write_text(
-        "input,label,unit,held,held_error,smooth,smooth_error,moved\nrain,,hm3,12.5,0.5,12,1,0.1\n"
+        "input,label,unit,source,value,low,high,held,held_error,smooth,smooth_error,moved\n"
+        "rain,,hm3,held,12.5,11.4,13.6,12.5,0.5,12,1,0.1\n"
     )
     run = write(tmp_path, parts, result, states)
     page = render(Page("A run", [], [section(run) for section in SECTIONS]))

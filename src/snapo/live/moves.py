@@ -63,14 +63,14 @@ class Moves:
     def settings(self) -> dict[str, Any]:
         """Keys of `[evaluation]` with which `snapo solve` finds what is shown."""
 
-    def believed(self, name: str) -> str:
-        """Which derivative the run believes in; "" where it does not say."""
+    def source(self, name: str) -> str:
+        """Where the run's reported derivative comes from; "" where it does not say."""
         return ""
 
     def inputs(self) -> list[dict[str, Any]]:
         """All inputs of the case, as the page shows them."""
         return [
-            described(name, given, self.slopes.get(name), self.believed(name))
+            described(name, given, self.slopes.get(name), self.source(name))
             for name, given in self.named.items()
         ]
 

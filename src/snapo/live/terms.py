@@ -9,6 +9,7 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.report.quantity import raised
+from snapo.solver.derivatives.interval import Reported
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.statistics import Estimate
 
@@ -40,7 +41,7 @@ def _days(labels: tuple[str, ...]) -> bool:
         return False
 
 
-def described(name: str, given: Input, slope: np.ndarray | None, believed: str) -> dict[str, Any]:
+def described(name: str, given: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
     """An input for the page: all that is said about it, its numbers, and d value / d number, where
     that is known."""
     factor, trade_unit = own_unit(given)
@@ -56,7 +57,7 @@ def described(name: str, given: Input, slope: np.ndarray | None, believed: str) 
         "handles": [{"label": label, "at": at} for label, at in handles(given)],
         "move": given.move,
         "slope": slope,
-        "believed": believed,
+        "source": source,
     }
 
 
@@ -70,15 +71,22 @@ def own_unit(given: Input) -> tuple[float, str]:
 
 
 def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str, np.ndarray]:
-    """d value / d number of every input, flat: the derivative that the run believes in."""
+    """d value / d number of every input, flat: the derivative that the run reports.
+
+    Of an input of which only the change along a bump of all its numbers is known, each number has
+    its share of that.
+    """
     if table is None:
         return {name: np.zeros(given.value.size) for name, given in named.items()}
-    found = {}
-    for name in named:
-        smooth = table.believed(name) == "smooth" and table.smooth is not None
-        chosen = table.smooth if smooth and table.smooth is not None else table.held
-        found[name] = chosen[name].value.ravel()
-    return found
+    return {name: _slopes(table.of(name)) for name in named}
+
+
+def _slopes(derivative: Reported) -> np.ndarray:
+    value, by = derivative.value.ravel(), derivative.by.ravel()
+    if np.isfinite(value).all():
+        return value
+    whole, square = float(np.mean(derivative.whole)), float(by @ by)
+    return by * (whole / square) if square and np.isfinite(whole) else np.zeros(by.size)
 
 
 def derivatives(held: Mapping[str, Estimate], named: Mapping[str, Input]) -> list[dict[str, Any]]:

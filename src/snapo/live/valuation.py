@@ -54,9 +54,9 @@ class Valuation(Moves):
         self._variants: dict[str, tuple[Study, Setup]] = {}
         self._last = self.setup
 
-    def believed(self, name: str) -> str:
+    def source(self, name: str) -> str:
         table = self.solution.sensitivities
-        return table.believed(name) if table else ""
+        return table.source(name) if table else ""
 
     def counted(self) -> dict[str, int]:
         return self.counts._asdict()

@@ -1,6 +1,6 @@
 """A problem: all that `solve` needs to know, in one object that everything above takes."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from html import escape
@@ -30,6 +30,8 @@ class Problem:
     - `objective`: of the path totals; made as large as possible.
     - `sources`: the scenarios of training, validation and evaluation.
     - `limits`: kept on average or with a probability: `(AtMost("unserved", 0.05),)`.
+    - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
+      (a guide, a hedge, scales of features) computed again; None where nothing was.
     """
 
     simulator: Simulator
@@ -37,6 +39,7 @@ class Problem:
     objective: Objective
     sources: Sources = field(default_factory=lambda: Sources.of(None))
     limits: tuple[Limit, ...] = ()
+    rebuild: Callable[["Problem"], "Problem"] | None = field(default=None, repr=False)
 
     @cached_property
     def schedule(self) -> Schedule:
@@ -111,6 +114,15 @@ class Problem:
         return self.with_inputs(
             [values.get(name, given.value) for name, given in self.named.items()]
         )
+
+    def moved(self, values: dict[str, Any]) -> "Problem":
+        """The problem at other values of the inputs named, with all that was computed from them
+        computed again; the policy of a solution can be valued there as it is.
+
+        **Raises:** `KeyError` for a name that is no input's.
+        """
+        other = self.at(values)
+        return other if self.rebuild is None else self.rebuild(other)
 
     def with_inputs(self, values: list[Any]) -> "Problem":
         """The same problem with other values of all inputs, in the order of `named`."""

@@ -14,7 +14,8 @@ from .whole import changed_files
 RESULT = "result.json"
 PLANNED, LEFT_OUT = "planned", "left_out"  # names of parts, in what is known of a run
 SENSITIVITIES = (
-    "input", "label", "unit", "held", "held_error", "smooth", "smooth_error", "moved", "believed",
+    "input", "label", "unit", "source", "value", "low", "high", "sampling", "policy", "held",
+    "held_error", "smooth", "smooth_error", "moved", "moved_error",
 )  # fmt: skip
 
 
@@ -22,21 +23,29 @@ SENSITIVITIES = (
 class Sensitivity:
     """One line of sensitivities.csv: d value / d input, per one unit of the input.
 
-    - `value`, `standard_error`: with the decisions held.
-    - `smooth`, `smooth_error`: through the policy's reaction, where it was asked for.
-    - `moved`: how far the held one moved in the second half of training.
-    - `believed`: "held" or "smooth", which a move of the input supports, "not known", or empty.
+    - `value`, `low`, `high`: the reported derivative and its 95 % interval, None where it is not
+      known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
+      policy", "range" or "not known".
+    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
+      reaction; `moved`, `moved_error`: how far the held one moved in the second half of training.
+      None where they were not asked for.
     """
 
     input: str
     label: str
     unit: str
-    value: float
-    standard_error: float | None
+    source: str
+    value: float | None
+    low: float | None
+    high: float | None
+    sampling: float | None
+    policy: float | None
+    held: float | None
+    held_error: float | None
     smooth: float | None
     smooth_error: float | None
     moved: float | None
-    believed: str
+    moved_error: float | None
 
 
 @dataclass(frozen=True)
@@ -84,9 +93,9 @@ class Folder:
         blank = [""] * len(lines.get("input", []))
         rows = zip(*(lines.get(name, blank) for name in SENSITIVITIES), strict=True)
         sensitivities = tuple(
-            Sensitivity(name, label, unit, slope, *map(_number, others), believed=believed)
-            for name, label, unit, held, *others, believed in rows
-            if (slope := _number(held)) is not None
+            Sensitivity(name, label, unit, source, *map(_number, numbers))
+            for name, label, unit, source, *numbers in rows
+            if source
         )
         return cls(
             {} if RESULT in bad else _object(folder / RESULT),

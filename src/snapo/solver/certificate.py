@@ -14,7 +14,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
 from .adjoint import float64, pull_back
-from .judge import UNKNOWN, Verdict, hundredth
+from .derivatives.bump import SIGNIFICANT, one_percent
+from .derivatives.interval import HELD, UNKNOWN
+from .derivatives.verdict import Verdict
 
 TOLERANCE = 1e-6  # of the family's largest derivative
 ROUND_OFF = 64 * np.finfo(np.float64).eps  # of the value, divided by the step
@@ -120,22 +122,26 @@ def certify_derivatives(
 
 
 def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[str, Any]]:
-    """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the derivative that is nearer
-    to a move of all their numbers by a hundredth, in three standard errors of the difference."""
+    """Rows as those of `Bump`, of the inputs of `Problem.in_mean`: the reported derivative against
+    a move of all their numbers by a hundredth, in three standard errors of the difference.
+
+    A bump that is reported itself, where it refutes the held derivative, has no difference."""
     found = []
     for name in problem.in_mean:
         if (verdict := verdicts.get(name)) is None:
             continue
-        step = float(np.max(np.abs(hundredth(problem.named[name]))))
-        error, allowed = verdict.distance()
+        step = float(np.max(np.abs(one_percent(problem.named[name]))))
+        error, allowed = abs(verdict.reaction[0]), SIGNIFICANT * verdict.reaction[1]
+        if verdict.source != HELD:
+            error = 0.0
         found.append(
             {
                 "family": name,
                 "inputs": "all by 1 %, in the mean",
                 "worst_error": error / step,
                 "allowed": allowed / step,
-                "passed": verdict.supported != UNKNOWN,
-                "kink": verdict.tie,
+                "passed": verdict.source != UNKNOWN,
+                "kink": verdict.corner == "kink",
                 "crossing": 0.0,
             }
         )

@@ -88,7 +88,7 @@ def estimate(
     are not finite are left out and counted; more than a thousandth of them make the value NaN.
     """
     _, false, found = _controlled(objective, totals, scenarios, controls)
-    plain = statistics.of_shares(_shares(objective, totals, scenarios))
+    plain = statistics.of_shares(shares_of(objective, totals, scenarios))
     used, explained = len(controls) - len(false), 0.0
     if used and plain.standard_error > 0:
         explained = 1 - (found.standard_error / plain.standard_error) ** 2
@@ -129,22 +129,23 @@ def ruined(objective: Objective, totals: Totals) -> int:
 
 
 def _controlled(objective: Objective, totals: Totals, scenarios: Scenarios, controls):
-    plain = _shares(objective, totals, scenarios)
-    taken = [_of_groups(objective, totals, scenarios, totals[name]) for name in controls]
+    plain = shares_of(objective, totals, scenarios)
+    taken = [of_groups(objective, totals, scenarios, totals[name]) for name in controls]
     left, false, found = statistics.controlled(plain, taken)
     return left, tuple(controls[i] for i in false), found
 
 
-def _shares(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.ndarray:
+def shares_of(objective: Objective, totals: Totals, scenarios: Scenarios) -> np.ndarray:
+    """[groups]: the share of each independent group of paths in the objective."""
     left = kept(objective, totals)
     if not len(left[objective.outputs[0]]):
         return np.full(2, np.nan)
     influence = np.zeros(len(totals[objective.outputs[0]]))
     influence[finite(totals, objective.outputs)] = objective.influence(left)
-    return _of_groups(objective, totals, scenarios, influence)
+    return of_groups(objective, totals, scenarios, influence)
 
 
-def _of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values) -> np.ndarray:
+def of_groups(objective: Objective, totals: Totals, scenarios: Scenarios, values) -> np.ndarray:
     """Shares of the groups in the mean over the paths that are finite."""
     good = finite(totals, objective.outputs)
     groups = scenarios.groups(np.arange(good.size))

@@ -1,11 +1,11 @@
-"""Sensitivities: the worth of one unit more of every input, with its standard error.
+"""Sensitivities: the worth of one unit more of every input, with an interval.
 
-Two derivatives of one value, both from adjoint passes. HELD: the exact simulator with the
+Two derivatives of one value come from adjoint passes. HELD: the exact simulator with the
 recorded decisions replayed; where the decisions are optimal, see the whole state and cause no
 jump, it is the derivative of the optimal value (envelope theorem). SMOOTH: the smooth simulator
-through the policy's reaction, what training follows. Their difference is a diagnostic:
-sub-optimality, smoothing and noise together; zero is necessary, not sufficient. `judge` says which
-of the two to believe.
+through the policy's reaction, what training follows. The reported one is the held one, unless a
+bump of the exact simulator refutes it (`derivatives.verdict`); its interval has room for the
+error of the policy (`derivatives.margin`).
 """
 
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,7 +27,9 @@ from snapo.problem.smooth import Exact
 
 from .adjoint import float64
 from .by_block.passes import Way
-from .judge import Verdict
+from .derivatives.bump import one_percent
+from .derivatives.interval import Interval, Reported
+from .derivatives.verdict import Verdict, plain
 from .show import html
 from .show.frame import frame
 from .statistics import Estimate
@@ -36,57 +38,91 @@ from .statistics import Estimate
 class Row(NamedTuple):
     """One line of a sensitivity table: derivatives per one `unit` of the input.
 
-    `held` and `smooth` each with its standard error; `moved` is how far `held` moved in the second
-    half of training. What was not asked for is not a number. `believed` is the derivative that a
-    move of the whole input supports, "held" or "smooth", or "not known"; empty where none was made.
+    - `value`, `low`, `high`: the reported derivative and its 95 % interval, of whose half-width
+      `sampling` is due to finitely many paths and `policy` to the policy's own error; `source`:
+      "held", "through the policy", "range" or "not known" (see `derivatives.interval.Reported`).
+    - `held` and `smooth`, each with its standard error; `moved`: by how much `held` moved in the
+      second half of training, with its standard error. What was not asked for is not a number.
     """
 
     input: str
     label: str
     unit: str
+    value: float
+    low: float
+    high: float
+    sampling: float
+    policy: float
+    source: str
     held: float
     held_error: float
     smooth: float
     smooth_error: float
     moved: float
-    believed: str
+    moved_error: float
 
 
 class Sensitivities(NamedTuple):
-    """Derivatives of the objective by every input, {input: Estimate}.
+    """Derivatives of the objective with respect to every input, {input: Estimate}.
 
-    - `held`: exact simulator, decisions held (reported as delta).
+    - `held`: exact simulator, decisions held.
     - `smooth`: through the policy's reaction, or None when it was not asked for.
-    - `moved`: how far `held` moved since an earlier policy, {input: array}, or None.
+    - `moved`: how far `held` moved since an earlier policy, or None.
     - `policy_gradient`: norm of the policy's gradient at this policy, without that of the noise
       in it, which comes second.
     - `dropped`: the paths of either table that were left out, since they are not finite.
-    - `verdicts`: which of the two derivatives a move of the input supports, {input: Verdict}.
+    - `verdicts`: what a bump of the input said, {input: Verdict}.
+    - `reported`: the derivative that is reported, with its interval, {input: Reported}; where None,
+      it is the held one with its sampling error.
     """
 
     inputs: dict[str, inputs_.Input]
     held: dict[str, Estimate]
     smooth: dict[str, Estimate] | None = None
-    moved: dict[str, np.ndarray] | None = None
+    moved: dict[str, Estimate] | None = None
     policy_gradient: tuple[float, float] | None = None
     dropped: int = 0
     verdicts: dict[str, Verdict] | None = None
+    reported: dict[str, Reported] | None = None
 
-    def believed(self, name: str) -> str:
-        """ "held", "smooth" or "not known" for an input; empty where it was not judged."""
-        found = (self.verdicts or {}).get(name)
-        return "" if found is None else found.supported
+    def __getitem__(self, name: Any) -> Any:
+        """The reported derivative with respect to an input, by its name."""
+        return self.of(name) if isinstance(name, str) else tuple(self)[name]
+
+    def of(self, name: str) -> Reported:
+        """The reported derivative with respect to an input.
+
+        **Raises:** `KeyError` for a name that is no input's.
+        """
+        if name not in self.inputs:
+            raise KeyError(f"no input {name!r}; the inputs are {list(self.inputs)}.")
+        if self.reported is not None:
+            return self.reported[name]
+        return plain(self.held[name], one_percent(self.inputs[name]))
+
+    def source(self, name: str) -> str:
+        """Where the reported derivative with respect to an input comes from."""
+        return self.of(name).source
+
+    def along(self, name: str, direction: np.ndarray) -> Interval:
+        """The reported derivative along a direction of an input, with its interval."""
+        return self.of(name).along(direction)
 
     def rows(self) -> Iterator[Row]:
         """Every number of every input, in the order of the inputs."""
         for name, given in self.inputs.items():
-            columns = [*_columns(self.held, name), *_columns(self.smooth, name)]
-            moved = None if self.moved is None else self.moved[name].ravel()
-            columns.append(moved)
+            columns = [
+                column
+                for table in (self.held, self.smooth, self.moved)
+                for column in _columns(table, name)
+            ]
             nothing = np.full(given.value.size, np.nan)
-            numbers = zip(*(nothing if each is None else each for each in columns))
-            for label, row in zip(given.names(), numbers):
-                yield Row(name, label, given.unit, *map(float, row), believed=self.believed(name))
+            numbers = zip(*(nothing if column is None else column for column in columns))
+            derivative = self.of(name)
+            for label, interval, row in zip(given.names(), derivative.numbers(), numbers):
+                yield Row(
+                    name, label, given.unit, *interval, derivative.source, *map(float, row)
+                )  # fmt: skip
 
     def table(self) -> Any:
         """The rows as a pandas data frame, where pandas is installed; else a list of dicts."""
@@ -106,10 +142,7 @@ class Sensitivities(NamedTuple):
         )
 
     def __str__(self) -> str:
-        """The table as text; of an input with many numbers, the largest ones.
-
-        "drift" is the column `moved`: by how much `held` changed in the second half of training.
-        """
+        """The table as text; of an input with many numbers, the largest ones."""
         lines = [HEAD, *(line for name in self.inputs for line in self._lines(name))]
         widths = [max(len(line[i]) for line in lines) for i in range(len(HEAD))]
         return "\n".join(
@@ -127,23 +160,27 @@ class Sensitivities(NamedTuple):
     def _lines(self, name: str) -> list[tuple[str, ...]]:
         """One input as lines of cells."""
         rows = [row for row in self.rows() if row.input == name]
-        shown = sorted(rows, key=lambda row: -abs(row.held))[:SHOWN] if len(rows) > SHOWN else rows
-        lines = [
+        largest = sorted(rows, key=lambda row: -abs(np.nan_to_num(row.value)))[:SHOWN]
+        lines: list[tuple[str, ...]] = [
             (
-                row.input, row.label, _figure(row.held), _error(row.held_error),
-                _figure(row.smooth), _error(row.smooth_error), _figure(row.moved), f"/{row.unit}",
-                row.believed,
+                row.input, row.label, _figure(row.value), _figure(row.low), _figure(row.high),
+                f"/{row.unit}", row.source, _half(row.sampling), _half(row.policy),
+                _figure(row.held), _figure(row.smooth), _error(row.smooth_error),
             )
-            for row in rows if row in shown
+            for row in rows if row in largest
         ]  # fmt: skip
         if len(rows) > SHOWN:
-            lines.append((name, f"and {len(rows) - SHOWN} smaller", "", "", "", "", "", "", ""))
+            more = f"and {len(rows) - SHOWN} smaller"
+            lines.append((name, more, *("",) * (len(HEAD) - 2)))
         return lines
 
 
-HEAD = ("input", "label", "held", "", "smooth", "", "drift", "unit", "believed")
+HEAD = (
+    "input", "label", "derivative", "low", "high", "per", "source", "sampling", "policy", "held",
+    "smooth", "",
+)  # fmt: skip
 SHOWN = 12  # numbers of one input that are printed
-LEFT = (0, 1, 7, 8)  # columns of words
+LEFT = (0, 1, 5, 6)  # columns of words
 
 
 def _columns(found: Mapping[str, Estimate] | None, name: str) -> tuple:
@@ -159,6 +196,11 @@ def _figure(number: float) -> str:
 
 def _error(number: float) -> str:
     return f"± {number:,.2g}" if np.isfinite(number) else ""
+
+
+def _half(width: float) -> str:
+    """A half-width; that of an interval without one of its parts is a nought."""
+    return f"{width:,.2g}" if np.isfinite(width) else ""
 
 
 def sensitivities(
@@ -190,7 +232,7 @@ def sensitivities(
     moved = None
     if earlier is not None:
         before = Way(problem, bound, earlier, Exact(), held=True).derivatives(blocks).inputs
-        moved = {name: held.inputs[name].value - before[name].value for name in before}
+        moved = {name: Estimate(held.inputs[name].blocks - before[name].blocks) for name in before}
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if smooth is None:
         return result

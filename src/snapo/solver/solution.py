@@ -13,8 +13,9 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 
 from . import checkpoint
+from .derivatives.interval import Curvature, Reported
+from .derivatives.verdict import COLUMNS, Verdict
 from .files import write_csv, write_text
-from .judge import COLUMNS, Verdict
 from .learning.growth import Growth
 from .learning.progress import Record
 from .limits.found import LimitFound
@@ -36,11 +37,14 @@ class Solution:
     """What `solve` found.
 
     - `value`, `standard_error`: the objective of the EXACT simulator on fresh scenarios.
-    - `smoothing_gap`: exact less smooth, on the first of the same paths; `smooth_value`: the value
-      less it.
-    - `policy`: the trained policy; `policy_gradient_norm`: it vanishes at an optimum. The noise in
+    - `smoothing_gap`: exact less smooth, on the first of the same paths, with its standard error
+      `smoothing_gap_error`; `smooth_value`: the value less it.
+    - `policy`: the policy that is reported; `selected`: "start" (the rule that training began
+      with), "newest", "highest" of the validation or "top of the surface", and `gain`: of the best
+      of a training over its start, with the standard error, on paths of their own.
+    - `policy_gradient_norm`: it vanishes at an optimum. The noise in
       it, `policy_gradient_noise`, is taken off: a norm below its noise may be zero.
-    - `sensitivities`: held and smooth derivatives by every input, with standard errors.
+    - `sensitivities`: the derivative with respect to every input, with its interval.
     - `totals`: {output: [paths]} of the exact simulator; `history`: of the training.
     - `seconds`: {compile, train, evaluate, total}; `engine` and `reason`: which one and why.
     - `status`: "trained", "stopped early" or "diverged" (too many paths of a step are not finite; a
@@ -48,8 +52,8 @@ class Solution:
       it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
     - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit),
-      "constant" (a constant decision does as well) or "barely moved" (an untrained rule does as
-      well); empty where the value is no number.
+      "constant" (a constant decision does as well), "barely moved" (an untrained rule does as well)
+      or "start kept" (training did not surely improve on it); empty where the value is no number.
     - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
       `clip` and `keep`: the length of the windows that it went back through at its end, the bound
       on each path's own adjoint (None: none of them), and the share that went on at each step.
@@ -88,6 +92,9 @@ class Solution:
     roles: Mapping[str, str] = field(default_factory=dict)
     problem: Problem | None = field(default=None, repr=False, compare=False)
     limits: tuple[LimitFound, ...] = ()
+    smoothing_gap_error: float = float("nan")
+    selected: str = ""
+    gain: tuple[float, float] = (float("nan"), float("nan"))
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -136,6 +143,8 @@ class Solution:
     def lines(self) -> list[str]:
         """The value and how it was found, in a few lines."""
         gap = f"smooth {self.smooth_value:,.4g}, gap {self.smoothing_gap:,.3g}"
+        if np.isfinite(self.smoothing_gap_error):
+            gap = f"{gap} ± {self.smoothing_gap_error:,.2g}"
         status = ", ".join(filter(None, (self.status, self.convergence)))
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
@@ -153,6 +162,10 @@ class Solution:
             "standard_error": self.standard_error,
             "smooth_value": self.smooth_value,
             "smoothing_gap": self.smoothing_gap,
+            "smoothing_gap_error": self.smoothing_gap_error,
+            "selected": self.selected,
+            "gain": self.gain[0],
+            "gain_error": self.gain[1],
             "policy_gradient_norm": self.policy_gradient_norm,
             "policy_gradient_noise": self.policy_gradient_noise,
             "dropped": dict(self.dropped),
@@ -196,6 +209,7 @@ class Solution:
                 "policy_gradient": None if found is None else found.policy_gradient,
                 "left_out": 0 if found is None else found.dropped,
                 "verdicts": None if found is None else found.verdicts,
+                "reported": None if found is None else _about(found.reported),
             }
         )
         checkpoint.save_named(folder / SOLUTION, _arrays(self.totals, found), header)
@@ -231,6 +245,7 @@ class Solution:
         plain["limits"] = tuple(LimitFound(**each) for each in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
         plain |= {name: header[name] for name in ("window", "clip", "keep") if name in header}
+        plain["gain"] = (header["gain"], header["gain_error"])
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 
     def _beside(self) -> dict[str, Any]:
@@ -246,7 +261,7 @@ class Solution:
 PLAIN = (
     "value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm",
     "policy_gradient_noise", "dropped", "notes", "seconds", "engine", "reason", "paths", "seed",
-    "status", "convergence", "control", "versions", "roles",
+    "status", "convergence", "control", "versions", "roles", "smoothing_gap_error", "selected",
 )  # fmt: skip
 KINDS = ("held", "smooth")
 
@@ -269,8 +284,37 @@ def _arrays(totals: Mapping[str, np.ndarray], found: Sensitivities | None) -> di
         for kind in KINDS:
             table = getattr(found, kind) or {}
             arrays |= {(kind, name): each.blocks for name, each in table.items()}
-        arrays |= {("moved", name): each for name, each in (found.moved or {}).items()}
+        arrays |= {("moved", name): each.blocks for name, each in (found.moved or {}).items()}
+        for name, each in (found.reported or {}).items():
+            arrays |= {(part, name): getattr(each, part) for part in REPORTED}
+            arrays |= {("estimate", name): each.estimate.blocks}
+            arrays |= {(part, name): getattr(each.curvature, part) for part in CURVATURE}
     return arrays
+
+
+REPORTED = ("by", "whole", "unseen", "slopes", "others")
+CURVATURE = ("inverse", "covariance")
+
+
+def _about(found: Mapping[str, Reported] | None) -> dict[str, Any] | None:
+    """All of the reported derivatives that is no array."""
+    if found is None:
+        return None
+    return {name: [each.source, each.curvature.gap, each.sides] for name, each in found.items()}
+
+
+def _reported(arrays: Mapping, stored: Mapping[str, Any] | None) -> dict[str, Reported] | None:
+    """The inverse of `_about` and of the arrays beside it."""
+    if stored is None:
+        return None
+    found = {}
+    for name, (source, gap, sides) in stored.items():
+        parts = {part: arrays[part, name] for part in REPORTED}
+        curvature = Curvature(arrays["inverse", name], arrays["covariance", name], gap)
+        estimate = Estimate(arrays["estimate", name])
+        sides = sides and tuple(sides)
+        found[name] = Reported(source, estimate, **parts, curvature=curvature, sides=sides)
+    return found
 
 
 def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
@@ -284,12 +328,14 @@ def _sensitivities(arrays: Mapping, header: Mapping[str, Any]) -> Sensitivities:
     gradient, verdicts = header["policy_gradient"], header["verdicts"]
     if verdicts is not None:
         verdicts = {name: Verdict.of(numbers) for name, numbers in verdicts.items()}
+    drift = {name: Estimate(blocks) for name, blocks in table("moved").items()}
     return Sensitivities(
         inputs,
         held,
         smooth or None,
-        table("moved") or None,
+        drift or None,
         gradient and tuple(gradient),
         header["left_out"],
         verdicts,
+        _reported(arrays, header["reported"]),
     )

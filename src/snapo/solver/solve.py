@@ -1,12 +1,12 @@
 """The verb: train a policy, measure it on the exact simulator, differentiate its value.
 
-A run is three plain stages on one problem: `train`, `path_totals`, `sensitivities`.
+A run is two plain stages on one problem: `train`, `measure`.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from contextlib import AbstractContextManager, nullcontext
-from dataclasses import dataclass, replace
-from typing import Any, TypeVar
+from dataclasses import replace
+from typing import TypeVar
 
 import equinox as eqx
 import jax
@@ -14,67 +14,29 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.checker.first import first_mistakes
-from snapo.engine import Choice, Engine, Engines, Xla, choose
+from snapo.engine import Choice, Engine, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
-from snapo.problem.actions.base import count
 from snapo.problem.limits import Limit
-from snapo.problem.objective import Mean, Objective, Totals
+from snapo.problem.objective import Mean, Objective
 from snapo.problem.policies.plain import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
-from snapo.problem.scenarios import Pseudo, Scenarios, Sobol, Sources
+from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
-from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.smooth import Exact
 
-from .evaluate import Value, estimate, path_totals, ruined, worth
-from .judge import judge
-from .learning.convergence import ending
 from .learning.features import scale_of, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race
-from .learning.told import chosen, recorded
-from .limits.found import limits_found, notes_of
-from .provenance.broken import why_broken
+from .learning.told import recorded
+from .measure.measure import Run, measure
+from .measure.settings import Evaluation as Evaluation
 from .provenance.clock import Clock
 from .provenance.versions import versions
-from .sensitivity import Sensitivities, sensitivities
 from .solution import Solution
 from .train import Callback, Progress, Training, begin, train
 
 Given = TypeVar("Given")  # settings of one kind
-
-SCENARIOS = ("pseudo-random", "sobol")
-GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
-
-
-@dataclass(frozen=True)
-class Evaluation:
-    """How a policy is measured.
-
-    - `paths`: fresh scenarios for the value; `sensitivity_paths` for held derivatives,
-      `smooth_paths` for those through the policy, `judge_paths` for the moves of every input that
-      judge between the two (0: none, of any).
-    - `scenarios`: "pseudo-random" (antithetic) or "sobol".
-    """
-
-    paths: int = 65536
-    sensitivity_paths: int = 16384
-    smooth_paths: int = 4096
-    judge_paths: int = 2048
-    scenarios: str = "pseudo-random"
-
-    def __post_init__(self):
-        if self.scenarios not in SCENARIOS:
-            allowed = " or ".join(map(repr, SCENARIOS))
-            raise ValueError(f"Evaluation: scenarios is {self.scenarios!r}; allowed is {allowed}.")
-        least = {"paths": 2, "sensitivity_paths": 0, "smooth_paths": 0, "judge_paths": 0}
-        for name, number in least.items():
-            count(f"Evaluation: {name}", getattr(self, name), number)
-
-    def sources(self, seed: int) -> Sources:
-        """Fresh scenarios for every role, those of the evaluation as they are asked for here."""
-        found = Sources.of(None, seed)
-        return replace(found, evaluation=Sobol(seed)) if self.scenarios == "sobol" else found
 
 
 def solve(
@@ -133,11 +95,12 @@ def solve(
             progress = train(problem, progress, training, engines.train, callbacks)
             progress = recorded(problem, progress, training)
             clock.stage("train")
-        found = measure(problem, policy, progress, training, evaluation, engines)
+        start = policy if progress.scale is None else progress.scale.plain(policy)
+        run = Run(problem, start, progress, training, evaluation, engines)
+        measured = measure(run)
         clock.stage("evaluate")
     return Solution(
-        **found,
-        policy=progress.best,
+        **measured,
         halfway=progress.halfway,
         history=progress.history,
         seconds=clock.total(),
@@ -231,124 +194,6 @@ def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
     if errors := first_mistakes(problem, policy).errors:
         lines = "\n".join(map(str, errors))
         raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
-
-
-def measure(
-    problem: Problem,
-    untrained: Policy,
-    progress: Progress,
-    training: Training,
-    evaluation: Evaluation,
-    engines: Engines,
-) -> dict[str, Any]:
-    """Value, smoothing gap, sensitivities of the best policy and how training ended, as fields of a
-    `Solution`."""
-    policy, engine, objective = progress.best, engines.evaluate, problem.objective
-    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
-    smooth = Smooth(np.float64(training.temperature(training.steps)))
-    exact = path_totals(problem, policy, evaluation.paths, engine=engine)
-    value = estimate(objective, exact, source, controls)
-    gap = _smoothing_gap(problem, policy, exact, smooth, engine)
-    limits = limits_found(problem, policy, exact, progress.dual, smooth, engine)
-    within = problem.priced([abs(each.price) for each in limits])
-    table = _sensitivities(within, progress, evaluation, smooth, engine)
-    held = min(evaluation.sensitivity_paths, evaluation.paths)
-    ended = ending(problem, untrained, progress, exact, held, engine)
-    norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
-    dropped = {
-        "train": sum(record.bad_paths for record in progress.history),
-        "evaluate": value.dropped,
-        "sensitivities": table.dropped if table else 0,
-    }
-    return {
-        "value": value.value,
-        "standard_error": value.standard_error,
-        "control": value.control,
-        "smooth_value": value.value - gap,
-        "smoothing_gap": gap,
-        "policy_gradient_norm": norm,
-        "policy_gradient_noise": noise,
-        "sensitivities": table,
-        "totals": exact,
-        "paths": {"train": training.paths, "evaluate": source.available(evaluation.paths)},
-        "roles": problem.sources.roles(
-            training.paths,
-            training.validation_paths,
-            evaluation.paths,
-            min(evaluation.sensitivity_paths, evaluation.paths),
-        ),
-        "dropped": dropped,
-        "notes": _notes(value, dropped, ruined(objective, exact))
-        + tuple(filter(None, [why_broken(problem, progress, training, engines.train)]))
-        + chosen(progress)
-        + ended.notes
-        + notes_of(limits),
-        "limits": limits,
-        "growth": progress.growth,
-        "window": progress.window,
-        "clip": progress.clip,
-        "keep": progress.keep,
-        "convergence": ended.word,
-        "status": _status(value.value, progress.status),
-    }
-
-
-def _smoothing_gap(
-    problem: Problem, policy: Policy, exact: Totals, smooth: Smooth, engine: Engine
-) -> float:
-    """Exact less smooth, on the first of the paths whose exact totals are known."""
-    paths = min(GAP_PATHS, len(exact[problem.objective.outputs[0]]))
-    soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
-    same = {name: total[: len(soft[name])] for name, total in exact.items() if name in soft}
-    with np.errstate(invalid="ignore"):
-        return float(np.subtract(worth(problem.objective, same), worth(problem.objective, soft)))
-
-
-def _status(value: float, status: str) -> str:
-    """The status of a run: that of its training, unless its value is no number although all steps
-    were taken."""
-    if np.isfinite(value) or status == "diverged":
-        return status
-    return "ruined" if value < 0 else "not finite"
-
-
-def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ...]:
-    """Sentences that a reader of the value must see."""
-    notes = [
-        f"The control variate {name!r} is not used: its mean is not zero." for name in value.refused
-    ]
-    if ruin:
-        notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
-    if any(dropped.values()):
-        told = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
-        notes.append(f"Paths left out since they are not finite: {told}.")
-    return tuple(notes)
-
-
-WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
-
-
-def _sensitivities(
-    problem: Problem, progress: Progress, evaluation: Evaluation, smooth: Smooth, engine: Engine
-) -> Sensitivities | None:
-    """The table of the best policy, judged; None where no paths are given to it."""
-    paths = min(evaluation.sensitivity_paths, evaluation.paths)
-    if not paths:
-        return None
-    table = sensitivities(
-        problem,
-        progress.best,
-        paths,
-        smooth=smooth if evaluation.smooth_paths else None,
-        smooth_paths=evaluation.smooth_paths,
-        earlier=progress.halfway if progress.step > 1 else None,
-        engine=engine,
-    )
-    if not evaluation.judge_paths:
-        return table
-    paths = min(evaluation.judge_paths, paths)
-    verdicts = judge(problem, progress.best, paths, table.held, table.smooth, engine=engine)
-    return table._replace(verdicts=verdicts)
 
 
 def _only_output(simulator: Simulator, inputs: PyTree) -> Objective:

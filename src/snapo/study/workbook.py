@@ -82,6 +82,6 @@ def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) ->
     kept = [column for column in numbers if column not in LEFT][:MOST_LINES]
     if not kept or not 2 <= len(rows) <= MOST_DRAWN:
         return None
-    if {"held", "label", "input"} <= set(header):
+    if {"value", "label", "input"} <= set(header):
         return sensitivities(list(rows))
     return Picture("line", header[0], kept)

@@ -21,8 +21,8 @@ from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.certificate import certify_derivatives, in_the_mean
+from snapo.solver.derivatives.verdict import Verdict
 from snapo.solver.evaluate import evaluate
-from snapo.solver.judge import Verdict
 
 NORMAL = {"kind": "normal", "mean": 5.0, "deviation": 1.6}
 ENDLESS = 1e6
@@ -166,7 +166,10 @@ def test_moments_of_whole_demand_are_certified_in_the_mean(small):
     assert of.simulator.in_mean() == ("demand_mean",)
     found = {bump.input for bump in certify_derivatives(of, policy, 16)}
     assert found == set(of.named) - {"demand_mean"}
-    near, far = (Verdict(-0.05, -0.05, 0.01, (held, 0.0), None) for held in (-0.06, -0.09))
+    near, far = (
+        Verdict(source, (-0.05 - r, 0.0), (-0.05, 0.01), (r, 0.01), -0.05, -0.05, 0.01, 1.0, True)
+        for source, r in (("held", 0.01), ("not known", 0.04))
+    )
     rows = [in_the_mean(of, {"demand_mean": verdict})[0] for verdict in (near, far)]
     assert [row["passed"] for row in rows] == [True, False]
     # Per unit of demand: the move was a hundredth of five.

@@ -75,12 +75,16 @@ def test_moves_are_the_sensitivities_along_them(solved):
     table = Solution.load(solved).sensitivities
     assert table is not None
     price, demand = moves["price"], moves["demand"]
-    assert price["effect"] == pytest.approx(0.1 * float(table.held["price"].value), rel=1e-12)
+    along = table.along("price", np.full((), 0.1))
+    assert price["effect"] == pytest.approx(0.1 * float(table["price"].value), rel=1e-12)
+    assert (price["low"], price["high"]) == (along.low, along.high)
     assert (price["amount"], price["unit"]) == (pytest.approx(10), "cents")
     one_percent = 0.01 * float(table.held["demand"].value @ table.inputs["demand"].value)
     assert demand["held"] == pytest.approx(one_percent, rel=1e-12)
-    assert demand["tried"] == table.verdicts["demand"].change
-    assert all(each["effect"] == each[each["believed"]] for each in (price, demand))
+    assert demand["bump"] == table.verdicts["demand"].bump[0]
+    assert [row["source"] for row in (price, demand)] == [
+        table.source(n) for n in ("price", "demand")
+    ]
     assert (demand["share"], demand["amount"]) == (0.01, None)
 
 

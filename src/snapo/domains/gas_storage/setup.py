@@ -52,7 +52,7 @@ def make_setup(
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
-    problem = _guided(replace(problem, sources=sources), fitted)
+    problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     engines = engines_for(engine, problem, policy)
     return _hedged(Setup(problem, policy, training, evaluation, engines))
@@ -66,12 +66,24 @@ def moved_setup(setup: Setup, case: StorageCase) -> Setup:
     simulator = simulator_of(setup.problem)
     if not simulator.process.same_program(case.model):
         return make_setup(case, setup.engines, fitted_value(bare_problem(case)))
-    scales = {"price_scale": mean_price(case), "rate_scale": largest_rate(case)}
-    scales = {name: np.asarray(scale) for name, scale in scales.items()}
-    bare = replace(simulator, guide=None, hedge=None, surprises=None, **scales)
     values = {name: given.value for name, given in storage_inputs(case).items()}
-    problem = replace(setup.problem, simulator=bare).at(values)
-    return _hedged(setup._replace(problem=_guided(problem, fitted_value(problem))))
+    return _hedged(setup._replace(problem=setup.problem.moved(values)))
+
+
+def rebuilt(problem: Problem) -> Problem:
+    """The problem with the guide and the scales of features of its own inputs.
+
+    The hedge, a control variate that no value depends on, is set to zero.
+    """
+    simulator, case = simulator_of(problem), case_of_problem(problem)
+    values = {name: given.value for name, given in problem.named.items()}
+    scales = {
+        "price_scale": np.asarray(mean_price(case, values)),
+        "rate_scale": np.asarray(largest_rate(case, values)),
+    }
+    bare = replace(simulator, guide=None, hedge=None, surprises=None, **scales)
+    problem = replace(problem, simulator=bare)
+    return _guided(problem, fitted_value(problem))
 
 
 def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:

@@ -3,7 +3,6 @@
 from typing import Any
 
 from ..bands import Swing, tornado
-from ..charts import BLOCK_INTERVAL
 from ..drawing import draw
 from ..folder import Folder, Sensitivity
 from ..page import Block, Chart, Missing, Section, Table, Text
@@ -25,14 +24,14 @@ from .lacking import lacking
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; all stand in sensitivities.csv
 CAVEAT = (
-    "To first order. Held: the exact simulator with the decisions held, the derivative of the "
-    "optimal value where decisions are optimal, see the whole state and cause no jump. Smooth: "
-    "through the policy's reaction in the smooth simulator. Tried: the change of the exact value, "
-    "policy reacting, when all numbers of the input are moved by a hundredth on the same paths, "
-    "scaled to the move of the row; more and less apart where they differ. Believed: the held one, "
-    "unless the move makes the smooth one far likelier; not known where neither lies within three "
-    "standard errors of it, at a kink of anything between more and less. "
-    "Drift: by how much the held one changed in the second half of training."
+    "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
+    "with the decisions held, which is that derivative where decisions are optimal, see the whole "
+    "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
+    "with the policy reacting, where it refutes the held one (at a level of 1 % for all inputs "
+    "together). Range: at a kink, between the derivatives for less and for more of the input. The "
+    "95 % interval adds two parts: the sampling error of finitely many paths, and the error of the "
+    "policy, which is near the best one. "
+    "Drift: by how much the held derivative changed in the second half of training."
 )
 
 
@@ -63,7 +62,7 @@ def _tornado(run: Folder, moves: list[dict[str, Any]]) -> Chart | Missing:
             f"{words(each['input'])} {amount(each)}",
             float(each["effect"]),
             f"{number(each['effect'], places, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
-            BLOCK_INTERVAL * (finite(each.get("standard_error")) or 0.0),
+            half_width(each),
         )
         for each in shown
     ]
@@ -71,54 +70,57 @@ def _tornado(run: Folder, moves: list[dict[str, Any]]) -> Chart | Missing:
     height = 32 + 26 * len(swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
     caption = (
-        "Change of the value when all numbers of an input move up by the amount beside it, by the "
-        "derivative that is believed; whiskers are 95 % intervals."
+        "Change of the value when all numbers of an input move up by the amount at the left, with "
+        "the reported derivative; whiskers are 95 % intervals."
     )
     return Chart(svg, caption)
 
 
+def half_width(row: dict[str, Any]) -> float:
+    """Half the width of a row's interval; 0 where it has none."""
+    low, high = finite(row.get("low")), finite(row.get("high"))
+    return 0.0 if low is None or high is None else (high - low) / 2
+
+
 def _moves(run: Folder, moves: list[dict[str, Any]]) -> Table:
-    places = decimals([each["effect"] for each in moves], 4)
+    places = decimals([row["effect"] for row in moves], 4)
     rows = [
         (
-            words(each["input"]),
-            each.get("words") or "",
-            amount(each),
-            *_with_error(each, "held", places),
-            *_with_error(each, "smooth", places),
-            *_tried(each, places),
-            each.get("believed") or "",
+            words(row["input"]),
+            row.get("words") or "",
+            amount(row),
+            *(number(row.get(name), places) for name in ("effect", "low", "high")),
+            *(rough(row.get(name)) for name in ("sampling", "policy")),
+            str(row.get("source") or ""),
+            *_bump(row, places),
         )
-        for each in moves
+        for row in moves
     ]
-    head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", ""), ("Tried", run.unit), ("", ""),
-            ("Believed", "")]  # fmt: skip
-    return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 9}))
+    head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Change", run.unit),
+            ("95 % low", run.unit), ("high", run.unit), ("of it sampling", run.unit),
+            ("policy", run.unit), ("Source", ""), ("Bump", run.unit), ("", "")]  # fmt: skip
+    return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 8}))
 
 
-def _with_error(each: dict[str, Any], name: str, places: int) -> tuple[str, str]:
-    return measured(each.get(name), each.get(f"{name}_error"), places)
-
-
-def _tried(each: dict[str, Any], places: int) -> tuple[str, str]:
-    """The change at a move, and its error; of more and of less apart, where they differ."""
-    more, less = each.get("more"), each.get("less")
+def _bump(row: dict[str, Any], places: int) -> tuple[str, str]:
+    """The change at a bump, and its error; of more and of less apart, where they differ."""
+    more, less = row.get("more"), row.get("less")
     if more is None or less is None:
-        return _with_error(each, "tried", places)
+        return measured(row.get("bump"), row.get("bump_error"), places)
     text = f"{number(more, places)} more, {number(less, places)} less"
-    return text, plus_minus(each.get("tried_error"), places)
+    return text, plus_minus(row.get("bump_error"), places)
 
 
 def _table(run: Folder) -> Table:
-    rows = [_line(run, each) for each in run.sensitivities[:ROWS]]
-    head = [("Input", ""), ("", ""), ("Per", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", ""), ("Drift", run.unit), ("Believed", "")]  # fmt: skip
+    rows = [_line(row) for row in run.sensitivities[:ROWS]]
+    head = [("Input", ""), ("", ""), ("Per", ""), ("Derivative", run.unit), ("95 % low", run.unit),
+            ("high", run.unit), ("Source", ""), ("Held", run.unit), ("", ""),
+            ("Smooth", run.unit), ("", ""), ("Drift", run.unit), ("", "")]  # fmt: skip
     count = len(run.sensitivities)
-    caption = "Derivative of the value by every number, per one unit of it"
+    caption = "Derivative of the value with respect to every number, per one unit of it"
     if count > ROWS:
         caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
-    texts = frozenset({0, 1, 2, 8})
+    texts = frozenset({0, 1, 2, 6})
     return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
 
 
@@ -135,12 +137,12 @@ def _per(unit: str) -> str:
     return f"1{SPACE}per{SPACE}{words[2:]}" if words.startswith("1/") else f"1{SPACE}{words}"
 
 
-def _line(run: Folder, each: Sensitivity) -> tuple[str, ...]:
-    numbers = [each.value, each.smooth]
-    places = min(9, decimals(numbers, 4))
+def _line(row: Sensitivity) -> tuple[str, ...]:
+    places = min(9, decimals([row.value, row.held, row.smooth], 4))
     return (
-        words(each.input), each.label, _per(each.unit),
-        *measured(each.value, each.standard_error, places),
-        *measured(each.smooth, each.smooth_error, places),
-        rough(each.moved), each.believed,
+        words(row.input), row.label, _per(row.unit),
+        *(number(x, places) for x in (row.value, row.low, row.high)), row.source,
+        *measured(row.held, row.held_error, places),
+        *measured(row.smooth, row.smooth_error, places),
+        rough(row.moved), plus_minus(row.moved_error, places),
     )  # fmt: skip

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from ..judge import SMOOTH, hundredth
+from ..derivatives.bump import one_percent
 from .rolled import CELLS, POINTS, chosen, decisions, rolled
 
 if TYPE_CHECKING:
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 INK, SOFT, BAD = "#1d3f72", "#c6d5ea", "#d55e00"
 BARS, BINS = 15, 60
-SURE = 1.96  # standard errors of a bar's whisker
 
 
 class Figures:
@@ -43,7 +42,7 @@ class Figures:
         """The change of the value by each input's move, largest first, with 95 % whiskers.
 
         The move is the input's own `move`, of all its numbers at once; without one, a hundredth of
-        them. To first order, by the derivative that is believed, else by the held one.
+        them. To first order, with the derivative that is reported.
 
         **Raises:** `ValueError` where the solution has no sensitivities.
         """
@@ -52,18 +51,21 @@ class Figures:
             raise ValueError("plot.tornado: this solution was made without sensitivities.")
         bars = []
         for name, given in found.inputs.items():
-            smooth = found.believed(name) == SMOOTH and found.smooth is not None
-            estimate = (found.smooth if smooth else found.held)[name]  # pyright: ignore
             if given.move:
                 by, words = np.full(given.value.shape, given.move), f"+{given.move:g} {given.unit}"
             else:
-                by, words = hundredth(given), "+1 %"
-            bars.append((*estimate.along(by), f"{name} {words}".rstrip()))
-        bars = sorted(bars, key=lambda bar: abs(bar[0]))[-count:]
+                by, words = one_percent(given), "+1 %"
+            interval = found.along(name, by)
+            if np.isfinite(interval.value):
+                bars.append((interval, f"{name} {words}".rstrip()))
+        bars = sorted(bars, key=lambda bar: abs(bar[0].value))[-count:]
         figure, ax = _axes(ax, height=1.2 + 0.32 * len(bars))
-        effects, errors, names = zip(*bars)
+        names = [name for _, name in bars]
+        effects = [interval.value for interval, _ in bars]
+        whiskers = [(x.value - x.low, x.high - x.value) for x, _ in bars]
         ax.barh(names, effects, color=[INK if each >= 0 else BAD for each in effects])
-        ax.errorbar(effects, names, xerr=SURE * np.array(errors), fmt="none", ecolor="black", lw=1)
+        spread = np.reshape(whiskers, (-1, 2)).T
+        ax.errorbar(effects, names, xerr=spread, fmt="none", ecolor="black", lw=1)
         ax.axvline(0, color="black", lw=0.8)
         ax.set_xlabel("change of the value")
         return figure

@@ -43,7 +43,9 @@ def sensitivities(rows: list[Any]) -> Picture | None:
     `rows`: input, label …
     """
     labelled = sum(bool(row[1]) for row in rows) > len(rows) / 2
-    return Picture("bar", "label" if labelled else "input", ("held",)) if len(rows) <= 400 else None
+    return (
+        Picture("bar", "label" if labelled else "input", ("value",)) if len(rows) <= 400 else None
+    )
 
 
 def flat(table: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, Any]]:

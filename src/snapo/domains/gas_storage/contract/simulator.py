@@ -8,6 +8,7 @@ Signs: volumes are positive, `cash_flow` is received by the holder. Money is dis
 valuation date.
 """
 
+from collections.abc import Mapping
 from typing import Any
 
 import equinox as eqx
@@ -57,9 +58,9 @@ class StorageSimulator(Simulator):
 
     def __post_init__(self):
         if self.price_scale is None:
-            self.price_scale = np.asarray(mean_price(self.case))
+            self.price_scale = np.asarray(mean_price(self.case, values_of(self.case)))
         if self.rate_scale is None:
-            self.rate_scale = np.asarray(largest_rate(self.case))
+            self.rate_scale = np.asarray(largest_rate(self.case, values_of(self.case)))
 
     @property
     def process(self) -> PriceProcess:
@@ -257,15 +258,29 @@ def simulator_of(problem: Problem) -> StorageSimulator:
     return simulator
 
 
-def mean_price(case: StorageCase) -> float:
+Values = Mapping[str, np.ndarray]  # {input: its numbers}
+
+
+def values_of(case: StorageCase) -> Values:
+    """The numbers of the inputs that the scales of features are made from."""
+    rows = case.contract.ratchets
+    scaled = (case.market.forward_curve, rows.withdrawal, rows.injection)
+    return {series.name: series.values for series in scaled}
+
+
+def mean_price(case: StorageCase, values: Values) -> float:
     """The mean size of the forward prices."""
-    return float(np.mean(np.abs(case.market.forward_curve.used())))
+    curve = case.market.forward_curve
+    return float(np.mean(np.abs(values[curve.name][curve.index])))
 
 
-def largest_rate(case: StorageCase) -> float:
+def largest_rate(case: StorageCase, values: Values) -> float:
     """The largest volume that may move on a day."""
     rows = case.contract.ratchets
-    rates = (np.max(each.used(), initial=0.0) for each in (rows.withdrawal, rows.injection))
+    rates = (
+        np.max(values[series.name][series.index], initial=0.0)
+        for series in (rows.withdrawal, rows.injection)
+    )
     return float(max(*rates, 1e-9))
 
 

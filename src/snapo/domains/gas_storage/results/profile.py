@@ -142,7 +142,7 @@ def _today(
     now |= {"date": case.days[0].isoformat(), "spot": problem.schedule.steps.forward[0]}
     # The network's own price of gas is pinned down at the trigger alone; the adjoint's everywhere.
     if solution.sensitivities is not None:
-        stored = solution.sensitivities.held[case.contract.inventory.name]
+        stored = solution.sensitivities.of(case.contract.inventory.name)
         now["marginal_value"] = float(stored.value.sum())
     return now | {"ladder": rows}
 

@@ -13,7 +13,6 @@ from snapo.report.quantity import (
     finite,
     long_month,
     number,
-    plus_minus,
     quantity,
 )
 from snapo.report.sections.lacking import lacking
@@ -115,8 +114,9 @@ def monthly(run: Run) -> Section:
     alt = f"Bars of the delta per delivery month in {run.volume}: " + ", ".join(parts) + "."
     svg = draw("deltas-by-month", alt, paint, 280)
     caption = (
-        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval of the"
-        " simulation. Hatched: how far the delta still moved in the last half of training."
+        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
+        " error and error of the policy together. Hatched: how far the delta still moved in the"
+        " last half of training."
     )
     table = _month_table(run, rows)
     return Section("deltas", title, short, [Chart(svg, caption), table])
@@ -125,24 +125,21 @@ def monthly(run: Run) -> Section:
 def month_painter(run: Run, rows, values):
     """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
     labels = _month_labels([each.get("month") for each in rows])
-    errors = array([_undiscounted_error(each) for each in rows])
-    intrinsic = array([each.get("intrinsic") for each in rows])
+    halves = array([_half(row) for row in rows])
+    intrinsic = array([row.get("intrinsic") for row in rows])
     options = {
         "names": ("Long: sell", "Short: buy"),
-        "half": None if errors is None else charts.BLOCK_INTERVAL * np.nan_to_num(errors),
-        "moved": array([each.get("moved") for each in rows]),
+        "half": None if halves is None else np.nan_to_num(halves),
+        "moved": array([row.get("moved") for row in rows]),
         "compare": None if intrinsic is None else ("Intrinsic plan", intrinsic),
     }
     return lambda axes: charts.signed_bars(axes, labels, values, run.volume, **options)
 
 
-def _undiscounted_error(each: dict) -> float | None:
-    """The standard error belongs to the discounted delta; both scale with the discount factor."""
-    error, discounted = finite(each.get("standard_error")), finite(each.get("discounted"))
-    whole = finite(each.get("undiscounted"))
-    if error is None or not discounted or whole is None:
-        return error
-    return error * abs(whole / discounted)
+def _half(row: dict) -> float | None:
+    """Half the width of the interval of an undiscounted delta."""
+    low, high = finite(row.get("undiscounted_low")), finite(row.get("undiscounted_high"))
+    return None if low is None or high is None else (high - low) / 2
 
 
 def _month_labels(months: list) -> list[str]:
@@ -158,25 +155,26 @@ def _month_labels(months: list) -> list[str]:
 
 def _month_table(run: Run, rows) -> Table:
     columns = ("undiscounted", "intrinsic", "moved", "discounted", "smooth")
-    places = decimals([each.get(name) for each in rows for name in columns], 4)
+    places = decimals([row.get(name) for row in rows for name in columns], 4)
+    shown = ("undiscounted", "undiscounted_low", "undiscounted_high")
     body = [
         (
-            long_month(each.get("month")),
-            _trade(each.get("undiscounted")),
-            number(each.get("undiscounted"), places),
-            plus_minus(_undiscounted_error(each), max(places, 1)),
-            number(each.get("intrinsic"), places),
-            number(each.get("moved"), places, sign=True),
-            number(each.get("discounted"), places),
-            plus_minus(each.get("standard_error"), max(places, 1)),
-            number(each.get("smooth"), places),
+            long_month(row.get("month")),
+            _trade(row.get("undiscounted")),
+            *(number(row.get(name), places) for name in shown),
+            number(row.get("intrinsic"), places),
+            number(row.get("moved"), places, sign=True),
+            number(row.get("discounted"), places),
+            *(number(row.get(name), max(places, 1)) for name in ("sampling", "policy")),
+            number(row.get("smooth"), places),
         )
-        for each in rows
+        for row in rows
     ]
-    total = [sum(finite(each.get(name)) or 0.0 for each in rows) for name in columns]
-    whole, plan, _, discounted, _ = (number(each, places) for each in total)
-    body.append(("All months", "", whole, "", plan, "", discounted, "", ""))
-    names = ("Delta", "Std. error", "Intrinsic", "Moved", "Discounted", "Std. error", "Smooth")
+    total = [sum(finite(row.get(name)) or 0.0 for row in rows) for name in columns]
+    whole, plan, _, discounted, _ = (number(x, places) for x in total)
+    body.append(("All months", "", whole, "", "", plan, "", discounted, "", "", ""))
+    names = ("Delta", "95 % low", "high", "Intrinsic", "Moved", "Discounted", "± sampling",
+             "± policy", "Smooth")  # fmt: skip
     head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
     return Table(head, body, texts=2, strong=frozenset([len(body) - 1]))
 
@@ -194,12 +192,12 @@ def daily(run: Run) -> Section:
     when, values = run.days, run.numbers("deltas_daily.undiscounted", "delta_undiscounted")
     if values is None or when is None:
         return Section("daily", title, short, [lacking(run, "deltas")])
-    place, error = date_numbers(when), run.numbers("deltas_daily.standard_error")
-    discounted = run.numbers("deltas_daily.discounted")
+    place, discounted = date_numbers(when), run.numbers("deltas_daily.discounted")
+    low, high = run.numbers("deltas_daily.low"), run.numbers("deltas_daily.high")
     half = None
-    if error is not None and discounted is not None:
+    if low is not None and high is not None and discounted is not None:
         factor = np.divide(values, discounted, out=np.ones_like(values), where=discounted != 0)
-        half = charts.BLOCK_INTERVAL * np.nan_to_num(error * np.abs(factor))
+        half = np.nan_to_num((high - low) / 2 * np.abs(factor))
     plan = run.numbers("deltas_daily.intrinsic")
     compare = None if plan is None else ("Intrinsic plan", plan)
     names = ("Long: sell", "Short: buy")

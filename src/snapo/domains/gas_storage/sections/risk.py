@@ -14,8 +14,8 @@ from .run import SPAN, Run, Said, Sensitivity
 # Families of inputs; every input says to which it belongs.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
-    "First order only: the change is each shift times its stored sensitivity, with the decisions of"
-    " every path held. {bound}For other inputs the curvature may have either sign. For large moves,"
+    "First order only: the change is each shift times its reported derivative."
+    " {bound}For other inputs the curvature may have either sign. For large moves,"
     " change the case and solve again."
 )
 # Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
@@ -86,20 +86,20 @@ def _row(run: Run, members: list[Sensitivity]) -> tuple[str, ...]:
     """One line for a number, or for several of one input that move together.
 
     Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
-    The error of a sum is not the sum of errors: it is left out. Where there is one, it tells how
-    many digits mean anything.
+    The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is left
+    out. Where there is one, it tells how many digits mean anything.
     """
     first = members[0]
     said = run.said(first.input, first.unit)
-    total, error = said.move * math.fsum(each.value for each in members), None
-    if len(members) == 1 and first.standard_error is not None:
-        error = said.move * first.standard_error
+    total, error = said.move * math.fsum(each.value or 0.0 for each in members), None
+    if len(members) == 1 and first.low is not None and first.high is not None:
+        error = said.move * (first.high - first.low) / 2
     label, move = first.label if len(members) == 1 else "", _move(said)
     if len(members) > 1:
         move = f"{move}, all {len(members)} numbers together"
     places = min(decimals([error], 2) if error else decimals([total], 4), 6)
     change = number(total, places, True)
-    return (said.title(label), said.words, move, change, plus_minus(error, places))
+    return (said.title(label), said.words, move, change, plus_minus(error, places), first.source)
 
 
 def _move(said: Said) -> str:
@@ -110,10 +110,11 @@ def _move(said: Said) -> str:
 
 
 def _moves(run: Run, rows, caption: str, folded: str = "") -> Table:
-    names = ("Value changes by", "Std. error")
+    names = ("Value changes by", "95 % half-width")
     head = [("Input", ""), ("Meaning", ""), ("For a rise of", "")]
     head += [(name, run.currency) for name in names]
-    return Table(head, rows, caption, 3, folded=folded)
+    head.append(("Derivative", ""))
+    return Table(head, rows, caption, frozenset({0, 1, 2, 5}), folded=folded)
 
 
 def sliders(run: Run) -> Section:
@@ -140,7 +141,7 @@ def _curve_sliders(run: Run) -> tuple[list[Slider], list[Slider]]:
     months: dict[str, float] = defaultdict(float)
     for each in run.sensitivities:
         if run.said(each.input).group == CURVE:
-            months[long_month(each.label)] += each.value
+            months[long_month(each.label)] += each.value or 0.0
     if not months:
         return [], []
     if len(months) > 18:
@@ -169,7 +170,7 @@ def _model_sliders(run: Run) -> list[Slider]:
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for each in run.group("volatility", RATE):
         by_name = run.said(each.input).group != RATE and len(each.label) < 10  # no delivery day
-        totals[each.input, each.label if by_name else ""] += each.value
+        totals[each.input, each.label if by_name else ""] += each.value or 0.0
     return [_slider(run.said(name), label, slope) for (name, label), slope in totals.items()]
 
 

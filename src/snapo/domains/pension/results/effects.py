@@ -7,6 +7,7 @@ import numpy as np
 from snapo.problem.inputs import Input, plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
+from snapo.study.parts.moves import interval
 from snapo.study.study import Setup, StudyRun
 
 from ..people.longer_life import longer_life
@@ -48,7 +49,9 @@ def effects(setup: Setup, solution: Solution) -> dict[str, Any]:
     """Effects of the usual moves on the objective: each number alone, and all of an input's.
 
     With a utility of a ratio (`compare.equivalent`) the effects are on the certainty equivalent
-    (`unit` is "ratio"). `effect` holds the decisions, `reacting` lets the trained policy react.
+    (`unit` is "ratio"). `effect`, `low`, `high`: with the reported derivative, see
+    `study.parts.moves`; `held` with its `standard_error` holds the decisions, `reacting` lets the
+    trained policy react.
     `combined` are moves across the numbers of an input: a year of life.
     """
     problem = setup.problem
@@ -78,11 +81,13 @@ def effects(setup: Setup, solution: Solution) -> dict[str, Any]:
     return {"unit": unit, "families": families, "combined": combined, "rows": rows}
 
 
-def _along(table: Sensitivities, name: str, move: np.ndarray, slope: float) -> dict[str, float]:
-    """The effect of a move [n] of an input's numbers, with its standard error."""
+def _along(table: Sensitivities, name: str, move: np.ndarray, slope: float) -> dict[str, Any]:
+    """The effect of a move [n] of an input's numbers, with its interval."""
     move = move.reshape(table.inputs[name].value.shape)
-    effect, error = table.held[name].along(move)
-    found = {"effect": slope * effect, "standard_error": slope * error}
+    derivative = interval(table, name, move)
+    found: dict[str, Any] = {key: None if x is None else slope * x for key, x in derivative.items()}
+    held, error = table.held[name].along(move)
+    found |= {"source": table.source(name), "held": slope * held, "standard_error": slope * error}
     if table.smooth is not None:
         found["reacting"] = slope * table.smooth[name].along(move)[0]
     return found

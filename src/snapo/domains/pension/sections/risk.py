@@ -1,23 +1,26 @@
 """Sensitivities: the tornado, key rates of the strategy, all others."""
 
 from snapo.report.bands import Swing, tornado
-from snapo.report.charts import BLOCK_INTERVAL
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
-from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
+from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus, rough
+from snapo.report.sections.sensitivities import half_width
 
 from .run import PensionRun
 from .words import name_of
 
 CURVE = "curve"  # the group of inputs that are nodes of a curve
 HELD = (
-    "Decisions held: every path trades as it did, which at an optimum is also the effect on the"
-    " re-optimised policy, to first order. Reacting: the trained policy sees the moved fund and"
+    "Held: every path trades as it did, which at an optimum is also the effect on the re-optimised"
+    " policy, to first order; through the policy: a bump of the exact fund, where it refutes that."
+    " The 95 % interval adds the sampling error and the error of the policy."
+    " Reacting: the trained policy sees the moved fund and"
     " answers by its rule, not trained anew; the distance between the two is left by training"
     " and smoothing. Prices of risk, excess returns and today's market values are held while"
     " the curve moves."
 )
 TOP = 14
+TEXTS = frozenset({0, 1, 5})  # columns of text in the tables of single numbers
 
 
 def _scale(run: PensionRun) -> tuple[float, str]:
@@ -57,7 +60,7 @@ def _tornado(families: list[dict], scale: float, unit: str) -> Chart:
     swings = []
     for each in order:
         value = scale * (finite(each["effect"]) or 0.0)
-        half = BLOCK_INTERVAL * scale * (finite(each.get("standard_error")) or 0.0)
+        half = scale * half_width(each)
         count = f", all {each['count']}" if each["count"] > 1 else ""
         name = f"{name_of(each['input'])}{count}: +{SPACE}{each['move']}"
         swings.append(Swing(name, value, number(value, places, True), half))
@@ -69,27 +72,34 @@ def _tornado(families: list[dict], scale: float, unit: str) -> Chart:
 
 def _families(families: list[dict], scale: float, unit: str) -> Table:
     rows = [_row(each, name_of(each["input"]), scale, each["count"]) for each in families]
-    head = [("Input", ""), ("Numbers", ""), ("Rise of each", ""), ("Decisions held", unit)]
-    head += [("Std. error", unit), ("Policy reacting", unit)]
+    head = [("Input", ""), ("Numbers", ""), ("Rise of each", ""), *_columns(unit)]
     caption = "All numbers of an input together; for a curve this is the parallel shift"
-    return Table(head, rows, caption, frozenset({0, 2}))
+    return Table(head, rows, caption, frozenset({0, 2, 6}))
 
 
 def _row(each: dict, name: str, scale: float, count: int | None = None) -> tuple:
-    effect, error = scale * (finite(each["effect"]) or 0.0), finite(each.get("standard_error"))
-    # No digit beyond the error's second one; six of the effect where it hardly has an error.
-    places = decimals([effect], 6 if error else 4)
-    places = min(decimals([scale * error], 2), places) if error else places
+    effect, half = finite(each["effect"]), scale * half_width(each)
+    # No digit beyond the interval's second one; six of the effect where it is hardly wide.
+    places = decimals([scale * (effect or 0.0)], 6 if half else 4)
+    places = min(decimals([half], 2), places) if half else places
     reacting = finite(each.get("reacting"))
     numbers = () if count is None else (str(count),)
     return (
         name,
         *numbers,
         each["move"] if count is None else str(each["move"]).replace(" ", SPACE),
-        number(effect, places, True),
-        plus_minus(None if error is None else scale * error, places),
+        number(None if effect is None else scale * effect, places, True),
+        plus_minus(half if effect is not None else None, places),
+        rough(scale * (finite(each.get("policy")) or 0.0)),
+        str(each.get("source") or ""),
         number(None if reacting is None else scale * reacting, places, True),
     )
+
+
+def _columns(unit: str) -> list[tuple[str, str]]:
+    """Heads of the columns that tell of one effect."""
+    return [("Effect", unit), ("95 % half-width", unit), ("of it policy", unit), ("Derivative", ""),
+            ("Policy reacting", unit)]  # fmt: skip
 
 
 def _nodes(whole: dict, rows: list[dict], scale: float, unit: str) -> Table:
@@ -98,20 +108,18 @@ def _nodes(whole: dict, rows: list[dict], scale: float, unit: str) -> Table:
     name = name_of(whole["input"])
     body = [_row(each, each["label"], scale) for each in rows]
     body.append(_row(whole, "Parallel = sum", scale))
-    head = [("Node", ""), ("Rise", ""), ("Decisions held", unit), ("Std. error", unit)]
-    head.append(("Policy reacting", unit))
+    head = [("Node", ""), ("Rise", ""), *_columns(unit)]
     folded = f"{name} by node: {len(rows)} key rates"
     strong = frozenset([len(body) - 1])
-    return Table(head, body, f"Key rates: {name}", 2, strong=strong, folded=folded)
+    return Table(head, body, f"Key rates: {name}", TEXTS, strong=strong, folded=folded)
 
 
 def _others(rows: list[dict], scale: float, unit: str) -> Table:
     body = [_row(each, name_of(each["input"], each["label"]), scale) for each in rows[:400]]
-    head = [("Input", ""), ("Rise", ""), ("Decisions held", unit), ("Std. error", unit)]
-    head.append(("Policy reacting", unit))
+    head = [("Input", ""), ("Rise", ""), *_columns(unit)]
     more = "" if len(rows) <= 400 else "; the rest is in sensitivities.csv"
     folded = f"Each number alone: {len(rows)} sensitivities{more}"
-    return Table(head, body, "Each number alone", 2, folded=folded)
+    return Table(head, body, "Each number alone", TEXTS, folded=folded)
 
 
 def _definitions(families: list[dict]) -> Table:

@@ -1,0 +1,231 @@
+"""Bumps: the exact value with one input moved up and down, paired with the held derivative.
+
+The bump B = [V(x + h) - V(x - h)] / 2h, with the policy reacting, and the held derivative C, with
+the decisions replayed, share all their noise. Their difference block by block, the reaction
+R = B - C, is therefore known far better than either: where the policy is optimal it is zero.
+Everything that a domain builds from the inputs (guide, hedge, tables of a rule) is built again for
+the moved input (`Problem.moved`); a table that stands still would pass for a bad policy.
+"""
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+from scipy import stats
+
+from snapo.engine import Engine
+from snapo.problem.inputs import Input
+from snapo.problem.objective import Objective, Totals
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+
+from ..by_block.passes import DECIDED
+from ..evaluate import path_totals, worth
+from ..finite_paths import DROPPED, finite
+from ..statistics import Estimate
+
+MOVE = 0.01  # of every number of an input
+WIDE = 3.0  # times that: the second size, with less noise and more curvature
+FEW = 4  # a share of the paths, one in four, is enough where the reaction is plainly nothing
+PRECISE = 0.0025  # of the held derivative: a standard error of the reaction that is small enough
+CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
+THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
+MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not looked at
+SIGNIFICANT = 3.0  # standard errors
+# Of the gap between the sides, at half the move: a kink leaves 1/2, a bend 1/4, a jump all of it.
+CORNER, JUMP = 0.375, 0.75
+ROUND_OFF = 64 * np.finfo(np.float64).eps  # of a value
+
+
+class Reaction(NamedTuple):
+    """One input bumped: the change of the value along `by`, a move of one percent.
+
+    - `held`: [B] the held derivative along `by`, by block; `reaction`: [b] bump less held, of the
+      first b blocks, to first order; `extra`: the error of taking the curvature out of it.
+    - `up`, `down`: value after the bump less that before, and that before less that after the
+      opposite one, with their standard error `side_error`.
+    - `tested`: whether the bump differs from the held derivative at all, beyond round-off: an input
+      of costs alone, which reaches no state, changes no decision.
+    - `corner`: "kink" or "jump", where both sides differ and half the move shows the same; else "".
+    """
+
+    held: np.ndarray
+    reaction: np.ndarray
+    extra: float
+    up: float
+    down: float
+    side_error: float
+    tested: bool
+    corner: str = ""
+
+    @property
+    def estimate(self) -> tuple[float, float]:
+        """The reaction and its standard error."""
+        found = Estimate(self.reaction)
+        error = float(found.standard_error) if len(self.reaction) > 1 else 0.0
+        return float(found.value), float(np.hypot(error, self.extra))
+
+    @property
+    def bump(self) -> np.ndarray:
+        """[b] the bump to first order, by block."""
+        return self.held[: len(self.reaction)] + self.reaction
+
+    @property
+    def complete(self) -> bool:
+        """Whether all blocks were bumped."""
+        return len(self.reaction) == len(self.held)
+
+    def probability(self) -> float:
+        """That of a reaction at least as large where there is none (Student's t)."""
+        value, error = self.estimate
+        if not self.tested or not np.isfinite(value):
+            return 1.0
+        if not error:
+            return 0.0
+        degrees = len(self.reaction) - 1 or np.inf
+        return float(2 * stats.t.sf(abs(value) / error, degrees))
+
+
+def one_percent(given: Input) -> np.ndarray:
+    """The bump: a hundredth of every number; where all are zero, of the input's `move`."""
+    if given.value.any():
+        return MOVE * given.value
+    return np.full(given.value.shape, MOVE * (given.move or 0.0))
+
+
+def block_means(objective: Objective, totals: Totals, blocks: list[np.ndarray]) -> np.ndarray:
+    """[B]: the objective by block of paths; their mean is the objective, where blocks are equal.
+
+    Paths that are not finite are left out; all are NaN where more than a few are not.
+    """
+    good = finite(totals, objective.outputs)
+    if np.sum(~good) > DROPPED * good.size:
+        return np.full(len(blocks), np.nan)
+    shares = np.full(good.size, np.nan)
+    with np.errstate(invalid="ignore"):
+        shares[good] = objective.influence({name: x[good] for name, x in totals.items()})
+    return np.array([np.nanmean(shares[block]) for block in blocks])
+
+
+def reactions(
+    problem: Problem,
+    policy: Policy,
+    paths: int,
+    held: Mapping[str, Estimate],
+    *,
+    most: int | None = None,
+    engine: Engine | None = None,
+) -> dict[str, Reaction]:
+    """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
+    `most` paths together.
+
+    An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
+    are all where the value is no number, as after a ruin.
+    """
+    bumper = _Bumper(problem, policy, paths, most, engine)
+    if not np.isfinite(worth(problem.objective, bumper.centre)):
+        return {}
+    moves = {name: one_percent(given) for name, given in problem.named.items()}
+    return {
+        name: bumper.reaction(name, by, blocks_along(held[name], by))
+        for name, by in moves.items()
+        if by.any()
+    }
+
+
+def blocks_along(found: Estimate, direction: np.ndarray) -> np.ndarray:
+    """[B]: a derivative along a direction of its input, by block."""
+    return (found.blocks * direction).reshape(len(found.blocks), -1).sum(1)
+
+
+class _Bumper:
+    """A policy on fixed paths, to be valued at moved inputs."""
+
+    def __init__(
+        self, problem: Problem, policy: Policy, paths: int, most: int | None, engine: Engine | None
+    ):
+        source = problem.sources.evaluation
+        self.problem, self.policy, self.engine = problem, policy, engine
+        blocks = source.blocks(source.available(paths))
+        # Interleaved blocks, as those of Sobol points are, can only be taken together.
+        apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))
+        ends = np.cumsum([len(block) for block in blocks])
+        fitting = len(blocks) if most is None else max(2, int(np.sum(ends <= most)))
+        self.blocks = blocks[:fitting] if apart else blocks
+        self.few = min(len(self.blocks), max(2, len(blocks) // FEW)) if apart else len(blocks)
+        self.centre = self._totals(problem, len(self.blocks))
+
+    def reaction(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
+        """One input moved by `by`: with few paths, and with more and a wider move where needed."""
+        found = self._moved(name, by, held, self.few)
+        if not self._settled(found) and len(found.reaction) < len(self.blocks):
+            found = self._moved(name, by, held, len(self.blocks))
+        if self._settled(found):
+            return self._cornered(name, by, found)
+        wide = self._moved(name, WIDE * by, WIDE * held, len(self.blocks))
+        return self._cornered(name, by, _joined(found, wide))
+
+    def _moved(self, name: str, by: np.ndarray, held: np.ndarray, count: int) -> Reaction:
+        blocks, objective = self.blocks[:count], self.problem.objective
+        value = self.problem.named[name].value
+        sides = (self.problem.moved({name: value + move}) for move in (-by, by))
+        low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
+        size = sum(map(len, blocks))
+        base = {name: total[:size] for name, total in self.centre.items()}
+        middle = block_means(objective, base, blocks)
+        up, down = Estimate(high - middle), Estimate(middle - low)
+        reaction = (high - low) / 2 - held[:count]
+        scale = np.abs(high) + np.abs(low) + np.abs(held[:count])
+        error = 0.0
+        if count > 1:
+            error = float(Estimate(high + low - 2 * middle).standard_error)
+        return Reaction(
+            held,
+            reaction,
+            float(ROUND_OFF * np.mean(scale)),
+            float(up.value),
+            float(down.value),
+            float(np.hypot(error, ROUND_OFF * np.mean(scale))),
+            bool(np.any(np.abs(reaction) > ROUND_OFF * scale * np.sqrt(size))),
+        )
+
+    def _settled(self, found: Reaction) -> bool:
+        """Whether no more paths are needed: nothing reacts, or so little that it may be nothing."""
+        if not found.tested or not np.isfinite(found.reaction).all():
+            return True
+        value, error = found.estimate
+        if len(found.reaction) < 2:
+            return False
+        return abs(value) <= 2 * error <= 2 * PRECISE * abs(float(np.mean(found.held)))
+
+    def _cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+        """With the kind of a corner, where both sides differ by much."""
+        gap = abs(found.up - found.down)
+        size = max(abs(found.up), abs(found.down))
+        if not gap > max(SIGNIFICANT * found.side_error, MATERIAL * size):
+            return found
+        half = self._moved(name, by / 2, found.held / 2, len(found.reaction))
+        left = abs(half.up - half.down)
+        if left <= max(CORNER * gap, SIGNIFICANT * half.side_error):
+            return found
+        return found._replace(corner="kink" if left < JUMP * gap else "jump")
+
+    def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
+        paths = sum(map(len, self.blocks[:count]))
+        return path_totals(
+            problem, self.policy, paths, engine=self.engine, controls=False, record=DECIDED
+        )
+
+
+def _joined(near: Reaction, wide: Reaction) -> Reaction:
+    """The reaction to first order from bumps of both sizes, per move of the first."""
+    scaled = wide._replace(reaction=wide.reaction / WIDE, extra=wide.extra / WIDE)
+    (one, error), (five, other) = near.estimate, scaled.estimate
+    if not np.isfinite(five):
+        return near
+    if len(near.reaction) < 2 or abs(one - five) > CURVED * np.hypot(error, other):
+        # Without noise, or where the third order is seen: it is taken out, and may be off by half.
+        third = (scaled.reaction - near.reaction) / THIRD
+        off = abs(float(np.mean(third))) / (2 if len(near.reaction) > 1 else 1)
+        return near._replace(reaction=near.reaction - third, extra=float(np.hypot(near.extra, off)))
+    return near._replace(reaction=scaled.reaction, extra=scaled.extra) if other < error else near

@@ -1,0 +1,157 @@
+"""The derivative that is reported: a value, and an interval that contains the true one.
+
+The true derivative is that of the best policy's value. Two errors lie between it and an estimate:
+the sampling error of finitely many paths, and the error of the policy, which is near the best one
+and not the best one itself. A policy whose value is short of the best by a gap g has a derivative
+that is off by at most sqrt(2 g kappa), where kappa says how fast the derivative changes with the
+policy, measured against the loss (see `margin`). The value's error is of second order in the
+policy's, the derivative's of first order: it goes with the root of the gap.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+
+from ..statistics import LEVEL, Estimate, critical
+
+HELD, THROUGH, RANGE, UNKNOWN = "held", "through the policy", "range", "not known"
+SHARE_UNSEEN = 0.5  # of the standard error of a reaction that the estimate leaves out
+
+
+class Interval(NamedTuple):
+    """A derivative along a direction of an input: the value and the limits of its 95 % interval.
+
+    - `sampling`, `policy`: the half-width of the sampling error, and by how much the error of the
+      policy widens it. At a kink `low` and `high` also hold both one-sided derivatives.
+    """
+
+    value: float
+    low: float
+    high: float
+    sampling: float
+    policy: float
+
+    def holds(self, truth: float) -> bool:
+        """Whether a number lies within the interval."""
+        return self.low <= truth <= self.high
+
+    def times(self, factor: float) -> "Interval":
+        """The interval of a multiple."""
+        value, low, high, *halves = (factor * each for each in self)
+        low, high = sorted((low, high))
+        return Interval(value, low, high, *map(abs, halves))
+
+
+class Curvature(NamedTuple):
+    """The value around the policy as a quadratic surface in n coordinates, at its top.
+
+    - `inverse`: [n, n], of minus the second derivatives; `covariance`: [n, n], of the place of the
+      top; `gap`: by how much the best policy may be above this one.
+    """
+
+    inverse: np.ndarray
+    covariance: np.ndarray
+    gap: float
+
+    @classmethod
+    def nothing(cls) -> "Curvature":
+        """No coordinates, and no gap: the interval is the sampling error's alone."""
+        return cls(np.zeros((0, 0)), np.zeros((0, 0)), 0.0)
+
+
+class Reported(NamedTuple):
+    """The reported derivative with respect to one input, an array like the input.
+
+    - `source`: "held" (decisions replayed), "through the policy" (a move of the exact simulator
+      with the policy reacting), "range" (at a kink: between both one-sided derivatives) or "not
+      known".
+    - `estimate`: by block; a number of which only the sum with its neighbours is known is NaN.
+    - `by`: the move of the input to which `whole` [B] belongs: the derivative along it by block.
+    - `unseen`: standard error of the policy's reaction that `estimate` leaves out, like the input.
+    - `slopes`: [n, *shape] of the estimate with respect to the coordinates of `curvature`;
+      `others`: [K, *shape] changes in random directions of all weights, over sqrt(2 loss).
+    - `sides`: the one-sided derivatives along `by`, (less, more), of a kink; else None.
+    """
+
+    source: str
+    estimate: Estimate
+    by: np.ndarray
+    whole: np.ndarray
+    unseen: np.ndarray
+    slopes: np.ndarray
+    others: np.ndarray
+    curvature: Curvature
+    sides: tuple[float, float] | None = None
+
+    @property
+    def value(self) -> np.ndarray:
+        """The numbers, shaped like the input."""
+        return self.estimate.value
+
+    def along(self, direction: np.ndarray) -> Interval:
+        """The derivative along a direction of the input, shaped like it."""
+        direction = np.broadcast_to(np.asarray(direction, np.float64), self.by.shape)
+        times = _multiple(direction, self.by)
+        blocks = (self.estimate.blocks * direction).reshape(len(self.estimate.blocks), -1).sum(1)
+        if times is not None:
+            blocks = times * self.whole
+        unseen = float(np.sum(self.unseen * np.abs(direction)))
+        slopes, others = (
+            np.tensordot(change, direction, axes=direction.ndim)
+            for change in (self.slopes, self.others)
+        )
+        found = self._interval(Estimate(blocks), unseen, slopes, others)
+        if self.sides is None or times is None:
+            return found
+        less, more = sorted(times * side for side in self.sides)
+        half = found.sampling + found.policy
+        value = float(np.clip(found.value, less, more))
+        return found._replace(value=value, low=less - half, high=more + half)
+
+    def numbers(self) -> list[Interval]:
+        """The interval of every number, in C order."""
+        if self.by.size == 1:
+            return [self.along(np.ones(self.by.shape))]
+        count = self.by.size
+        blocks = self.estimate.blocks.reshape(-1, count)
+        unseen = self.unseen.reshape(1, count)
+        slopes, others = (x.reshape(len(x), count) for x in (self.slopes, self.others))
+        return [
+            self._interval(
+                Estimate(blocks[:, i]), float(unseen[0, i]), slopes[:, i], others[:, i]
+            )
+            for i in range(count)
+        ]  # fmt: skip
+
+    def with_gap(self, gap: float) -> "Reported":
+        """With another bound on the policy's gap."""
+        return self._replace(curvature=self.curvature._replace(gap=gap))
+
+    def _interval(
+        self, estimate: Estimate, unseen: float, slopes: np.ndarray, others: np.ndarray
+    ) -> Interval:
+        """From the blocks of a derivative, and how it changes with the policy."""
+        inverse, covariance, gap = self.curvature
+        blocks, value = len(estimate.blocks), float(estimate.value)
+        # Without noise there is one block, and no error.
+        error = float(estimate.standard_error) if blocks > 1 else 0.0
+        half = critical(blocks - 1 if blocks > 1 else np.inf, LEVEL)
+        sampling = np.hypot(error, SHARE_UNSEEN * unseen)
+        top = float(slopes @ covariance @ slopes)
+        kappa = max(
+            float(slopes @ inverse @ slopes), float(np.mean(others**2)) if len(others) else 0
+        )
+        whole = half * np.hypot(sampling, np.sqrt(max(top, 0.0))) + np.sqrt(
+            2 * max(gap, 0.0) * max(kappa, 0.0)
+        )
+        width, whole = float(half * sampling), float(whole)
+        return Interval(value, value - whole, value + whole, width, whole - width)
+
+
+def _multiple(direction: np.ndarray, by: np.ndarray) -> float | None:
+    """How many times `by` a direction is; None where it is another one."""
+    square = float(np.sum(by * by))
+    if not square:
+        return None
+    times = float(np.sum(direction * by)) / square
+    return times if np.allclose(direction, times * by, rtol=1e-9, atol=0) else None

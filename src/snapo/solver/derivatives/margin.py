@@ -1,0 +1,164 @@
+"""By how much the error of the policy may move a derivative.
+
+With M the change of a derivative along the coordinates and H the curvature of the value, a policy
+whose value is short of the best by g has a derivative that is off by at most sqrt(2 g kappa), where
+kappa = M (-H)^-1 M' (Cauchy and Schwarz). The coordinates are few: kappa is at least what random
+moves of ALL weights show, as the squared change of the derivative over twice the loss.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.engine import Engine
+from snapo.problem.actions import Actions, Choice, Stop, Whole
+from snapo.problem.actions.product import holds
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Sources
+from snapo.problem.smooth import Exact
+
+from ..by_block.passes import Way
+from ..evaluate import path_totals
+from .bump import block_means, one_percent
+from .coordinates import moved
+from .interval import THROUGH, Curvature, Reported
+from .surface import Surface
+from .verdict import spread_of
+
+PATHS = 4096  # at most, for how derivatives change with the policy
+RANDOM = 6  # directions of all weights
+FIRST, WIDER, NARROWER = 0.02, 1.7, 1.4  # how far they are followed
+SMOOTH_FLOOR, HARD_FLOOR = 0.125, 1.0  # of a target: the gap that no search sees
+
+
+class Margin(NamedTuple):
+    """How derivatives change with the policy: of held ones {input: [n, *shape]} in the surface's
+    coordinates, {input: [K, *shape]} in random directions, per root of twice the loss."""
+
+    surface: Surface
+    slopes: Mapping[str, np.ndarray]
+    others: Mapping[str, np.ndarray]
+
+
+def margin_of(
+    problem: Problem, policy: Policy, surface: Surface, seed: int, engine: Engine
+) -> Margin:
+    """Of the held derivatives, near the policy that is reported."""
+    on = _Derivatives(problem, surface, engine)
+    count = surface.places.shape[1]
+    half = (len(surface.places) - 1) // 2
+    pairs = min(half, count + 2)
+    chosen = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
+    places = surface.places[chosen]
+    design = np.concatenate([np.ones((len(places), 1)), places], axis=1)
+    solve = np.linalg.pinv(design)[1:]
+    held = [on.held(surface.at(place)) for place in places]
+    slopes = {
+        name: np.tensordot(solve, np.stack([each[name] for each in held]), axes=1)
+        for name in problem.named
+    }
+    return Margin(surface, slopes, _random(on, policy, surface, np.random.default_rng(seed)))
+
+
+def floor_of(actions: Actions) -> float:
+    """The gap that is assumed at least, in targets: whole numbers hide more of it."""
+    hard = any(holds(actions, kind) for kind in (Choice, Whole, Stop))
+    return HARD_FLOOR if hard else SMOOTH_FLOOR
+
+
+def with_margin(
+    problem: Problem,
+    policy: Policy,
+    table: Mapping[str, Reported],
+    margin: Margin,
+    gap: float,
+    engine: Engine,
+) -> dict[str, Reported]:
+    """The reported derivatives with intervals that have room for the policy's gap."""
+    surface = margin.surface
+    curvature = Curvature(surface.inverse, surface.covariance, gap)
+    on = _Derivatives(problem, surface, engine)
+    found = {}
+    for name, each in table.items():
+        slopes, others = margin.slopes[name], margin.others[name]
+        if each.source == THROUGH:
+            # The bump has its own: one number, divided as the change along the bump is.
+            share = spread_of(each.estimate, each.by)
+            shared = share if np.isfinite(share).all() else np.zeros(each.by.shape)
+            slopes = np.multiply.outer(on.bumps(policy, name), shared)
+            others = np.zeros((0, *each.by.shape))
+        found[name] = each._replace(slopes=slopes, others=others, curvature=curvature)
+    return found
+
+
+class _Derivatives:
+    """Derivatives of other policies, on the paths of the surface."""
+
+    def __init__(self, problem: Problem, surface: Surface, engine: Engine):
+        sources, source = problem.sources, surface.source
+        sources = Sources(sources.training, sources.validation, source)
+        self.problem = replace(problem, sources=sources).prepared(problem.schedule)
+        self.surface, self.engine = surface, engine
+        self.bound = engine.bind(self.problem, controls=False)
+        self.paths = source.available(min(PATHS, surface.paths))
+        self.blocks = source.blocks(self.paths)
+
+    def held(self, policy: Policy) -> dict[str, np.ndarray]:
+        """{input: the held derivative}."""
+        way = Way(self.problem, self.bound, policy, Exact(), held=True)
+        found = way.derivatives([np.arange(self.paths)]).inputs
+        return {name: each.value for name, each in found.items()}
+
+    def bumps(self, policy: Policy, name: str) -> np.ndarray:
+        """[n]: how the bump by one percent changes with every coordinate, per radius."""
+        surface, value = self.surface, self.problem.named[name].value
+        by = one_percent(self.problem.named[name])
+        sides = [self.problem.moved({name: value + sign * by}) for sign in (1.0, -1.0)]
+
+        def bump(place: np.ndarray) -> float:
+            move = (surface.radius * place) @ surface.coordinates.directions
+            high, low = (self._value(side, moved(policy, move)) for side in sides)
+            return (high - low) / 2
+
+        return np.array([(bump(one) - bump(-one)) / 2 for one in np.eye(len(surface.radius))])
+
+    def value(self, policy: Policy) -> float:
+        """The exact value."""
+        return self._value(self.problem, policy)
+
+    def _value(self, problem: Problem, policy: Policy) -> float:
+        found = path_totals(problem, policy, self.paths, engine=self.engine)
+        return float(np.mean(block_means(problem.objective, found, self.blocks)))
+
+
+def _random(
+    on: _Derivatives, policy: Policy, surface: Surface, rng: np.random.Generator
+) -> dict[str, np.ndarray]:
+    """{input: [K, *shape]} changes of the held derivative over the root of twice the loss."""
+    goal, top = surface.target / 2, on.value(policy)
+    before, changes = on.held(policy), {name: [] for name in on.problem.named}
+    length = FIRST
+    for _ in range(RANDOM):
+        direction = surface.coordinates._replace(policy=policy).random(rng)
+        loss = top - on.value(moved(policy, length * direction))
+        for _ in range(8):
+            if not loss < goal:
+                break
+            length *= WIDER
+            loss = top - on.value(moved(policy, length * direction))
+        for _ in range(3):
+            if loss < 4 * goal:
+                break
+            length /= NARROWER
+            loss = top - on.value(moved(policy, length * direction))
+        after = on.held(moved(policy, length * direction))
+        for name, derivative in after.items():
+            change = (derivative - before[name]) / np.sqrt(2 * max(loss, goal / 4))
+            if np.isfinite(change).all():
+                changes[name].append(change)
+    return {
+        name: np.reshape(each, (-1, *before[name].shape)) for name, each in changes.items()
+    }  # fmt: skip

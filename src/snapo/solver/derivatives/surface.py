@@ -1,0 +1,239 @@
+"""The value around a trained policy, as a quadratic surface in a few coordinates.
+
+The EXACT simulator is valued on fixed paths at a few dozen places around the policy. The surface
+V = G z + z H z / 2 that is fitted to them has its top near the policy: there the value is a little
+higher, and H says by how much a wrong policy would cost. Both go into the interval of every
+derivative, and the policy at the top is a candidate for the one that is reported.
+"""
+
+from collections.abc import Callable
+from itertools import combinations_with_replacement
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.engine import Engine
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
+
+from ..evaluate import path_totals
+from ..statistics import Estimate
+from .bump import block_means
+from .coordinates import Coordinates
+
+SEARCH = 4  # of the evaluation's streams
+SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
+FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
+CLIFF = 4.0  # targets: a fall that is no slope any more
+POINTS = 1.6  # places for each coefficient of the surface
+LACK, CLOSER, TRIES = 0.2, 1.7, 4  # of a target; closer places where the surface does not fit
+FLAT = 0.5  # of a target: the least curvature over a radius
+STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the top of the other
+
+
+class Surface(NamedTuple):
+    """A quadratic surface around a policy, in radii from `centre` along the coordinates.
+
+    - `coordinates`, `centre` [n], `radius` [n]; `top`: [n] of the highest place.
+    - `places`: [M, n] where the value was measured, in radii from `centre`.
+    - `inverse`: [n, n] of minus the curvature; `covariance`: [n, n] of the top.
+    - `target`: the loss at one radius; `gain`: that of the surface from its centre to its top.
+    - `source`, `paths`: on which the values were measured.
+    """
+
+    coordinates: Coordinates
+    centre: np.ndarray
+    radius: np.ndarray
+    top: np.ndarray
+    places: np.ndarray
+    inverse: np.ndarray
+    covariance: np.ndarray
+    target: float
+    gain: float
+    source: Scenarios
+    paths: int
+
+    @property
+    def policy(self) -> Policy:
+        """The policy at the top."""
+        return self.coordinates.at(self.top)
+
+    def at(self, place: np.ndarray) -> Policy:
+        """The policy at a place in radii from the centre."""
+        return self.coordinates.at(self.centre + self.radius * place)
+
+
+class _Value:
+    """The exact value at places of the coordinates, less that at their origin, by block."""
+
+    def __init__(
+        self,
+        problem: Problem,
+        coordinates: Coordinates,
+        source: Scenarios,
+        paths: int,
+        engine: Engine,
+    ):
+        self.problem, self.coordinates, self.engine = problem, coordinates, engine
+        self.source, self.paths = source, paths
+        self.blocks = source.blocks(paths)
+        self.origin = self._at(np.zeros(len(coordinates.directions)))
+
+    def __call__(self, place: np.ndarray) -> np.ndarray:
+        return self._at(place) - self.origin
+
+    def _at(self, place: np.ndarray) -> np.ndarray:
+        policy, totals = self.coordinates.at(place), path_totals
+        found = totals(self.problem, policy, self.paths, engine=self.engine, source=self.source)
+        return block_means(self.problem.objective, found, self.blocks)
+
+
+def fresh(source: Scenarios, number: int) -> Scenarios:
+    """Scenarios that nothing else uses; those of Sobol or of one's own serve as they are."""
+    if not isinstance(source, Pseudo):
+        return source
+    return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))
+
+
+def surface_of(
+    problem: Problem, coordinates: Coordinates, paths: int, seed: int, engine: Engine
+) -> Surface | None:
+    """The surface on `paths` of fresh scenarios; None where the value knows no such coordinate."""
+    count = len(coordinates.directions)
+    source = fresh(problem.sources.evaluation, SEARCH)
+    paths = source.available(paths)
+    value = _Value(problem, coordinates, source, paths, engine)
+    level = float(np.mean(value.origin))
+    if not count or not np.isfinite(level):
+        return None
+    radius, targets = _radii(value, count, abs(level))
+    target = float(np.median(targets))
+    if not target > 0:
+        return None
+    rng, centre = np.random.default_rng(seed), np.zeros(count)
+    for number in range(ROUNDS):
+        radius, fitted = _fitted(value, centre, radius, rng, target)
+        if fitted is None:
+            return None
+        step = _step(fitted, lambda place, c=centre, r=radius: value(c + r * place))
+        top = centre + radius * step
+        if number + 1 < ROUNDS:
+            centre = top
+    return Surface(
+        coordinates, centre, radius, top, fitted.places, fitted.inverse,
+        fitted.covariance, target, max(fitted.gain, 0.0), source, paths,
+    )  # fmt: skip
+
+
+def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndarray]:
+    """For every coordinate the move at which the worse side falls by a target, and the target."""
+    radius, targets = np.zeros(count), np.zeros(count)
+
+    def fall(one: np.ndarray) -> tuple[float, float]:
+        sides = [Estimate(value(sign * one)) for sign in (1.0, -1.0)]
+        error = max(float(side.standard_error) if len(side.blocks) > 1 else 0.0 for side in sides)
+        loss = -min(float(side.value) for side in sides)
+        return np.inf if np.isnan(loss) else loss, max(SEEN * np.nan_to_num(error), SHARE * level)
+
+    for j, unit in enumerate(np.eye(count)):
+        r = FIRST
+        loss, target = fall(r * unit)
+        while loss < target and r < WIDEST:
+            r = min(2 * r, WIDEST)
+            loss, target = fall(r * unit)
+        low = r / 2
+        for _ in range(3):  # not over a cliff
+            if loss < CLIFF * target:
+                break
+            middle = np.sqrt(low * r)
+            inner, inner_target = fall(middle * unit)
+            if inner > inner_target:
+                r, loss, target = middle, inner, inner_target
+            else:
+                low = middle
+        radius[j], targets[j] = r, target
+    return radius, targets
+
+
+class _Fitted(NamedTuple):
+    """Coefficients of a surface: gradient and curvature, with the error of the gradient."""
+
+    places: np.ndarray
+    gradient: np.ndarray
+    inverse: np.ndarray
+    noise: np.ndarray
+    lack: float
+
+    @property
+    def step(self) -> np.ndarray:
+        return self.inverse @ self.gradient
+
+    @property
+    def gain(self) -> float:
+        return float(0.5 * self.gradient @ self.step)
+
+    @property
+    def covariance(self) -> np.ndarray:
+        """Of the top, with a prior of one radius."""
+        found = self.inverse @ self.noise @ self.inverse
+        return found @ np.linalg.inv(np.eye(len(found)) + found)
+
+
+def _fitted(
+    value: _Value, centre: np.ndarray, radius: np.ndarray, rng: np.random.Generator, target: float
+) -> tuple[np.ndarray, _Fitted | None]:
+    """The surface around a centre, over smaller radii where no quadratic fits."""
+    found = None
+    for _ in range(TRIES + 1):
+        found = _fit(value, centre, radius, rng, target)
+        if found is None or found.lack < LACK * target:
+            break
+        radius = radius / CLOSER
+    return radius, found
+
+
+def _fit(value: _Value, centre, radius, rng, target: float) -> _Fitted | None:
+    """Least squares over places in pairs of opposite ones, half a radius to 1.3 away."""
+    count = len(centre)
+    pairs = list(combinations_with_replacement(range(count), 2))
+    size = 1 + count + len(pairs)
+    half = rng.standard_normal((int(np.ceil(POINTS * size / 2)) + 2, count))
+    half *= (rng.uniform(0.5, 1.3, len(half)) / np.linalg.norm(half, axis=1))[:, None]
+    places = np.concatenate([np.zeros((1, count)), half, -half])
+    heights = np.stack([value(centre + radius * place) for place in places])
+    if not np.isfinite(heights).all():
+        return None
+    squares = np.stack([places[:, i] * places[:, j] for i, j in pairs], axis=1)
+    solve = np.linalg.pinv(np.concatenate([np.ones((len(places), 1)), places, squares], axis=1))
+    by_block = solve @ heights
+    means = by_block.mean(1)
+    curvature = np.zeros((count, count))
+    for (i, j), coefficient in zip(pairs, means[1 + count :]):
+        curvature[i, j] += coefficient
+        curvature[j, i] += coefficient
+    design = np.concatenate([np.ones((len(places), 1)), places, squares], axis=1)
+    missing = heights.mean(1) - design @ means
+    variance = float(missing @ missing) / max(1, len(places) - size)
+    slopes = by_block[1 : 1 + count]
+    noise = variance * (solve @ solve.T)[1 : 1 + count, 1 : 1 + count]
+    if slopes.shape[1] > 1:
+        noise = noise + np.atleast_2d(np.cov(slopes)) / slopes.shape[1]
+    values, vectors = np.linalg.eigh(curvature)
+    inverse = (vectors / -np.minimum(values, -FLAT * target)) @ vectors.T
+    return _Fitted(places, means[1 : 1 + count], inverse, noise, float(np.sqrt(variance)))
+
+
+def _step(found: _Fitted, height: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """The step to the top in radii, shrunk as its noise asks, and taken where the value rises."""
+    step, count = found.step, len(found.gradient)
+    ridge = 1e-30 * np.eye(count)
+    chi = float(found.gradient @ np.linalg.solve(found.noise + ridge, found.gradient))
+    shrink = max(0.0, 1 - max(count - 2, 1) / chi) if chi > 0 else 0.0
+    length = float(np.linalg.norm(step))
+    step = shrink * (min(1.0, STEP / length) if length else 1.0) * step
+    here = float(np.mean(height(np.zeros(count))))
+    for part in (1.0, 0.5, 0.25):
+        if float(np.mean(height(part * step))) > here:
+            return part * step
+    return np.zeros(count)

@@ -1,0 +1,239 @@
+"""Which derivative is reported: the held one, unless a bump refutes it.
+
+All inputs of a run are tested together: with twenty inputs, one in a run would be refuted by chance
+by a test of each at 5 %. Holm's procedure (1979) refutes a right one in at most 1 % of all runs.
+A refuted held derivative gives way to the bump itself. One that is not refuted may still be a
+little wrong: the reaction is then added as far as it is larger than its own error (James and
+Stein's shrinkage) or as it takes noise away (a control variate), and the interval has room for
+the rest.
+"""
+
+from collections.abc import Collection, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+
+from ..statistics import Estimate
+from .bump import Reaction, blocks_along, one_percent
+from .interval import HELD, RANGE, SHARE_UNSEEN, THROUGH, UNKNOWN, Curvature, Reported
+
+LEVEL = 0.01  # the chance that any right held derivative of a run is refuted
+AGREE = 3.0  # standard errors between the smooth derivative and the bump
+COLUMNS = (
+    "input", "source", "held", "held_error", "bump", "bump_error", "reaction", "reaction_error",
+    "more", "less", "probability",
+)  # fmt: skip
+
+
+class Verdict(NamedTuple):
+    """One input bumped by one percent: the change of the value, and the derivatives along it.
+
+    - `source`: of the reported derivative, see `Reported`.
+    - `held`, `bump`, `reaction`: (change, standard error); `reaction` is bump less held, paired.
+    - `up`, `down`: the change of the value by more, and by less, of the input; `side_error` of
+      their difference.
+    - `probability`: that of so large a reaction by chance; `tested`: whether there is any.
+    - `corner`: "kink", "jump" or "".
+    """
+
+    source: str
+    held: tuple[float, float]
+    bump: tuple[float, float]
+    reaction: tuple[float, float]
+    up: float
+    down: float
+    side_error: float
+    probability: float
+    tested: bool
+    corner: str = ""
+
+    @classmethod
+    def of(cls, numbers: Sequence) -> "Verdict":
+        """The verdict that was written as a list of its fields."""
+        source, held, bump, reaction, *rest = numbers
+        return cls(source, tuple(held), tuple(bump), tuple(reaction), *rest)
+
+    @property
+    def two_sided(self) -> bool:
+        """Whether more and less of the input differ, by a corner or by curvature."""
+        return abs(self.up - self.down) > AGREE * self.side_error
+
+    def row(self, name: str) -> tuple:
+        """The verdict as a line of verdicts.csv, see `COLUMNS`."""
+        pairs = (*self.held, *self.bump, *self.reaction)
+        return name, self.source, *pairs, self.up, self.down, self.probability
+
+
+def verdicts(
+    reactions: Mapping[str, Reaction],
+    *,
+    reacting: bool = False,
+    lost: Collection[str] = (),
+) -> dict[str, Verdict]:
+    """{input: verdict}.
+
+    - `reacting`: the policy does not see the whole state, so that held derivatives are wrong in
+      principle: every input that a decision reacts to is reported through the policy.
+    - `lost`: inputs whose derivative is lost in a rounding; neither derivative is known.
+    """
+    probabilities = {name: each.probability() for name, each in reactions.items()}
+    refuted = holm(probabilities)
+    found = {}
+    for name, each in reactions.items():
+        source = HELD
+        if name in lost or each.corner == "jump" or not np.isfinite(each.reaction).all():
+            source = UNKNOWN
+        elif each.corner == "kink":
+            source = RANGE
+        elif name in refuted or (reacting and each.tested):
+            source = THROUGH
+        held, bump = (_pair(blocks) for blocks in (each.held, each.bump))
+        found[name] = Verdict(
+            source,
+            held,
+            (bump[0], float(np.hypot(bump[1], each.extra))),
+            each.estimate,
+            each.up,
+            each.down,
+            each.side_error,
+            probabilities[name],
+            each.tested,
+            each.corner,
+        )
+    return found
+
+
+def holm(probabilities: Mapping[str, float], level: float = LEVEL) -> set[str]:
+    """The names whose hypothesis is refuted; a right one is with probability `level` at most."""
+    refuted = set()
+    ordered = sorted(probabilities, key=lambda name: probabilities[name])
+    for number, name in enumerate(ordered):
+        if not probabilities[name] < level / (len(ordered) - number):
+            break
+        refuted.add(name)
+    return refuted
+
+
+def reported(
+    problem: Problem,
+    held: Mapping[str, Estimate],
+    smooth: Mapping[str, Estimate] | None,
+    reactions: Mapping[str, Reaction],
+    found: Mapping[str, Verdict],
+) -> dict[str, Reported]:
+    """{input: the derivative that is reported}, with the sampling error alone."""
+    result = {}
+    for name, given in problem.named.items():
+        by = one_percent(given)
+        if name not in found:
+            result[name] = plain(held[name], by)
+            continue
+        soft = None if smooth is None else smooth[name]
+        result[name] = _of(found[name], reactions[name], held[name], soft, by)
+    return result
+
+
+def held_alone(problem: Problem, held: Mapping[str, Estimate]) -> dict[str, Reported]:
+    """{input: the held derivative}, where nothing was bumped."""
+    return {name: plain(held[name], one_percent(x)) for name, x in problem.named.items()}
+
+
+def spread_of(estimate: Estimate, by: np.ndarray) -> np.ndarray:
+    """Shares of the numbers of an input in a change along `by`, per unit of each number.
+
+    Their sum times `by` is one; a number has more of it the more it moves the value.
+    """
+    size = np.abs(estimate.value * by)
+    if not size.sum() > 0:
+        size = np.where(by != 0, 1.0, 0.0)
+    return size / max(float(size.sum()), 1e-300) / np.where(by != 0, by, 1.0)
+
+
+def plain(held: Estimate, by: np.ndarray, source: str = HELD) -> Reported:
+    """The held derivative with its sampling error alone."""
+    empty = np.zeros((0, *by.shape))
+    whole = blocks_along(held, by)
+    nothing = np.zeros(by.shape)
+    return Reported(source, held, by, whole, nothing, empty, empty, Curvature.nothing())
+
+
+def _of(
+    verdict: Verdict, reaction: Reaction, held: Estimate, smooth: Estimate | None, by: np.ndarray
+) -> Reported:
+    base = plain(held, by, verdict.source)
+    share = spread_of(held, by)
+    if verdict.source == UNKNOWN:
+        nan = np.full(np.shape(held.blocks), np.nan)
+        # Of a jump the change of the value is no derivative; elsewhere nothing is finite.
+        return base._replace(estimate=Estimate(nan), whole=np.full(len(nan), np.nan))
+    if verdict.source == THROUGH:
+        return _through(base, reaction, smooth, share)
+    if verdict.source == RANGE:
+        return _range(base, verdict, reaction, share)
+    value, error = verdict.reaction
+    if not verdict.tested or not error > 0:
+        return base
+    weight = _weight(reaction) if reaction.complete and len(reaction.held) > 1 else 0.0
+    whole = reaction.held
+    estimate = held
+    if weight:
+        whole = reaction.held + weight * reaction.reaction
+        moves = weight * reaction.reaction.reshape(-1, *(1,) * by.ndim)
+        estimate = Estimate(held.blocks + moves * share)
+    left = (1 - weight) * (error if weight else max(error, abs(value)))
+    return base._replace(estimate=estimate, whole=whole, unseen=left * np.abs(share))
+
+
+def _range(base: Reported, verdict: Verdict, reaction: Reaction, share: np.ndarray) -> Reported:
+    """Between both one-sided derivatives; a held one that is not between them gives way."""
+    less, more = sorted((verdict.down, verdict.up))
+    found = base._replace(
+        sides=(verdict.down, verdict.up), unseen=verdict.side_error / SHARE_UNSEEN * np.abs(share)
+    )
+    if less <= verdict.held[0] <= more:
+        return found
+    return found._replace(whole=reaction.bump, estimate=_spread(reaction.bump, share))
+
+
+def _spread(whole: np.ndarray, share: np.ndarray) -> Estimate:
+    """A change along a bump [b], divided among the numbers of the input."""
+    return Estimate(whole.reshape(-1, *(1,) * share.ndim) * share)
+
+
+def _through(
+    base: Reported, reaction: Reaction, smooth: Estimate | None, share: np.ndarray
+) -> Reported:
+    """The bump; of an input with many numbers the smooth derivatives, scaled to it, where their sum
+    agrees with it."""
+    whole = reaction.held.mean() - reaction.held[: len(reaction.reaction)].mean() + reaction.bump
+    value, error = _pair(whole)
+    error = float(np.hypot(error, reaction.extra))
+    extra = np.abs(share) * (reaction.extra / SHARE_UNSEEN)
+    if base.by.size == 1:
+        return base._replace(estimate=_spread(whole, share), whole=whole, unseen=extra)
+    nan = np.full((len(whole), *base.by.shape), np.nan)
+    found = base._replace(estimate=Estimate(nan), whole=whole, unseen=extra)
+    if smooth is None:
+        return found
+    soft, soft_error = _pair(blocks_along(smooth, base.by))
+    if not abs(soft - value) < AGREE * np.hypot(soft_error, error) or not soft:
+        return found
+    return found._replace(estimate=Estimate(smooth.blocks * (value / soft)))
+
+
+def _weight(reaction: Reaction) -> float:
+    """How much of the reaction is added to the held derivative."""
+    value, error = reaction.estimate
+    shrunk = max(0.0, 1 - (error / value) ** 2) if value else 0.0
+    if reaction.extra > error / 2:  # curvature, not noise
+        return shrunk
+    together = np.cov(reaction.held, reaction.reaction)
+    control = float(np.clip(-together[0, 1] / together[1, 1], 0.0, 1.0)) if together[1, 1] else 0.0
+    return max(control, shrunk)
+
+
+def _pair(blocks: np.ndarray) -> tuple[float, float]:
+    found = Estimate(blocks)
+    return float(found.value), float(found.standard_error) if len(blocks) > 1 else 0.0

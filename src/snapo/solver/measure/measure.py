@@ -1,0 +1,231 @@
+"""What a training is worth: the policy that is reported, its value, and its derivatives."""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from snapo.engine import Engine, Engines
+from snapo.problem.objective import Totals
+from snapo.problem.policies.memory import Memory
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
+
+from ..derivatives.bump import reactions
+from ..derivatives.coordinates import coordinates
+from ..derivatives.margin import floor_of, margin_of, with_margin
+from ..derivatives.surface import Surface, surface_of
+from ..derivatives.verdict import held_alone, reported, verdicts
+from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
+from ..learning.convergence import ending
+from ..learning.told import chosen
+from ..limits.found import limits_found, notes_of
+from ..provenance.broken import why_broken
+from ..sensitivity import Sensitivities, sensitivities
+from ..statistics import of_shares
+from ..train import Progress, Training
+from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
+from .settings import Evaluation
+
+GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
+KEPT = "start kept"  # how a training ended whose starting rule is reported
+SEARCH_SHARE = 0.5  # of the work of the training, for the surface around its policy
+BACK = 3.0  # values that one step of training costs for each of its paths
+FEWEST = 2048  # paths of a surface
+WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
+
+
+class Run(NamedTuple):
+    """A training that is to be measured: the problem, the rule it began with, and its settings."""
+
+    problem: Problem
+    start: Policy
+    progress: Progress
+    training: Training
+    evaluation: Evaluation
+    engines: Engines
+
+    @property
+    def held_paths(self) -> int:
+        """The paths of the held derivatives."""
+        return min(self.evaluation.sensitivity_paths, self.evaluation.paths)
+
+    @property
+    def smooth(self) -> Smooth:
+        """The smooth simulator at the end of training."""
+        return Smooth(np.float64(self.training.temperature(self.training.steps)))
+
+
+def measure(run: Run) -> dict[str, Any]:
+    """The reported policy with value, smoothing gap, sensitivities and how training ended, as
+    fields of a `Solution`."""
+    problem, training, engine = run.problem, run.training, run.engines.evaluate
+    objective, evaluation = problem.objective, run.evaluation
+    source, controls = problem.sources.evaluation, problem.simulator.control_variates()
+    surface = _surface(run, problem) if not problem.limits else None
+    selection = _selection(run, surface)
+    run = run._replace(progress=replace(run.progress, best=selection.policy))
+    progress, policy = run.progress, selection.policy
+    exact = path_totals(problem, policy, evaluation.paths, engine=engine)
+    value = estimate(objective, exact, source, controls)
+    gap, gap_error = _smoothing_gap(problem, policy, exact, run.smooth, engine)
+    limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
+    within = problem.priced([abs(limit.price) for limit in limits])
+    if problem.limits:
+        surface = _surface(run, within)
+    table = _sensitivities(run, within, selection, surface)
+    ended = ending(problem, run.start, progress, exact, run.held_paths, engine)
+    norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
+    dropped = {
+        "train": sum(record.bad_paths for record in progress.history),
+        "evaluate": value.dropped,
+        "sensitivities": table.dropped if table else 0,
+    }
+    broken = why_broken(problem, progress, training, run.engines.train)
+    notes = (
+        *_notes(value, dropped, ruined(objective, exact)),
+        *filter(None, [broken, selection.words]),
+        *chosen(progress),
+        *ended.notes,
+        *notes_of(limits),
+    )
+    return {
+        "value": value.value,
+        "standard_error": value.standard_error,
+        "control": value.control,
+        "smooth_value": value.value - gap,
+        "smoothing_gap": gap,
+        "smoothing_gap_error": gap_error,
+        "policy": policy,
+        "selected": selection.kind,
+        "gain": (selection.gain, selection.error),
+        "policy_gradient_norm": norm,
+        "policy_gradient_noise": noise,
+        "sensitivities": table,
+        "totals": exact,
+        "paths": {"train": training.paths, "evaluate": source.available(evaluation.paths)},
+        "roles": problem.sources.roles(
+            training.paths, training.validation_paths, evaluation.paths, run.held_paths
+        ),
+        "dropped": dropped,
+        "notes": notes,
+        "limits": limits,
+        "growth": progress.growth,
+        "window": progress.window,
+        "clip": progress.clip,
+        "keep": progress.keep,
+        "convergence": KEPT if selection.kind == START and ended.word else ended.word,
+        "status": _status(value.value, progress.status),
+    }
+
+
+def _surface(run: Run, problem: Problem) -> Surface | None:
+    """The value around the newest policy; None where no derivative is asked for."""
+    progress, search = run.progress, run.evaluation.search_paths
+    if not search or not run.held_paths or not np.isfinite(progress.best_value):
+        return None
+    newest = progress.best if problem.limits or run.problem.limits else progress.average
+    earlier = progress.halfway if progress.step > 1 else None
+    around = coordinates(newest, earlier)
+    work = SEARCH_SHARE * BACK * max(1, progress.step) * run.training.paths
+    count = len(around.directions)
+    rollouts = 14 * count + 3 * (count + 1) * (count + 2)
+    paths = int(min(search, max(FEWEST, work / max(1, rollouts))))
+    return surface_of(problem, around, paths, run.training.seed, run.engines.evaluate)
+
+
+def _selection(run: Run, surface: Surface | None) -> Selection:
+    """The policy that is reported; within limits the newest one, as training keeps it."""
+    problem, progress, evaluation = run.problem, run.progress, run.evaluation
+    paths = min(evaluation.selection_paths, max(evaluation.paths, run.training.validation_paths))
+    if problem.limits or not paths or not np.isfinite(progress.best_value):
+        return Selection(HIGHEST, progress.best)
+    candidates = {NEWEST: progress.average, HIGHEST: progress.best}
+    if surface is not None:
+        candidates[TOP] = surface.policy
+    return select(problem, run.start, candidates, paths, run.engines.evaluate)
+
+
+def _sensitivities(
+    run: Run, problem: Problem, selection: Selection, surface: Surface | None
+) -> Sensitivities | None:
+    """The table of the reported policy; None where no paths are given to it."""
+    evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
+    policy, paths = progress.best, run.held_paths
+    if not paths:
+        return None
+    table = sensitivities(
+        problem,
+        policy,
+        paths,
+        smooth=run.smooth if evaluation.smooth_paths else None,
+        smooth_paths=evaluation.smooth_paths,
+        earlier=progress.halfway if progress.step > 1 else None,
+        engine=engine,
+    )
+    if not evaluation.judge_paths:
+        return table._replace(reported=held_alone(problem, table.held))
+    bumped = reactions(
+        problem, policy, paths, table.held, most=evaluation.judge_paths, engine=engine
+    )
+    found = verdicts(bumped, reacting=isinstance(policy, Memory))
+    derivatives = reported(problem, table.held, table.smooth, bumped, found)
+    if surface is not None:
+        margin = margin_of(problem, policy, surface, run.training.seed, engine)
+        gap = _gap(problem, progress, selection, surface)
+        derivatives = with_margin(problem, policy, derivatives, margin, gap, engine)
+    return table._replace(verdicts=found, reported=derivatives)
+
+
+def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Surface) -> float:
+    """By how much the best policy may be above the reported one: by all that the search gained and
+    its error, and a part of the loss that it could not tell from noise."""
+    gain, error = selection.search
+    floor = floor_of(problem.action) * surface.target
+    return max(abs(gain) + error, surface.gain, floor, _spread(progress))
+
+
+def _spread(progress: Progress) -> float:
+    """Between the last two of several starts, one of which may have ended in another optimum."""
+    if not progress.raced:
+        return 0.0
+    values = [value for _, value in progress.raced[-1].values]
+    return float(np.ptp(values)) if np.isfinite(values).all() else 0.0
+
+
+def _smoothing_gap(
+    problem: Problem, policy: Policy, exact: Totals, smooth: Smooth, engine: Engine
+) -> tuple[float, float]:
+    """Exact less smooth with its standard error, on the first of the paths whose exact totals are
+    known."""
+    objective, source = problem.objective, problem.sources.evaluation
+    paths = min(GAP_PATHS, len(exact[objective.outputs[0]]))
+    soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
+    same = {name: total[: len(soft[name])] for name, total in exact.items() if name in soft}
+    with np.errstate(invalid="ignore"):
+        gap = float(np.subtract(worth(objective, same), worth(objective, soft)))
+        difference = shares_of(objective, same, source) - shares_of(objective, soft, source)
+    return gap, of_shares(difference).standard_error
+
+
+def _status(value: float, status: str) -> str:
+    """The status of a run: that of its training, unless its value is no number although all steps
+    were taken."""
+    if np.isfinite(value) or status == "diverged":
+        return status
+    return "ruined" if value < 0 else "not finite"
+
+
+def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ...]:
+    """Sentences that a reader of the value must see."""
+    notes = [
+        f"The control variate {name!r} is not used: its mean is not zero." for name in value.refused
+    ]
+    if ruin:
+        notes.append(f"{ruin} paths end in ruin, with a utility of minus infinity.")
+    if any(dropped.values()):
+        counts = ", ".join(f"{count} in {WHERE[name]}" for name, count in dropped.items() if count)
+        notes.append(f"Paths left out since they are not finite: {counts}.")
+    return tuple(notes)

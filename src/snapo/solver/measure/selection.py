@@ -1,0 +1,115 @@
+"""The policy that is reported: of those that a training leaves, and the rule that it began with.
+
+The values of a training's history are compared on the same few paths again and again, so that the
+highest is high by chance. The final choice is made once, on fresh paths that nothing else uses,
+with differences paired and the control variates regressed out of them. The starting rule stays
+unless another is surely better: training must not take away what a good rule was worth. The paths
+of the reported value choose nothing.
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.engine import Engine
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import VALIDATE, Pseudo, Scenarios, stream
+
+from .. import statistics
+from ..evaluate import of_groups, path_totals, shares_of, worth
+
+SURE = 2.0  # standard errors above the starting rule
+FINAL = 1  # of the validation's streams
+START, NEWEST, HIGHEST, TOP = "start", "newest", "highest", "top of the surface"
+
+
+class Selection(NamedTuple):
+    """The final choice.
+
+    - `kind`: "start", "newest" (the average at the end of training), "highest" (of the validation)
+      or "top of the surface" (see `derivatives.surface`); `policy`: the policy itself.
+    - `gain`, `error`: of the best candidate over the starting rule, paired; not a number where they
+      were not compared.
+    - `search`: what the top of the surface gains over the newest policy, and its standard error.
+    """
+
+    kind: str
+    policy: Policy
+    gain: float = float("nan")
+    error: float = float("nan")
+    search: tuple[float, float] = (0.0, 0.0)
+
+    @property
+    def words(self) -> str:
+        """One sentence for the report; empty where nothing was compared."""
+        if not np.isfinite(self.gain):
+            return ""
+        amount = f"{self.gain:,.3g} ± {self.error:,.2g}"
+        if self.kind == START:
+            return f"The starting rule was kept: training is {amount} of it, on fresh paths."
+        return f"Training gained {amount} over the rule that it began with, on fresh paths."
+
+
+def select(
+    problem: Problem,
+    start: Policy,
+    candidates: Mapping[str, Policy],
+    paths: int,
+    engine: Engine,
+) -> Selection:
+    """The start, unless the best of the candidates is above it by two errors.
+
+    Without a candidate of a finite value the first one is kept, uncompared.
+    """
+    source = fresh(problem.sources.validation)
+    paths = source.available(paths)
+    controls = problem.simulator.control_variates()
+    names = list(candidates)
+
+    def totals(policy: Policy) -> Mapping[str, np.ndarray]:
+        return path_totals(problem, policy, paths, engine=engine, source=source)
+
+    base = totals(start)
+    taken = [of_groups(problem.objective, base, source, base[name]) for name in controls]
+    own = shares_of(problem.objective, base, source)
+    shares = {}
+    for name, policy in candidates.items():
+        same = next((other for other in shares if candidates[other] is policy), None)
+        shares[name] = (
+            shares[same] if same else shares_of(problem.objective, totals(policy), source)
+        )
+
+    def above(mine: np.ndarray, other: np.ndarray) -> statistics.Sampled:
+        return statistics.controlled(mine - other, taken)[2]
+
+    finite = [name for name in names if np.isfinite(shares[name]).all()]
+    if not finite:
+        return Selection(names[0], candidates[names[0]])
+    search = (0.0, 0.0)
+    if TOP in finite and NEWEST in finite:
+        difference = above(shares[TOP], shares[NEWEST])
+        search = difference.value, _error(difference)
+    if not np.isfinite(worth(problem.objective, base)):  # the starting rule ends in ruin
+        best = max(finite, key=lambda name: float(np.mean(shares[name])))
+        return Selection(best, candidates[best], search=search)
+    gains = {name: above(shares[name], own) for name in finite}
+    best = max(finite, key=lambda name: gains[name].value)
+    gain, error = gains[best].value, _error(gains[best])
+    if gain > SURE * error:
+        return Selection(best, candidates[best], gain, error, search)
+    return Selection(START, start, gain, error, search)
+
+
+def fresh(source: Scenarios) -> Scenarios:
+    """Paths for the final choice, which nothing else uses where there are more."""
+    if isinstance(source, Pseudo):
+        return replace(source, stream=stream(VALIDATE, FINAL))
+    return source
+
+
+def _error(found: statistics.Sampled) -> float:
+    """Its standard error; 0 where there is one path, as without noise."""
+    return found.standard_error if np.isfinite(found.standard_error) else 0.0

@@ -1,0 +1,105 @@
+"""The final choice: an exact rule is kept, a better one replaces a worse one, on fresh paths."""
+
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import snapo
+from snapo.engine import Xla
+from snapo.solver.evaluate import path_totals
+from snapo.solver.measure.selection import HIGHEST, NEWEST, START, fresh, select
+from snapo.solver.statistics import mean
+
+V, W = 2.0, 1.0
+ENGINE = Xla("float64")
+
+
+class Signal(snapo.Simulator):
+    """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
+
+    horizon: int = 1
+    noise_size: int = 0
+    initial_noise_size: int = 2
+    action: snapo.Box = snapo.Box(1)
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+    def initial(self, constants, noise):
+        hidden = jnp.sqrt(constants["v"]) * noise[0]
+        return {"x": hidden, "seen": hidden + jnp.sqrt(constants["w"]) * noise[1]}
+
+    def observe(self, constants, now, state):
+        return state["seen"][None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return state, {"reward": -((state["x"] - action[0]) ** 2)}
+
+
+@pytest.fixture(scope="module")
+def problem():
+    inputs = {"v": snapo.Input(V), "w": snapo.Input(W)}
+    return snapo.Problem(Signal(), inputs, snapo.Mean("reward"))
+
+
+def rule(share: float):
+    return snapo.Linear([[share]])
+
+
+def test_a_better_policy_replaces_the_start_and_a_worse_one_does_not(problem):
+    best, worse = rule(V / (V + W)), rule(0.4)
+    found = select(problem, worse, {NEWEST: best, HIGHEST: rule(0.6)}, 16384, ENGINE)
+    gain = (0.4 - V / (V + W)) ** 2 * (V + W)
+    assert found.kind == NEWEST and found.policy is best
+    assert abs(found.gain - gain) < 4 * found.error and found.error < 0.1 * gain
+    assert "Training gained" in found.words and "over the rule that it began with" in found.words
+    kept = select(problem, best, {NEWEST: worse}, 16384, ENGINE)
+    assert kept.kind == START and kept.policy is best
+    assert abs(kept.gain + gain) < 4 * kept.error
+    assert kept.words.startswith("The starting rule was kept: training is -")
+
+
+def test_a_candidate_that_is_not_surely_better_leaves_the_start(problem):
+    near = {NEWEST: rule(V / (V + W) - 0.003)}
+    found = select(problem, rule(V / (V + W) + 0.003), near, 4096, ENGINE)
+    assert found.kind == START
+
+
+def test_the_paths_of_the_choice_are_of_no_other_use(problem):
+    source = fresh(problem.sources.validation)
+    others = (problem.sources.validation, problem.sources.evaluation, problem.sources.training)
+    assert all(source != other for other in others)
+
+
+def solved(problem, start, seed: int):
+    training = snapo.Training(
+        steps=120, paths=64, learning_rate=0.05, seed=seed, validation_every=10,
+        validation_paths=256,
+    )  # fmt: skip
+    alone = snapo.Evaluation(paths=16384, sensitivity_paths=0)
+    return snapo.solve(problem, policy=start, training=training, evaluation=alone)
+
+
+def worse_than(problem, policy, start) -> bool:
+    """Whether a policy is below its start by more than two paired errors, on many other paths."""
+    source = snapo.Pseudo(4711)
+    own, other = (
+        np.asarray(path_totals(problem, each, 131072, source=source)["reward"])
+        for each in (policy, start)
+    )
+    difference = mean(own - other, source.groups(np.arange(131072)))
+    return difference.value < -2 * difference.standard_error
+
+
+def test_an_exact_rule_is_not_given_away(problem):
+    """Training can only make it worse; the highest of thirteen noisy values is not it."""
+    start = rule(V / (V + W))
+    solution = solved(problem, start, 0)
+    assert solution.selected == START and solution.convergence == "start kept"
+    assert any("The starting rule was kept" in note for note in solution.notes)
+
+
+@pytest.mark.prove
+def test_exact_rules_are_kept_with_ten_seeds(problem):
+    start = rule(V / (V + W))
+    assert sum(worse_than(problem, solved(problem, start, s).policy, start) for s in range(10)) <= 1
