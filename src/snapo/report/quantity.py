@@ -142,6 +142,28 @@ def unit_words(unit: str) -> str:
     return re.sub(r"\bum\b", "µm", text).replace("*", "·").replace("^k", "ᵏ")
 
 
+def derivative_unit(value: str, unit: str) -> str:
+    """The unit of a derivative: that of a value per unit of an input, without what cancels.
+
+    >>> [derivative_unit("EUR", unit) for unit in ("EUR/MWh", "1", "MWh", "1/year", "EUR")]
+    ['MWh', 'EUR', 'EUR/MWh', 'EUR·year', '1']
+    >>> derivative_unit("", "MWh"), derivative_unit("points", "EUR/MWh")
+    ('per MWh', 'points per EUR/MWh')
+    """
+    if unit in ("", "1"):
+        return value or "1"
+    top, _, bottom = unit.partition("/")
+    if "/" in bottom or " " in unit:  # no simple quotient
+        return f"{value or 'value'} per {unit}"
+    if value and top == value:
+        return bottom or "1"
+    if top == "1":
+        return f"{value}·{bottom}" if value else bottom
+    if not bottom:
+        return f"{value}/{unit}" if value else f"per {unit}"
+    return f"{value or 'value'} per {unit}"
+
+
 def with_unit(name: str, unit: str) -> str:
     """A name with its unit behind it: "Size, µm"; a number without a unit has none."""
     return name if unit in ("", "1") else f"{name}, {unit_words(unit)}"

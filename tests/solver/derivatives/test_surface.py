@@ -107,7 +107,7 @@ def test_coordinates_of_networks_and_rules():
     assert coordinates(many, network_like(many)).directions.shape[0] == 6
     recurrent = snapo.GRU(snapo.Box(1), 2, key=jnp.zeros(2, jnp.uint32), hidden=4)
     assert coordinates(recurrent).directions.shape[0] == 2
-    assert not np.any(coordinates(recurrent).directions[:, :-5])  # the readout alone
+    assert not np.any(coordinates(recurrent).directions[:, :-7])  # the readout alone
 
 
 def network_like(policy):

@@ -9,6 +9,7 @@ from ..page import Block, Chart, Missing, Section, Table, Text
 from ..quantity import (
     SPACE,
     decimals,
+    derivative_unit,
     finite,
     measured,
     number,
@@ -112,15 +113,15 @@ def _bump(row: dict[str, Any], places: int) -> tuple[str, str]:
 
 
 def _table(run: Folder) -> Table:
-    rows = [_line(row) for row in run.sensitivities[:ROWS]]
-    head = [("Input", ""), ("", ""), ("Per", ""), ("Derivative", run.unit), ("95 % low", run.unit),
-            ("high", run.unit), ("Source", ""), ("Held", run.unit), ("", ""),
-            ("Smooth", run.unit), ("", ""), ("Drift", run.unit), ("", "")]  # fmt: skip
+    rows = [_line(row, run.unit) for row in run.sensitivities[:ROWS]]
+    head = [("Input", ""), ("", ""), ("Derivative", ""), ("95 % low", ""), ("high", ""),
+            ("Unit", ""), ("Source", ""), ("Held", ""), ("", ""), ("Smooth", ""), ("", ""),
+            ("Drift", ""), ("", "")]  # fmt: skip
     count = len(run.sensitivities)
     caption = "Derivative of the value with respect to every number, per one unit of it"
     if count > ROWS:
         caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
-    texts = frozenset({0, 1, 2, 6})
+    texts = frozenset({0, 1, 5, 6})
     return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
 
 
@@ -129,19 +130,11 @@ def _one(unit: str, amount: float) -> str:
     return unit.removesuffix("s") if amount == 1 and unit == "points" else unit
 
 
-def _per(unit: str) -> str:
-    """One of a unit: "1 kg", "1 per week"."""
-    if not unit or unit == "1":
-        return "1"
-    words = unit_words(unit)
-    return f"1{SPACE}per{SPACE}{words[2:]}" if words.startswith("1/") else f"1{SPACE}{words}"
-
-
-def _line(row: Sensitivity) -> tuple[str, ...]:
+def _line(row: Sensitivity, value_unit: str) -> tuple[str, ...]:
     places = min(9, decimals([row.value, row.held, row.smooth], 4))
     return (
-        words(row.input), row.label, _per(row.unit),
-        *(number(x, places) for x in (row.value, row.low, row.high)), row.source,
+        words(row.input), row.label, *(number(x, places) for x in (row.value, row.low, row.high)),
+        unit_words(derivative_unit(value_unit, row.unit)), row.source,
         *measured(row.held, row.held_error, places),
         *measured(row.smooth, row.smooth_error, places),
         rough(row.moved), plus_minus(row.moved_error, places),

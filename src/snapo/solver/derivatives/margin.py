@@ -143,20 +143,25 @@ def _random(
     length = FIRST
     for _ in range(RANDOM):
         direction = surface.coordinates._replace(policy=policy).random(rng)
-        loss = top - on.value(moved(policy, length * direction))
+
+        def loss(length: float, along: np.ndarray = direction) -> float:
+            """Of both sides together: where the policy is not at the top, one of them gains."""
+            return top - np.mean([on.value(moved(policy, s * length * along)) for s in (1, -1)])
+
+        lost = loss(length)
         for _ in range(8):
-            if not loss < goal:
+            if not lost < goal:
                 break
             length *= WIDER
-            loss = top - on.value(moved(policy, length * direction))
+            lost = loss(length)
         for _ in range(3):
-            if loss < 4 * goal:
+            if lost < 4 * goal:
                 break
             length /= NARROWER
-            loss = top - on.value(moved(policy, length * direction))
+            lost = loss(length)
         after = on.held(moved(policy, length * direction))
         for name, derivative in after.items():
-            change = (derivative - before[name]) / np.sqrt(2 * max(loss, goal / 4))
+            change = (derivative - before[name]) / np.sqrt(2 * max(lost, goal / 4))
             if np.isfinite(change).all():
                 changes[name].append(change)
     return {
