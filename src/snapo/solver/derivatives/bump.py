@@ -7,8 +7,8 @@ Everything that a domain builds from the inputs (guide, hedge, tables of a rule)
 the moved input (`Problem.moved`); a table that stands still would pass for a bad policy.
 """
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy import stats
@@ -156,7 +156,15 @@ class _Bumper:
         self.centre = self._totals(problem, len(self.blocks))
 
     def reaction(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
-        """One input moved by `by`: with few paths, and with more and a wider move where needed."""
+        """One input moved by `by`: with few paths, and with more and a wider move where needed.
+
+        What was built from the inputs stands still at first, which is soon done: where that shows
+        no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
+        """
+        if self.problem.rebuild is not None:
+            found = self._moved(name, by, held, self.few, self.problem.at)
+            if self._settled(found) and not self._two_sided(found):
+                return found
         found = self._moved(name, by, held, self.few)
         if not self._settled(found) and len(found.reaction) < len(self.blocks):
             found = self._moved(name, by, held, len(self.blocks))
@@ -165,10 +173,19 @@ class _Bumper:
         wide = self._moved(name, WIDE * by, WIDE * held, len(self.blocks))
         return self._cornered(name, by, _joined(found, wide))
 
-    def _moved(self, name: str, by: np.ndarray, held: np.ndarray, count: int) -> Reaction:
+    def _moved(
+        self,
+        name: str,
+        by: np.ndarray,
+        held: np.ndarray,
+        count: int,
+        moved: Callable[[dict[str, Any]], Problem] | None = None,
+    ) -> Reaction:
+        """Both bumps on the first `count` blocks; `moved` by default rebuilds what it can."""
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.named[name].value
-        sides = (self.problem.moved({name: value + move}) for move in (-by, by))
+        moved = moved or self.problem.moved
+        sides = (moved({name: value + move}) for move in (-by, by))
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
@@ -198,12 +215,16 @@ class _Bumper:
             return False
         return abs(value) <= 2 * error <= 2 * PRECISE * abs(float(np.mean(found.held)))
 
+    def _two_sided(self, found: Reaction) -> bool:
+        """Whether more and less of the input differ by much."""
+        size = max(abs(found.up), abs(found.down))
+        return abs(found.up - found.down) > max(SIGNIFICANT * found.side_error, MATERIAL * size)
+
     def _cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
         """With the kind of a corner, where both sides differ by much."""
-        gap = abs(found.up - found.down)
-        size = max(abs(found.up), abs(found.down))
-        if not gap > max(SIGNIFICANT * found.side_error, MATERIAL * size):
+        if not self._two_sided(found):
             return found
+        gap = abs(found.up - found.down)
         half = self._moved(name, by / 2, found.held / 2, len(found.reaction))
         left = abs(half.up - half.down)
         if left <= max(CORNER * gap, SIGNIFICANT * half.side_error):
@@ -220,10 +241,10 @@ class _Bumper:
 def _joined(near: Reaction, wide: Reaction) -> Reaction:
     """The reaction to first order from bumps of both sizes, per move of the first."""
     scaled = wide._replace(reaction=wide.reaction / WIDE, extra=wide.extra / WIDE)
-    (one, error), (five, other) = near.estimate, scaled.estimate
-    if not np.isfinite(five):
+    (one, error), (three, other) = near.estimate, scaled.estimate
+    if not np.isfinite(three):
         return near
-    if len(near.reaction) < 2 or abs(one - five) > CURVED * np.hypot(error, other):
+    if len(near.reaction) < 2 or abs(one - three) > CURVED * np.hypot(error, other):
         # Without noise, or where the third order is seen: it is taken out, and may be off by half.
         third = (scaled.reaction - near.reaction) / THIRD
         off = abs(float(np.mean(third))) / (2 if len(near.reaction) > 1 else 1)

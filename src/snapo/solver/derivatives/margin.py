@@ -146,7 +146,8 @@ def _random(
 
         def loss(length: float, along: np.ndarray = direction) -> float:
             """Of both sides together: where the policy is not at the top, one of them gains."""
-            return top - np.mean([on.value(moved(policy, s * length * along)) for s in (1, -1)])
+            sides = [on.value(moved(policy, s * length * along)) for s in (1, -1)]
+            return top - sum(sides) / 2
 
         lost = loss(length)
         for _ in range(8):
