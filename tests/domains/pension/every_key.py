@@ -26,11 +26,11 @@ Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,USD,0.5,0,
 )
 NAMES = ("Cash", "Bonds", "Linkers", "Credit", "Equity", "Property", "Gold", "Hedge")
 COHORTS = """
-name,status,sex,age,number,pension,salary,service
-Active,active,male,60.5,10,3,40,20
-Deferred,deferred,female,55,5,2,,10
-Pensioner,pensioner,female,72,8,6,,
-Spouse,spouse,female,80,2,3,,
+name,status,sex,age,number,pension,salary,service,mortality
+Active,active,male,60.5,10,3,40,20,
+Deferred,deferred,female,55,5,2,,10,
+Pensioner,pensioner,female,72,8,6,,,0.9
+Spouse,spouse,female,80,2,3,,,1.1
 """
 FILES = {
     "zero.csv": "tenor,zero\n1,0.02\n10,0.024\n30,0.025\n",
@@ -100,7 +100,7 @@ AUTO = TRAINING | {"clip": "auto", "window": "auto", "keep": "auto", "spread": 1
 VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"}
 TABLE = {"kind": "table", "file": "mortality.csv", "multiplier": "by_age.csv"}
 FORMULA = {
-    "kind": "gompertz-makeham", "male": [-10.4, 0.096, 0.0002], "female": [-11.5, 0.105],
+    "kind": "gompertz-makeham", "year": 2017, "male": [-10.4, 0.096, 0.0002], "female": [-11.5, 0.105],
     "improvement": "improvement.csv", "multiplier": 0.95,
 }  # fmt: skip
 MARKET: dict[str, Any] = {
@@ -187,6 +187,12 @@ CASES: dict[str, dict[str, Any]] = {
         },
         "liability": {"basis": "risk-free", "future_indexation": "capped"},
         "evaluation": VALUED | {"scenarios": "sobol"},
+    },
+    "increases apart": MARKET
+    | {
+        "plan": {"indexation": {"kind": "fixed", "rate": 0.03}}
+        | {"revaluation": {"deferred": 0.025, "active": 0.01}},
+        "liability": {"expense_loading": 0.03},
     },
     "career of salaries": MARKET
     | {

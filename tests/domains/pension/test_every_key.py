@@ -35,6 +35,7 @@ TABLES = {
     "lee_carter": tables_people.LeeCarterTable,
     "plan": tables_people.PlanTable,
     "plan.indexation": tables_people.IndexationTable,
+    "plan.revaluation": tables_people.RevaluationTable,
     "plan.contribution": tables_people.ContributionTable,
     "liability": tables_people.LiabilityTable,
     "reconcile": tables_people.ReconcileTable,

@@ -45,10 +45,10 @@ def survival(case, sex, age, steps):
 
 
 def probability(sex, age, year):
-    """q of the calendar year, from the definition in `records_people.Mortality`."""
+    """q of the calendar year, from the definition in `records.people.Mortality`."""
     multiplier = [0.9, 1.0, 0.95, 1.05][2 * sex + (age >= FIRST_AGE + 45)]
-    scale = multiplier * np.exp(-[0.012, 0.01][sex] * year)
-    return 1 - (1 - gompertz_table()[sex, age - FIRST_AGE]) ** scale
+    q = multiplier * gompertz_table()[sex, age - FIRST_AGE]
+    return 1 - (1 - q) ** np.exp(-[0.012, 0.01][sex] * year)
 
 
 @pytest.mark.parametrize("fractional", ["constant-force", "uniform"])

@@ -217,7 +217,7 @@ def test_prices_fall_by_what_the_shock_says(case):
 
 def test_a_figure_within_its_tolerance_is_accepted(tmp_path, case):
     own = figures(case, plain(pension_inputs(case))).liability
-    figure = ("case.toml", "liability = 308297419.0", f"liability = {own * 1.0004}")
+    figure = ("case.toml", "liability = 318916480.0", f"liability = {own * 1.0004}")
     copy = short_case(tmp_path / "near", [figure])
     assert any("given" in line for line in DOMAIN.check(read_case(copy)))
     tight = ("case.toml", "tolerance = 0.001", "tolerance = 0.0001")

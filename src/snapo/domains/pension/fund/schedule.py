@@ -1,5 +1,6 @@
 """From the inputs of a pension case to the numbers that all its paths share."""
 
+from functools import lru_cache
 from typing import Any, NamedTuple
 
 import jax
@@ -135,7 +136,7 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
 def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " H"]:
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
-    H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability.basis`: payments that
+    H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is `Liability`'s: payments that
     follow prices are multiplied by the expected index, within a cap and a floor by the value of
     the options in it; under ready-made scenarios the curve
     comes with the path, and only the addition to it is left here.
@@ -144,7 +145,7 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     years = np.arange(count + 1) * case.step
     added = jnp.zeros(count + 1)
     if basis.basis != "risk-free":
-        added = -use(inputs, basis.rate) * years
+        added = -added_rate(case, inputs, years) * years
     if limited(case):
         added = added + log_growth(case, inputs)
     if basis.basis == "fixed":
@@ -155,3 +156,25 @@ def basis_log_bond(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " 
     if basis.future_indexation == "full":
         found = found - log_bond(case.inflation.break_even, inputs, years)
     return found
+
+
+def added_rate(case: PensionCase, inputs: dict[str, Any], years: np.ndarray) -> Array:
+    """The continuous rate at which a basis discounts for `years`, beyond that of the curve.
+
+    An annual spread s on an annual zero rate i is ln(1 + s / (1 + i)). The rates are those of the
+    case, which hold when its curve moves.
+    """
+    basis, rate = case.liability, use(inputs, case.liability.rate)
+    if not basis.annual:
+        return rate * jnp.ones(len(years))
+    if basis.basis == "fixed":
+        return jnp.log1p(rate) * jnp.ones(len(years))
+    return jnp.log1p(rate * jnp.asarray(_annual_bond(case, tuple(years))))
+
+
+@lru_cache(maxsize=4)
+def _annual_bond(case: PensionCase, years: tuple[float, ...]) -> np.ndarray:
+    """1 / (1 + annual zero rate) of the case's own curve, at each of `years`."""
+    when = np.maximum(years, case.step)  # a payment now needs no rate
+    with jax.enable_x64(True), jax.ensure_compile_time_eval():
+        return np.exp(np.asarray(log_bond(case.curve, {}, when)) / when)

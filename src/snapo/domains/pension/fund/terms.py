@@ -4,6 +4,7 @@ from typing import Any, NamedTuple
 
 from jaxtyping import Array
 
+from ..people.cash_flows import reserved
 from ..records.case import PensionCase
 from ..records.inputs import use
 
@@ -14,6 +15,7 @@ class PlanTerms(NamedTuple):
     Indexation: `cap`, `floor` per year, `lower`, `upper`, `required` funding ratios.
     Contribution: `rate` and limits `c_floor`, `c_cap` as shares of salaries, `loading`,
     `spread_factor` per year, `target` ratio, `recovery_years`, `sponsor` money per year.
+    Liability: `reserved`, what is set aside per value of a payment.
     """
 
     cap: Array
@@ -29,6 +31,7 @@ class PlanTerms(NamedTuple):
     c_floor: Array
     c_cap: Array
     sponsor: Array
+    reserved: Array | float = 1.0
 
 
 def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
@@ -49,4 +52,4 @@ def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:
         paid.cap,
         paid.sponsor_limit,
     )
-    return PlanTerms(*(use(inputs, each) for each in given))
+    return PlanTerms(*(use(inputs, each) for each in given), reserved=reserved(case, inputs))

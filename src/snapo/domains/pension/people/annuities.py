@@ -1,6 +1,5 @@
 """Textbook figures of a life: annuities, and a year of life in a case's mortality."""
 
-from dataclasses import replace
 from typing import Any
 
 import jax
@@ -8,7 +7,7 @@ import numpy as np
 
 from ..records.case import PensionCase
 from ..records.people import PAYMENT_YEARS
-from .mortality import log_survival
+from .mortality import Yearly, yearly
 
 AT_AGE = 65
 CLOSE = 1e-12  # of the scale of mortality, at which bisection stops
@@ -30,36 +29,37 @@ def life_expectancy(case: PensionCase, inputs: dict[str, Any], sex: int, age: in
     The sum over whole years of the probability to be alive, plus a half.
     """
     with jax.enable_x64(True):
-        return _expectancy(_hazards(case, inputs, sex, age))
+        return _expectancy(_life(case, inputs, sex, age))
 
 
 def year_of_life(case: PensionCase, inputs: dict[str, Any], sex: int) -> float:
-    """The factor on all hazards of a sex that raises its expectation of life at 65 by one year.
+    """The factor on all death probabilities of a sex that raises its expectation of life at 65 by
+    one year.
 
     A first-order effect of one more year is the sum of multiplier times (factor - 1) times the
     sensitivity to the multiplier.
     """
-    hazards = _hazards(case, inputs, sex, AT_AGE)
-    target = _expectancy(hazards) + 1
+    life = _life(case, inputs, sex, AT_AGE)
+    target = _expectancy(life) + 1
     low, high = LEAST, MOST
-    if _expectancy(low * hazards) < target:
+    if _expectancy(life, low) < target:
         raise ValueError("mortality: no scaling raises the expectation of life at 65 by a year.")
     while high - low > CLOSE:
         middle = (low + high) / 2
-        if _expectancy(middle * hazards) > target:
+        if _expectancy(life, middle) > target:
             low = middle
         else:
             high = middle
     return (low + high) / 2
 
 
-def _hazards(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> np.ndarray:
-    """Hazard of each year from now on of who is `age` now."""
-    yearly = replace(case, step=1.0, plan=replace(case.plan, age_basis="exact"))
+def _life(case: PensionCase, inputs: dict[str, Any], sex: int, age: int) -> Yearly:
+    """Each year from now on of who is `age` now."""
+    years = np.arange(PAYMENT_YEARS)
     with jax.enable_x64(True):
-        path = log_survival(yearly, inputs, np.array([sex]), np.array([age]), PAYMENT_YEARS)
-        return -np.diff(np.asarray(path)[0])
+        return jax.tree.map(np.asarray, yearly(case, inputs, np.array(sex), age + years, years))
 
 
-def _expectancy(hazards: np.ndarray) -> float:
-    return float(np.exp(-np.cumsum(hazards)).sum()) + 0.5
+def _expectancy(life: Yearly, factor: float = 1.0) -> float:
+    with jax.enable_x64(True):
+        return float(np.exp(-np.cumsum(np.asarray(life.hazard(factor)))).sum()) + 0.5

@@ -6,10 +6,15 @@ spouse's pension each group of members has three: its own pension, the spouse's 
 were dead, and minus the spouse's while both live. Rights follow the member, so the accrual of
 a step belongs to those alive then.
 
+Where rights before payment grow by rates of their own, a spouse's pension depends on when the
+member died. The second stream is then of the rights that the dead so far left and that a death now
+would leave, and a fourth one takes those who died before an accrual out of it. The response to the
+mortality factor (`longevity`) leaves out that these rights depend on the member's life.
+
 Payments are one step's share of the yearly pension at the start ("advance") or end of a step to
-those alive at that time. Pensions of actives and deferred begin with the first step that starts at
-or after the retirement age; a spouse's at the member's death, whenever that is. A step accrues
-for those at work at its start, and its accrual is paid from the next step on.
+those alive at that time. Pensions of actives and deferred begin at the retirement age: the step
+within which it lies pays the rest of it, as work and accrual fill the step until then. A spouse's
+begins at the member's death, whenever that is. The accrual of a step is paid from the next step on.
 """
 
 from typing import Any, NamedTuple
@@ -21,8 +26,8 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS, SPOUSE, CashFlows, Members
-from .fixed_increases import grown
-from .lives import TINY, Lives, entrants, joined, present, working
+from .fixed_increases import grown, in_payment
+from .lives import Lives, drawing, entrants, joined, present, share_before, working
 from .mortality import log_survival, partner
 
 
@@ -73,12 +78,14 @@ def project(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " 
     wait = np.arange(count) - np.arange(case.steps)[:, None]
     within = count - case.steps
     fresh = jnp.where((wait > 0) & (wait < within), streams.accrual.T @ streams.unit, 0.0)
-    growth = grown(case, inputs, count)
-    if growth is not None:
-        # A right of step t has not grown before it was there.
-        fresh = fresh / growth[: case.steps, None]
     accrued = jnp.where(np.arange(count) < within, streams.held @ streams.unit, 0.0)
     return Projection(accrued, fresh, payroll, streams)
+
+
+def reserved(case: PensionCase, inputs: dict[str, Any]) -> Array:
+    """What is set aside per value of a payment: one, and the loading for expenses."""
+    loading = case.liability.loading
+    return jnp.ones(()) if loading is None else 1 + use(inputs, loading)
 
 
 def horizon(case: PensionCase) -> int:
@@ -90,16 +97,16 @@ def _streams(
     case: PensionCase, inputs: dict[str, Any], lives: Lives, status: np.ndarray
 ) -> Streams:
     plan, count, steps = case.plan, horizon(case), case.steps
-    time = np.arange(count)
-    age = lives.age[:, None] + time * case.step
-    drawn = ~lives.waiting[:, None] | (age >= plan.retirement_age - TINY)
-    drawn &= time >= lives.entry[:, None]
-    shift = int(plan.timing == "arrears")
+    time, shift = np.arange(count), int(plan.timing == "arrears")
+    drawn = drawing(case, lives, count)
     alive = lives.alive[:, shift : count + shift]
-    growth = grown(case, inputs, count)
-    paid = case.step if growth is None else case.step * growth
-    own = jnp.where(drawn, alive, 0.0) * paid
+    growth = grown(case, inputs, lives, drawn)
+    own, paid = drawn * alive * case.step, jnp.asarray(case.step)
     rights = _accrual(case, inputs, lives)
+    if growth is not None:
+        own, paid = own * growth.member, paid * growth.payment
+        # A right of step t has not grown before it was there.
+        rights = rights / growth.member[:, :steps]
     groups = np.arange(len(lives.age))
     one, none = np.ones(len(groups)), np.zeros(len(groups))
     if not (plan.spouse_share.values.size and plan.married_share.values.size):
@@ -109,15 +116,44 @@ def _streams(
     share = use(inputs, plan.spouse_share) * use(inputs, plan.married_share) * insured
     widowed = _partner_alive(case, inputs, lives)[:, shift : count + shift]
     widowed = share[:, None] * widowed * (time >= lives.entry[:, None]) * paid
+    if growth is None or plan.revaluation is None:
+        return Streams(
+            unit=jnp.concatenate([own, widowed, -widowed * alive]),
+            held=jnp.tile(lives.pension, 3),
+            accrual=jnp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
+            lives=lives,
+            group=np.tile(groups, 3),
+            member=np.concatenate([one, none, one]),
+            spouse=np.concatenate([none, one, one]),
+        )
+    ratio = growth.member / growth.payment
+    left, before = _left(lives.alive, ratio, shift), alive * ratio
     return Streams(
-        unit=jnp.concatenate([own, widowed, -widowed * alive]),
-        held=jnp.tile(lives.pension, 3),
-        accrual=jnp.concatenate([rights, rights * lives.alive[:, :steps], rights]),
+        unit=jnp.concatenate(
+            [own, widowed * (left[:, shift : count + shift] + before), -widowed * before, widowed]
+        ),
+        held=jnp.concatenate([jnp.tile(lives.pension, 3), 0 * lives.pension]),
+        accrual=jnp.concatenate([rights, rights, rights, -rights * left[:, :steps]]),
         lives=lives,
-        group=np.tile(groups, 3),
-        member=np.concatenate([one, none, one]),
-        spouse=np.concatenate([none, one, one]),
+        group=np.tile(groups, 4),
+        member=np.concatenate([one, none, one, none]),
+        spouse=np.concatenate([none, one, one, one]),
     )
+
+
+def _left(alive: Array, ratio: Array, shift: int) -> Float[Array, "C N+1"]:
+    """What the dead of all steps until each time left, as pensions that were in payment from time
+    0: a death of the time before brings the right of the step of its first payment.
+
+    **Arguments:**
+
+    - `ratio`: [C, N] of a member's right over a pension in payment.
+    """
+    deaths = alive[:, :-1] - alive[:, 1:]
+    count = deaths.shape[1]
+    at = np.minimum(np.arange(1, count + 1) - shift, count - 1)
+    total = jnp.cumsum(deaths * ratio[:, at], axis=1)
+    return jnp.concatenate([jnp.zeros_like(total[:, :1]), total], axis=1)
 
 
 def _accrual(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Float[Array, "C T"]:
@@ -126,9 +162,9 @@ def _accrual(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Float[A
     if not plan.accruing:
         return jnp.zeros((len(lives.age), steps))
     since = (np.arange(steps) - lives.entry[:, None]) * case.step
-    counts = lives.service[:, None] + since < plan.max_service - TINY
+    counts = share_before(plan.max_service, lives.service[:, None] + since, case.step)
     rate = use(inputs, plan.accrual_rate) * case.step
-    return rate * lives.base[:, None] * (working(case, lives, steps) & counts)
+    return rate * lives.base[:, None] * np.minimum(working(case, lives, steps), counts)
 
 
 def _partner_alive(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
@@ -147,7 +183,7 @@ def _payroll(
     """Salaries per step at wages of time 0: as actives leave, or constant in an open plan."""
     steps = case.steps + 1
     each = use(inputs, members.number) * use(inputs, members.salary) * case.step
-    at_work = jnp.where(working(case, lives, steps), lives.alive[:, :steps], 0.0)
+    at_work = working(case, lives, steps) * lives.alive[:, :steps]
     paid = each @ at_work
     return jnp.full(steps, paid[0]) if case.plan.open else paid
 
@@ -162,8 +198,7 @@ def _given(
     count, steps = horizon(case), case.steps
     amount = use(inputs, flows.amount)
     accrued = jnp.zeros(count).at[flows.step].add(amount)
-    growth = grown(case, inputs, count)
-    growth = jnp.ones(count) if growth is None else growth
+    growth = in_payment(case, inputs, count)
     payroll = jnp.full(steps + 1, use(inputs, flows.salary) * case.step)
     none = jnp.zeros((steps, count))
     if not (case.plan.accruing and flows.normal_cost.values.size):
@@ -171,7 +206,7 @@ def _given(
     shift = int(case.plan.timing == "arrears")
     discount = jnp.exp(log_bond[shift : count + shift])
     profile = accrued.at[0].set(0.0)
-    value = (profile * growth) @ discount
+    value = reserved(case, inputs) * ((profile * growth) @ discount)
     profile = profile * use(inputs, flows.normal_cost) / jnp.where(value > 0, value, 1.0)
     later = np.arange(count) - np.arange(steps)[:, None]
     fresh = jnp.where(later > 0, profile[np.maximum(later, 0)], 0.0)

@@ -1,10 +1,11 @@
 """Fixed increases: promised whatever happens, so that they are part of the payments themselves.
 
-Pensions grow by the same rate at the end of every step that ends on the date of indexation; a
-payment of step s is (1 + rate) ** n(s) of the rights of time 0, n(s) the dates before step s.
+At the end of every step that ends on the date of indexation, pensions in payment grow by the rate
+of `Indexation`. Rights before payment grow alike, or by the rates of a `Revaluation`: one for
+deferred members until their pension begins, one for actives in service.
 """
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -12,6 +13,15 @@ from jaxtyping import Array, Float
 
 from ..records.case import PensionCase
 from ..records.inputs import use
+from .lives import Lives
+
+
+class Grown(NamedTuple):
+    """What a right of time 0 has grown to in each step: of a member [C, N], `member`; of a pension
+    that has been in payment all the time [N], `payment`."""
+
+    member: Array
+    payment: Array
 
 
 def due(case: PensionCase, count: int) -> np.ndarray:
@@ -21,10 +31,39 @@ def due(case: PensionCase, count: int) -> np.ndarray:
     return (case.start_month + np.arange(count)) % 12 + 1 == case.plan.indexation.month
 
 
-def grown(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[Array, " count"] | None:
-    """[count] what a right of time 0 has grown to in each step; None without fixed increases."""
+def in_payment(case: PensionCase, inputs: dict[str, Any], count: int) -> Float[Array, " count"]:
+    """[count] what a pension in payment has grown to in each step; ones without fixed increases."""
     rule = case.plan.indexation
     if rule.kind != "fixed" or rule.rate is None:
-        return None
-    dates = np.concatenate([[0], np.cumsum(due(case, count))[:-1]])
-    return (1 + use(inputs, rule.rate)) ** jnp.asarray(dates, float)
+        return jnp.ones(count)
+    return (1 + use(inputs, rule.rate)) ** jnp.asarray(_dates(case, count), float)
+
+
+def grown(
+    case: PensionCase, inputs: dict[str, Any], lives: Lives, drawn: np.ndarray
+) -> Grown | None:
+    """The growth of all rights; None where nothing grows by a fixed rate.
+
+    **Arguments:**
+
+    - `drawn`: [C, N] above 0 where a member's own pension is in payment.
+    """
+    apart, count = case.plan.revaluation, drawn.shape[1]
+    payment = in_payment(case, inputs, count)
+    if apart is None:
+        if case.plan.indexation.kind != "fixed":
+            return None
+        return Grown(jnp.broadcast_to(payment, drawn.shape), payment)
+    dates = jnp.asarray(_dates(case, count), float)
+    active, deferred = ((1 + use(inputs, rate)) ** dates for rate in (apart.active, apart.deferred))
+    before = jnp.where(lives.earning[:, None], active, deferred)
+    # The first step of payment; a pension that never begins waits to the end.
+    waits = drawn.shape[1] - np.count_nonzero(np.maximum.accumulate(drawn > 0, axis=1), axis=1)
+    first = np.minimum(waits, count - 1)
+    begun = (jnp.take_along_axis(before, first[:, None], 1)) / payment[first][:, None]
+    return Grown(jnp.where(np.arange(count) < waits[:, None], before, begun * payment), payment)
+
+
+def _dates(case: PensionCase, count: int) -> np.ndarray:
+    """[count] how many dates of increase lie before each step."""
+    return np.concatenate([[0], np.cumsum(due(case, count))[:-1]])

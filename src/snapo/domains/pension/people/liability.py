@@ -21,7 +21,7 @@ from jaxtyping import Array, Float
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
-from .cash_flows import Projection, project
+from .cash_flows import Projection, project, reserved
 from .longevity import Longevity, longevity
 from .lpi import Lpi
 
@@ -29,9 +29,9 @@ from .lpi import Lpi
 class People(NamedTuple):
     """The members as every path sees them. Leading axis T + 1: at time t, before step t.
 
-    - `accrued`, `fresh` [T+1, J]: forward values on the nodes of rights accrued by time 0, and
-      in steps before t at baseline wages. `accrual` [T+1, J]: of the accrual of step t, per
-      unit of w (last row zeros). Money, at indexation 1.
+    - `accrued`, `fresh` [T+1, J]: forward values on the nodes, loading for expenses included, of
+      rights accrued by time 0, and in steps before t at baseline wages. `accrual` [T+1, J]: of the
+      accrual of step t, per unit of w (last row zeros). Money, at indexation 1.
     - `benefit`, `fresh_benefit` [T+1]: money paid in step t out of each of them.
     - `payroll` [T+1]: salaries of the step at wages of time 0. `expenses` [T+1]: money per step.
     - `baseline` [T+1]: the assumed w, exp(real wage growth).
@@ -82,20 +82,21 @@ def people(case: PensionCase, inputs: dict[str, Any], log_bond: Float[Array, " H
     by_step = baseline[:steps, None] * found.fresh
     fresh = jnp.concatenate([jnp.zeros((1, by_step.shape[1])), jnp.cumsum(by_step, axis=0)])
     discount = forward_discount(case, log_bond)
-    accrued_value = on_nodes(case, found.accrued, discount)
-    fresh_value = on_nodes(case, fresh, discount)
+    whole = reserved(case, inputs)
+    accrued_value = whole * on_nodes(case, found.accrued, discount)
+    fresh_value = whole * on_nodes(case, fresh, discount)
     deaths = longevity(case, inputs, found, log_bond)
     here = np.arange(steps + 1)
     return People(
         accrued=accrued_value,
         fresh=fresh_value,
-        accrual=_with_row(on_nodes(case, found.fresh, discount[:steps])),
+        accrual=_with_row(whole * on_nodes(case, found.fresh, discount[:steps])),
         benefit=found.accrued[: steps + 1],
         fresh_benefit=fresh[here, here],
         payroll=found.payroll,
         expenses=jnp.full(steps + 1, use(inputs, case.plan.expenses) * case.step),
         baseline=baseline,
-        mix=_with_row(_mix(case, by_step, fresh_value, discount)),
+        mix=_with_row(_mix(case, whole * by_step, fresh_value, discount)),
         decline=jnp.zeros(steps + 1) if deaths is None else deaths.decline,
         outlook=_outlook(case, deaths, found, fresh, discount),
     )

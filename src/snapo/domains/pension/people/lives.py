@@ -24,6 +24,7 @@ class Lives(NamedTuple):
       pension begins at the retirement age only.
     - `base`: [C] pensionable salary of all of them, and `pension`: [C] accrued, money per year.
     - `alive`: [C, N+1] probability to be alive at each time, given that they were at entry.
+    - `factor`: [C] on their own death probabilities; None: ones.
     """
 
     sex: np.ndarray
@@ -35,14 +36,30 @@ class Lives(NamedTuple):
     base: Array
     pension: Array
     alive: Array
+    factor: Array | None = None
+
+
+def share_before(until: float, time: np.ndarray, step: float) -> np.ndarray:
+    """The share of a step that begins at `time` which lies before `until`, years; 0 to 1."""
+    share = np.clip((until - time) / step, 0.0, 1.0)
+    near = TINY / step
+    return np.where(share < near, 0.0, np.where(share > 1 - near, 1.0, share))
 
 
 def working(case: PensionCase, lives: Lives, steps: int) -> np.ndarray:
-    """Whether a group has entered and not reached the retirement age, at each step [C, steps]."""
+    """The share of each step that a group is at work: entered, and below the retirement age."""
     time = np.arange(steps)
     age = lives.age[:, None] + time * case.step
-    young = age < case.plan.retirement_age - TINY
-    return lives.earning[:, None] & young & (time >= lives.entry[:, None])
+    young = share_before(case.plan.retirement_age, age, case.step)
+    return young * (lives.earning[:, None] & (time >= lives.entry[:, None]))
+
+
+def drawing(case: PensionCase, lives: Lives, steps: int) -> np.ndarray:
+    """The share of each step that a group's own pension is in payment [C, steps]."""
+    time = np.arange(steps)
+    age = lives.age[:, None] + time * case.step
+    old = 1 - share_before(case.plan.retirement_age, age, case.step)
+    return np.where(lives.waiting[:, None], old, 1.0) * (time >= lives.entry[:, None])
 
 
 def present(case: PensionCase, inputs: dict[str, Any], members: Members, steps: int) -> Lives:
@@ -51,6 +68,7 @@ def present(case: PensionCase, inputs: dict[str, Any], members: Members, steps: 
     earning = members.status == ACTIVE
     number = use(inputs, members.number)
     salary = jnp.where(earning, use(inputs, members.salary), 0.0)
+    factor = None if members.mortality is None else use(inputs, members.mortality)
     above = jnp.maximum(salary - use(inputs, case.plan.offset), 0.0)
     return Lives(
         sex=members.sex,
@@ -61,7 +79,8 @@ def present(case: PensionCase, inputs: dict[str, Any], members: Members, steps: 
         waiting=earning | (members.status == DEFERRED),
         base=number * jnp.where(earning, above, 0.0),
         pension=number * use(inputs, members.pension),
-        alive=jnp.exp(log_survival(case, inputs, members.sex, age, steps)),
+        alive=jnp.exp(log_survival(case, inputs, members.sex, age, steps, factor)),
+        factor=factor,
     )
 
 
@@ -110,7 +129,10 @@ def _renewal(kept: Float[Array, "E E"], missing: Float[Array, " E"]) -> Array:
 
 
 def joined(first: Lives, second: Lives) -> Lives:
-    """Both together."""
+    """Both together; only the first have factors of their own."""
+    factor = first.factor
+    if factor is not None:
+        factor = jnp.concatenate([factor, jnp.ones(len(second.age))])
     return first._replace(
         sex=np.concatenate([first.sex, second.sex]),
         age=np.concatenate([first.age, second.age]),
@@ -121,4 +143,5 @@ def joined(first: Lives, second: Lives) -> Lives:
         base=jnp.concatenate([first.base, second.base]),
         pension=jnp.concatenate([first.pension, second.pension]),
         alive=jnp.concatenate([first.alive, second.alive]),
+        factor=factor,
     )

@@ -17,11 +17,11 @@ class LongerLife(NamedTuple):
 
 
 def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
-    """All hazards scaled, by sex, until the expectation of life at 65 is a year longer.
+    """All death probabilities scaled, by sex, until the expectation of life at 65 is a year longer.
 
-    The change is that of the multipliers, else of the death probabilities, else of the formula, to
-    first order in the scale. None where mortality is no input or no scale does it. A number that
-    both sexes share moves by the mean of the two moves.
+    The change is that of the multipliers, else of the death probabilities, else of the formula,
+    whose hazards are scaled in their place, to first order in the scale. None where mortality is no
+    input or no scale does it. A number that both sexes share moves by the mean of the two moves.
     """
     mortality = case.mortality
     if mortality is None:
@@ -44,9 +44,7 @@ def longer_life(case: PensionCase, inputs: dict[str, Any]) -> LongerLife | None:
         size = values
     else:
         place = mortality.table.index
-        mortal = values < 1
-        alive = np.where(mortal, 1 - values, 1.0)
-        size = np.where(mortal, -np.log(alive) * alive, 0.0)
+        size = np.where(values < 1, values, 0.0)
     times = np.bincount(place.ravel(), minlength=values.size)
     total = np.bincount(place.ravel(), np.repeat(scale, place.shape[1]), values.size)
     return LongerLife(name, size * total / np.maximum(times, 1))

@@ -59,7 +59,8 @@ def _response(
     """Sum of b h over the lives of each stream from time 0 to each time."""
     lives, count = streams.lives, horizon(case)
     loading = use(inputs, factor.loading)
-    member = accumulate(step_hazards(case, inputs, lives.sex, lives.age, count, loading))
+    own = (lives.sex, lives.age, count, loading, lives.factor)
+    member = accumulate(step_hazards(case, inputs, *own))
     found = jnp.asarray(streams.member[:, None]) * member[streams.group]
     if not np.any(streams.spouse):
         return found

@@ -1,14 +1,15 @@
 """Who is alive when: hazards by sex, age and calendar year, and survival of cohorts by step."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
+from jax.typing import ArrayLike
 from jaxtyping import Array, Float
 
 from ..records.case import PensionCase
 from ..records.inputs import use
-from ..records.people import FEMALE, Mortality
+from ..records.people import FEMALE, SLOPE_AGES, Mortality
 from ..records.plan import Plan
 
 CERTAIN = 50.0  # the hazard of a year that nobody survives: exp(-50) is 2e-22
@@ -22,12 +23,28 @@ def hazard(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, "2 G"]:
     """
     mortality = _mortality(case)
     if mortality.kind == "table":
-        q = use(inputs, mortality.table)
-        mortal = q < 1
-        return jnp.where(mortal, -jnp.log1p(-jnp.where(mortal, q, 0.0)), CERTAIN)
+        found = _hazard(use(inputs, mortality.table))
+        later = mortality.ages - found.shape[1]
+        return found if later == 0 else jnp.concatenate([found, closed(found, later)], axis=1)
     alpha, beta, makeham = (part[:, None] for part in use(inputs, mortality.gompertz).T)
     age = mortality.first_age + np.arange(mortality.ages)
     return makeham + jnp.exp(alpha + beta * age) * jnp.expm1(beta) / beta
+
+
+def closed(hazard: Float[Array, "2 n"], later: int) -> Float[Array, "2 later"]:
+    """The hazards of `later` ages beyond a table: see `Mortality`."""
+    last = hazard[:, -SLOPE_AGES:]
+    logit = jnp.log(last / (1 - last))
+    place = np.arange(last.shape[1]) - (last.shape[1] - 1) / 2
+    slope = logit @ (place / (place @ place))
+    ahead = logit[:, -1:] + slope[:, None] * np.arange(1, later + 1)
+    return 1 / (1 + jnp.exp(-ahead))
+
+
+def _hazard(q: Array) -> Array:
+    """-ln(1 - q), `CERTAIN` and without a gradient where q is 1 or more."""
+    mortal = q < 1
+    return jnp.where(mortal, -jnp.log1p(-jnp.where(mortal, q, 0.0)), CERTAIN)
 
 
 def rounded_age(plan: Plan, age: np.ndarray) -> np.ndarray:
@@ -43,18 +60,34 @@ def partner(plan: Plan, sex: np.ndarray, age: np.ndarray) -> tuple[np.ndarray, n
     return 1 - sex, age + gap
 
 
+class Yearly(NamedTuple):
+    """Death in a whole year: `level` is -ln(1 - q), to be multiplied by `base` on its q first, and
+    `trend` the improvement so far, a factor of the hazard."""
+
+    base: Array
+    level: Array
+    trend: Array
+
+    def hazard(self, factor: ArrayLike = 1.0) -> Array:
+        """Of the year, where q is multiplied by one more `factor`."""
+        certain = self.level >= CERTAIN
+        q = jnp.where(certain, 1.0, self.base * factor * -jnp.expm1(-self.level))
+        return _hazard(q) * self.trend
+
+
 def yearly(
     case: PensionCase, inputs: dict[str, Any], sex: np.ndarray, age: np.ndarray, year: np.ndarray
-) -> Array:
-    """Hazard of a whole year at whole `age` in calendar `year` after time 0; shapes broadcast.
-
-    hazard(x) multiplier(x) exp(-improvement(x) year). Ages outside the table take its ends.
-    """
+) -> Yearly:
+    """Of whole `age` in calendar `year` after time 0; shapes broadcast. Ages outside the table take
+    its ends."""
     mortality = _mortality(case)
     place = _place(mortality, sex, age)
-    level = (hazard(case, inputs) * use(inputs, mortality.multiplier)).ravel()
     trend = use(inputs, mortality.improvement).ravel()
-    return level[place] * jnp.exp(-trend[place] * year)
+    return Yearly(
+        base=use(inputs, mortality.multiplier).ravel()[place],
+        level=hazard(case, inputs).ravel()[place],
+        trend=jnp.exp(-trend[place] * (mortality.since + year)),
+    )
 
 
 def step_hazards(
@@ -64,6 +97,7 @@ def step_hazards(
     age: np.ndarray,
     steps: int,
     loading: Array | None = None,
+    factor: Array | None = None,
 ) -> Float[Array, "C steps"]:
     """-ln of survival over each step, of cohorts aged `age` [C] at time 0.
 
@@ -73,6 +107,7 @@ def step_hazards(
     **Arguments:**
 
     - `loading`: [2, G]; the factor of the hazard of each age, in a Lee-Carter response.
+    - `factor`: [C] on the death probabilities of each cohort; None: ones.
     """
     time = np.arange(steps) * case.step
     since_birth = np.asarray(age, float)[:, None] + time
@@ -82,12 +117,12 @@ def step_hazards(
     end = start + case.step
     end = np.where(np.abs(end - 1) < TINY, 1.0, end)
     year = np.floor(time + TINY)
-    total = jnp.zeros(whole.shape)
+    total, own = jnp.zeros(whole.shape), 1.0 if factor is None else factor[:, None]
     parts = ((whole, start, np.minimum(end, 1.0)), (whole + 1, 0 * start, np.maximum(end - 1, 0.0)))
     for birthday, first, last in parts:
         if np.all(last <= first):
             continue
-        rate = yearly(case, inputs, sex[:, None], birthday, year)
+        rate = yearly(case, inputs, sex[:, None], birthday, year).hazard(own)
         part = _within(case.plan, rate, last) - _within(case.plan, rate, first)
         if loading is not None:
             part = part * loading.ravel()[_place(_mortality(case), sex[:, None], birthday)]
@@ -96,10 +131,15 @@ def step_hazards(
 
 
 def log_survival(
-    case: PensionCase, inputs: dict[str, Any], sex: np.ndarray, age: np.ndarray, steps: int
+    case: PensionCase,
+    inputs: dict[str, Any],
+    sex: np.ndarray,
+    age: np.ndarray,
+    steps: int,
+    factor: Array | None = None,
 ) -> Float[Array, "C steps+1"]:
-    """ln of the probability to be alive after each step, 0 at time 0."""
-    return accumulate(-step_hazards(case, inputs, sex, age, steps))
+    """ln of the probability to be alive after each step, 0 at time 0; `factor` [C] on q."""
+    return accumulate(-step_hazards(case, inputs, sex, age, steps, factor=factor))
 
 
 def accumulate(by_step: Float[Array, "C steps"]) -> Float[Array, "C steps+1"]:

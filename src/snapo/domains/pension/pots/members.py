@@ -13,7 +13,7 @@ from jaxtyping import Array
 
 from ..people.cash_flows import horizon, project
 from ..people.liability import forward_discount, on_nodes
-from ..people.lives import TINY, Lives, working
+from ..people.lives import Lives, drawing, working
 from ..records.case import PensionCase
 from ..records.inputs import use
 
@@ -44,13 +44,11 @@ def cohorts(case: PensionCase, inputs: dict[str, Any], log_bond: Array) -> Cohor
     flow = jnp.where(np.arange(count) < count - steps, flow, 0.0)
     discount = forward_discount(case, log_bond)
     value = jax.vmap(lambda each: on_nodes(case, each, discount))(flow)
-    age = lives.age[:, None] + np.arange(steps + 1) * case.step
-    drawing = ~lives.waiting[:, None] | (age >= case.plan.retirement_age - TINY)
     return Cohorts(
         value=jnp.swapaxes(value, 0, 1),
         benefit=flow[:, : steps + 1].T,
         payroll=_payroll(case, inputs, lives),
-        drawing=jnp.asarray(drawing.T, float),
+        drawing=jnp.asarray(drawing(case, lives, steps + 1).T > 0, float),
     )
 
 
@@ -58,6 +56,6 @@ def _payroll(case: PensionCase, inputs: dict[str, Any], lives: Lives) -> Array:
     members, steps = case.members, case.steps + 1
     assert members is not None
     each = use(inputs, members.number) * use(inputs, members.salary)
-    earned = each[:, None] * jnp.where(working(case, lives, steps), lives.alive[:, :steps], 0.0)
+    earned = each[:, None] * working(case, lives, steps) * lives.alive[:, :steps]
     total = earned.sum(0)
     return (earned / jnp.where(total > 0, total, 1.0)).T

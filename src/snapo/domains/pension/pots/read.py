@@ -78,15 +78,8 @@ def read_pots(
     )
 
 
-def check_pots(
-    file: str, pots: Pots | None, plan: Plan, liability: Liability, others: dict[str, Any]
-) -> None:
-    """Rules that have no meaning beside pots are refused.
-
-    **Arguments:**
-
-    - `others`: {key: what is there} of tables that speak of promised rights.
-    """
+def check_pots(file: str, pots: Pots | None, plan: Plan, liability: Liability) -> None:
+    """Rules that do not go with pots are refused."""
     if pots is None:
         return
     asked = (
@@ -101,10 +94,6 @@ def check_pots(
         if value not in allowed:
             words = " or ".join(str(each).lower() for each in allowed)
             raise CaseError(file, key, value, f"a fund of personal pots needs {words}")
-    for key, there in others.items():
-        if there is not None:
-            what = "this table speaks of promised rights; a fund of personal pots has none"
-            raise CaseError(file, key, None, what)
 
 
 def _rules(data: dict[str, Any]) -> PotRules:

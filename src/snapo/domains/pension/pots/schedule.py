@@ -3,11 +3,12 @@
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.simulator import Schedule
 
-from ..fund.schedule import Period, Terms, basis_log_bond, make_schedule
+from ..fund.schedule import Period, Terms, added_rate, basis_log_bond, make_schedule
 from ..market.state import log_factor
 from ..records.case import PensionCase
 from ..records.inputs import use
@@ -19,8 +20,7 @@ from .sharing import Reserve
 class PotTerms(NamedTuple):
     """The whole horizon: the `fund`'s terms, the `reserve`'s rules, `fill` the share of
     contributions that it takes, `pots` [C] and `kept` (the reserve) now, `level` of pots over
-    annuities now; `unwound` the growth of an annuity in a step that is not the curve's but the
-    addition's to it; `last` [C, J] the cohorts' payments at the horizon."""
+    annuities now; `last` [C, J] the cohorts' payments at the horizon."""
 
     fund: Terms
     reserve: Reserve
@@ -28,7 +28,6 @@ class PotTerms(NamedTuple):
     pots: Array
     kept: Array
     level: Array
-    unwound: Array
     last: Array
 
     @property
@@ -43,7 +42,8 @@ class PotTerms(NamedTuple):
 class PotPeriod(NamedTuple):
     """One step: the `fund`'s period; of the cohorts the payments on the nodes before and after it
     [C, J], `shape_after` [J] of the curve then, the `benefit` [C] of the step, the shares of
-    `payroll` [C], `drawing` [C] at its end, `protection` and `exposure` [C]."""
+    `payroll` [C], `drawing` [C] at its end, `protection` and `exposure` [C]; `unwound` the growth
+    of an annuity that is not the curve's but the addition's to it."""
 
     fund: Period
     value: Array
@@ -54,6 +54,7 @@ class PotPeriod(NamedTuple):
     drawing: Array
     protection: Array
     exposure: Array
+    unwound: Array
 
 
 def known(case: PensionCase) -> Pots:
@@ -71,7 +72,10 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
     annuity = worth(terms, people.value[0], shape[0], terms.market.start)
     kept = use(inputs, given.reserve) * terms.assets
     level = (terms.assets - kept) / jnp.sum(annuity)
-    added = 0.0 if case.liability.basis == "risk-free" else use(inputs, case.liability.rate)
+    unwound = jnp.zeros(case.steps)
+    if case.liability.basis != "risk-free":
+        years = np.arange(case.steps + 1) * case.step
+        unwound = jnp.diff(added_rate(case, inputs, years) * years)
     constants = PotTerms(
         fund=terms,
         reserve=Reserve(
@@ -81,7 +85,6 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         pots=level * annuity,
         kept=kept,
         level=level,
-        unwound=jnp.asarray(added * case.step, float),
         last=people.value[-1],
     )
     periods = PotPeriod(
@@ -94,6 +97,7 @@ def pot_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
         drawing=people.drawing[1:],
         protection=use(inputs, given.protection),
         exposure=use(inputs, given.exposure),
+        unwound=unwound,
     )
     return Schedule(constants, periods)
 

@@ -139,7 +139,7 @@ class PotSimulator(PensionSimulator):
         there = rest > LEAST * constants.assets
         growth = grown / jnp.where(there, rest, 1.0)
         # A cohort without payments has nothing to protect.
-        returned = jnp.where(there, growth * jnp.exp(-constants.unwound) - 1, cash)
+        returned = jnp.where(there, growth * jnp.exp(-now.unwound) - 1, cash)
         parts = shared(*holding, earned, returned, cash, now.protection, now.exposure, smooth)
         return Shared(pots + parts.pots, reserve + parts.reserve, parts.excess)
 

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 from snapo.case.error import CaseError
 from snapo.case.given import Given
+from snapo.case.meaning import check_meanings
 from snapo.case.parts import known_parts
 from snapo.case.settings import check_window, read_evaluation, read_training
 from snapo.case.table import Table, load, parse
@@ -36,6 +37,35 @@ from .stress import parse_shocks
 from .tables import PensionTable
 
 AnyTable = TypeVar("AnyTable", bound=Table)
+# All tables but those that are read with what they name.
+FORMATS: dict[str, type[Table]] = {
+    "fund": tables.FundTable,
+    "curve": tables.CurveTable,
+    "rates": tables.RatesTable,
+    "inflation": tables.InflationTable,
+    "assets": tables.AssetsTable,
+    "credit": tables.CreditTable,
+    "currencies": tables.CurrenciesTable,
+    "correlations": tables.CorrelationsTable,
+    "overlay": tables.OverlayTable,
+    "members": tables_people.MembersTable,
+    "mortality": tables_people.MortalityTable,
+    "lee_carter": tables_people.LeeCarterTable,
+    "plan": tables_people.PlanTable,
+    "plan.indexation": tables_people.IndexationTable,
+    "plan.revaluation": tables_people.RevaluationTable,
+    "plan.contribution": tables_people.ContributionTable,
+    "liability": tables_people.LiabilityTable,
+    "reconcile": tables_people.ReconcileTable,
+    "scenarios": tables.ScenariosTable,
+    "policy": tables.PolicyTable,
+    "sensitivity": tables.SensitivityTable,
+    "report": tables.ReportTable,
+    "regulation": tables.RegulationTable,
+    "funding": tables.FundingTable,
+    "pots": tables.PotsTable,
+    "frontier": tables.FrontierTable,
+}
 STEPS = {"month": 1 / 12, "year": 1.0}
 
 
@@ -50,39 +80,60 @@ def read_case(path: str | Path) -> PensionCase:
 
 @dataclass(frozen=True)
 class _Reader:
-    """One case while it is read: its tables by name; `notes` are remarks for its owner, `silent`
-    the names of numbers that were left at a default."""
+    """One case while it is read: its tables by name, without those that it has not; `notes` are
+    remarks for its owner, `silent` the names of numbers that were left at a default."""
 
     file: Path
     top: PensionTable
+    read: dict[str, Table]
     notes: list[str]
     silent: set[str]
 
     def place(self, name: str) -> Place:
         return Place(self.file, name, self.notes, self.silent)
 
-    def table(self, kind: type[AnyTable], name: str, data: Any = None) -> AnyTable:
+    def table(self, kind: type[AnyTable], name: str) -> AnyTable:
         """The table `name`, which the case has or which has a default for every key."""
-        found = getattr(self.top, name) if data is None else data
-        return parse(kind, found, str(self.file), name)
+        found = self.read[name]
+        assert isinstance(found, kind)
+        return found
 
     def maybe(self, kind: type[AnyTable], name: str) -> AnyTable | None:
         """The table `name`, or None where the case has none."""
-        return None if getattr(self.top, name) is None else self.table(kind, name)
+        return self.table(kind, name) if name in self.read else None
+
+
+def parsed(file: Path, top: PensionTable) -> dict[str, Table]:
+    """The tables of a case by name, "" the whole file.
+
+    **Raises:** `CaseError` where a key is wrong, or has no meaning in this case.
+    """
+    if top.rates is None and top.scenarios is None:
+        what = "this table is missing; only ready-made [scenarios] go without it"
+        raise CaseError(str(file), "rates", None, what)
+    found: dict[str, Table] = {"": top}
+    for name, kind in FORMATS.items():
+        above, _, key = name.rpartition(".")
+        data = getattr(found[above], key)
+        if data is not None:
+            found[name] = parse(kind, data, str(file), name)
+    check_meanings(str(file), found)
+    return found
 
 
 def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     """The same for TOML data that was read already; other files are looked for beside `file`."""
     top = parse(PensionTable, data, str(file), "")
-    reader = _Reader(file, top, [], set())
+    reader = _Reader(file, top, parsed(file, top), [], set())
     fund = reader.table(tables.FundTable, "fund")
     grid = Grid(round(fund.years / STEPS[fund.step]), STEPS[fund.step], fund.currency)
     market = _market(reader, grid, fund.assets)
     classes = [each.name for each in market["assets"].classes]
+    annual = reader.table(tables.CurveTable, "curve").compounding == "annual"
     supplied, start = reader.maybe(tables.ScenariosTable, "scenarios"), fund.valuation_date
     settings = reader.table(tables.PolicyTable, "policy")
     rules = _plan(reader, grid, start)
-    lives = _people(reader, rules, grid)
+    lives = _people(reader, rules, grid, start)
     members, table = lives["members"], reader.maybe(tables.PotsTable, "pots")
     pots = read_pots(reader.place("pots"), table, start, members, grid)
     more = () if pots is None else (*POT_OUTPUTS, *pensions(members))
@@ -104,11 +155,13 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         **lives,
         plan=rules,
         liability=plan.read_liability(
-            reader.place("liability"), reader.table(tables_people.LiabilityTable, "liability")
+            reader.place("liability"),
+            reader.table(tables_people.LiabilityTable, "liability"),
+            annual,
         ),
         reconcile=plan.read_reconcile(reader.maybe(tables_people.ReconcileTable, "reconcile")),
         scenarios=read_scenarios(
-            reader.place("scenarios"), supplied, classes, grid, start.isoformat()
+            reader.place("scenarios"), supplied, classes, grid, start.isoformat(), annual
         ),
         observation=(),
         hidden=tuple(settings.hidden),
@@ -127,9 +180,7 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
         ),
     )
     plan.check_limited(case)
-    promised = ("regulation", "funding", "lee_carter", "frontier")
-    others = {name: getattr(top, name) for name in promised}
-    check_pots(str(file), pots, case.plan, case.liability, others)
+    check_pots(str(file), pots, case.plan, case.liability)
     seen = settings.observation
     case = replace(
         case,
@@ -154,9 +205,6 @@ def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
     """Curve, models and assets: fields of a `PensionCase`."""
     place, maybe = reader.place, reader.maybe
     curve = reader.table(tables.CurveTable, "curve")
-    if reader.top.rates is None and reader.top.scenarios is None:
-        what = "this table is missing; only ready-made [scenarios] go without it"
-        raise CaseError(str(reader.file), "rates", None, what)
     rates = read_rates(place("rates"), maybe(tables.RatesTable, "rates"), grid)
     inflation = reader.table(tables.InflationTable, "inflation")
     credit = read_credit(place("credit"), maybe(tables.CreditTable, "credit"))
@@ -170,7 +218,7 @@ def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:
         "measure": curve.measure,
         "curve": read_curve(place("curve"), curve),
         "rates": rates,
-        "inflation": read_inflation(place("inflation"), inflation, grid),
+        "inflation": read_inflation(place("inflation"), inflation, grid, curve.compounding),
         "assets": assets,
         "credit": credit,
         "currencies": currencies,
@@ -185,19 +233,21 @@ def _plan(reader: _Reader, grid: Grid, start: datetime.date) -> Plan:
     """`[plan]` with the two tables below it."""
     table, money = reader.table(tables_people.PlanTable, "plan"), grid.currency
     clock = Clock(grid, start, table.timing == "arrears")
-    names = ("plan.indexation", "plan.contribution")
-    indexation = reader.table(tables_people.IndexationTable, names[0], table.indexation)
-    contribution = reader.table(tables_people.ContributionTable, names[1], table.contribution)
+    names = ("plan.indexation", "plan.revaluation", "plan.contribution")
+    indexation = reader.table(tables_people.IndexationTable, names[0])
+    revaluation = reader.maybe(tables_people.RevaluationTable, names[1])
+    contribution = reader.table(tables_people.ContributionTable, names[2])
     return plan.read_plan(
         reader.place("plan"),
         table,
         plan.read_indexation(reader.place(names[0]), indexation),
-        plan.read_contribution(reader.place(names[1]), contribution, clock),
+        plan.read_revaluation(reader.place(names[1]), revaluation),
+        plan.read_contribution(reader.place(names[2]), contribution, clock),
         money,
     )
 
 
-def _people(reader: _Reader, rules: Plan, grid: Grid) -> dict[str, Any]:
+def _people(reader: _Reader, rules: Plan, grid: Grid, start: datetime.date) -> dict[str, Any]:
     """Members with their mortality, or the actuary's cash flows: fields of a `PensionCase`."""
     table, section = reader.table(tables_people.MembersTable, "members"), reader.place("members")
     names = ("members", "mortality", "lee_carter", "cash_flows")
@@ -206,20 +256,15 @@ def _people(reader: _Reader, rules: Plan, grid: Grid) -> dict[str, Any]:
         got = None if table.file is None else table.cash_flows
         raise section.error("file", got, "either file or cash_flows is needed, and not both")
     if table.cash_flows is not None:
-        for name in ("mortality", "lee_carter"):
-            if getattr(reader.top, name) is not None:
-                what = "cash flows of the actuary's own leave nothing to this table"
-                raise CaseError(str(reader.file), name, None, what)
         arrears = rules.timing == "arrears"
         found["cash_flows"] = people.read_cash_flows(section, table, arrears, grid)
         return found
-    for key in ("normal_cost", "salary"):
-        if key in table.model_fields_set:
-            raise section.error(key, getattr(table, key), "this key goes with cash_flows")
     if reader.top.mortality is None:
         raise CaseError(str(reader.file), "mortality", None, "cohorts need this table")
     mortality = read_mortality(
-        reader.place("mortality"), reader.table(tables_people.MortalityTable, "mortality")
+        reader.place("mortality"),
+        reader.table(tables_people.MortalityTable, "mortality"),
+        start,
     )
     given = (section, table, mortality, rules.retirement_age, grid)
     found["members"], found["mortality"] = people.read_members(*given), mortality

@@ -24,7 +24,6 @@ from .tables import CurveTable, InflationTable, RatesTable
 SPEED = 0.1  # towards an ultimate rate, where the case does not say
 QUOTES: dict[str, Literal["forward", "swap"]] = {"forward": "forward", "swap": "swap"}
 PERIOD, EARLIEST = 40.0, 60.0  # years from the last liquid tenor to convergence, and its earliest
-ONLY = 'this key goes with extrapolation "smith-wilson"'
 HELD = "Market values of assets today, prices of risk and excess returns are held"
 ZERO = rate(
     "KR01: the zero rate at one node, between nodes linearly; the sum of all nodes is"
@@ -66,9 +65,10 @@ class Quotes(NamedTuple):
 
 def read_curve(section: Place, table: CurveTable) -> Curve:
     """The nominal curve; inputs "zero_rate", "forward_rate" or "swap_rate"."""
+    annual = table.compounding == "annual"
     columns = {"zero": ("zero_rate", ZERO), "forward": ("forward_rate", FORWARD)}
     columns |= {"swap": ("swap_rate", SWAP)}
-    curve = quotes(section, table, Quotes("file", table.file, columns, "ultimate_forward"))
+    curve = quotes(section, table, Quotes("file", table.file, columns, "ultimate_forward"), annual)
     return _smith_wilson(section, table, curve)
 
 
@@ -82,8 +82,6 @@ def _smith_wilson(section: Place, table: CurveTable, curve: Curve) -> Curve:
         if curve.quote == "swap":
             what = 'a column "swap" goes with "smith-wilson"'
             raise section.error("extrapolation", curve.extrapolation, what)
-        if table.convergence is not None:
-            raise section.error("convergence", table.convergence, ONLY)
         return curve
     last = float(curve.tenor[-1])
     if curve.quote == "forward":
@@ -126,7 +124,9 @@ def _possible(section: Place, table: CurveTable, curve: Curve) -> None:
         )
 
 
-def quotes(section: Place, table: CurveTable | InflationTable, given: Quotes) -> Curve:
+def quotes(
+    section: Place, table: CurveTable | InflationTable, given: Quotes, annual: bool
+) -> Curve:
     """Nodes from a CSV whose second column says which rate is quoted."""
     rows = read_rows(Mention(section, given.key, given.file), ("tenor",))
     column = _quoted(rows, tuple(given.columns))
@@ -134,7 +134,7 @@ def quotes(section: Place, table: CurveTable | InflationTable, given: Quotes) ->
     tenor = rising(rows, "tenor")
     # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
     rates = np.array([row.number(column, -0.999, 1.0) for row in rows])
-    if table.compounding == "annual" and column != "swap":
+    if annual and column != "swap":
         rates = np.log1p(rates)
         text = "annual rates were made continuous; sensitivities are per continuous rate."
         section.notes.append(f"{given.file}: {text}")
@@ -143,7 +143,6 @@ def quotes(section: Place, table: CurveTable | InflationTable, given: Quotes) ->
         raise section.error("ultimate", table.ultimate, what)
     far = empty(given.far, ())
     if table.ultimate is not None:
-        annual = table.compounding == "annual"
         ultimate = float(np.log1p(table.ultimate)) if annual else table.ultimate
         far = single(given.far, ultimate, ULTIMATE)
     name, said = given.columns[column]
@@ -188,11 +187,18 @@ def read_rates(section: Place, table: RatesTable | None, grid: Grid) -> ShortRat
     return MODELS[table.kind].read(section, table, grid)
 
 
-def read_inflation(section: Place, table: InflationTable, grid: Grid) -> Inflation:
-    """Break-evens under "break_even", and the models of prices and wages."""
+def read_inflation(
+    section: Place, table: InflationTable, grid: Grid, compounding: str
+) -> Inflation:
+    """Break-evens under "break_even", and the models of prices and wages; `compounding`: of the
+    rates of the case, where the table has none of its own."""
+    annual = (table.compounding or compounding) == "annual"
 
     def one(name: str, key: str, said: Said) -> Given:
-        return section.told(table, key, single(name, getattr(table, key), said))
+        value = getattr(table, key)
+        if annual and key == "real_wage_growth":
+            value = float(np.log1p(value))
+        return section.told(table, key, single(name, value, said))
 
     def moving(name: str, key: str) -> Given:
         part = stepwise(section, key, getattr(table, key), grid)
@@ -201,7 +207,7 @@ def read_inflation(section: Place, table: InflationTable, grid: Grid) -> Inflati
     columns = {"rate": ("break_even", BREAK_EVEN), "forward": ("break_even", BREAK_EVEN)}
     given = Quotes("break_evens", table.break_evens, columns, "ultimate_break_even")
     return Inflation(
-        break_even=quotes(section, table, given),
+        break_even=quotes(section, table, given, annual),
         mean_reversion=one("inflation_mean_reversion", "mean_reversion", SAID["mean_reversion"]),
         volatility=moving("inflation_volatility", "volatility"),
         price_of_risk=one("inflation_price_of_risk", "price_of_risk", SAID["price_of_risk"]),

@@ -1,5 +1,7 @@
 """Reads `[mortality]` and `[lee_carter]`: death rates by sex and age, and their random factor."""
 
+import datetime
+
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
@@ -7,7 +9,7 @@ from snapo.case.error import Unquoted
 from snapo.case.given import Given
 from snapo.case.table import Section
 
-from ..records.people import FEMALE, MALE, LeeCarter, Mortality
+from ..records.people import FEMALE, MALE, SLOPE_AGES, LeeCarter, Mortality
 from ..records.said import SQUARE_ROOT, Said, amount, rate
 from .cells import Place, empty, single, word
 from .tables_people import LeeCarterTable, MortalityTable
@@ -15,15 +17,20 @@ from .tables_people import LeeCarterTable, MortalityTable
 SEX = ("male", "female")
 PROBABILITY = amount("a death probability rises by 1 % of itself", "people", "1")
 FORMULA = amount("a number of the formula of mortality rises by 1 % of itself", "people", "1")
-MULTIPLIER = amount("death rates at these ages rise by 1 % of themselves", "people", "1")
+MULTIPLIER = amount("death probabilities at these ages rise by 1 % of themselves", "people", "1")
 IMPROVEMENT = rate("the yearly fall of death rates", "people")
 FACTOR = Said(SQUARE_ROOT, "volatility of the mortality factor", "volatility", None)
 LOADING = amount("how far the hazard of an age follows the mortality factor", "people", "1")
-FORMULA_AGES = (16, 105)  # first age and number of ages of a formula: 16 to 120
+LAST_AGE = 120  # of a formula, and of a table that is closed
+FORMULA_AGES = (16, LAST_AGE - 16 + 1)  # first age and number of ages of a formula
+OLD = 110  # a table that ends here or later is used as it is, and so is one that ends at `HALF`
+HALF = 0.5  # a death probability at which nearly all are dead soon
+FEWEST = 10  # ages of a table that can be closed
 
 
-def read_mortality(section: Place, table: MortalityTable) -> Mortality:
-    """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers."""
+def read_mortality(section: Place, table: MortalityTable, start: datetime.date) -> Mortality:
+    """Death probabilities by sex and age, or Gompertz-Makeham, with their modifiers; improvement
+    counts from their year on, else from `start`, the valuation date."""
     if table.kind == "table":
         for key in ("male", "female"):
             if getattr(table, key) is not None:
@@ -31,7 +38,7 @@ def read_mortality(section: Place, table: MortalityTable) -> Mortality:
         if table.file is None:
             raise section.error("file", None, 'kind "table" needs this key')
         first, probability = _table(section, table.file)
-        count = len(probability.values) // 2
+        count = _ages(section, table.file, first, probability.used())
         formula = empty("gompertz", (2, 3))
     else:
         if table.file is not None:
@@ -47,7 +54,56 @@ def read_mortality(section: Place, table: MortalityTable) -> Mortality:
         gompertz=formula,
         multiplier=_banded(section, table, "multiplier", "mortality_multiplier", ages, MULTIPLIER),
         improvement=_banded(section, table, "improvement", "improvement", ages, IMPROVEMENT, -1.0),
+        since=_since(section, table, start),
     )
+
+
+def _since(section: Place, table: MortalityTable, start: datetime.date) -> float:
+    """Years of improvement up to time 0, and a remark where something about them was left out."""
+    improves, day = bool(table.improvement), start + datetime.timedelta(15)
+    now = day.year + (day.month - 1) / 12  # time 0 begins a month
+    if table.year is None:
+        if improves:
+            section.notes.append(
+                "mortality.year is left out: improvement counts from the valuation date on, as if"
+                " the death probabilities were those of that year."
+            )
+        return 0.0
+    if not improves and now > table.year:
+        section.notes.append(
+            f"mortality.improvement is left out: the death probabilities of {table.year} are used"
+            f" as they are, {now - table.year:.3g} years later."
+        )
+    return now - table.year
+
+
+def _ages(section: Place, file: str, first: int, q: np.ndarray) -> int:
+    """The number of ages: those of the table, or up to `LAST_AGE` where it ends before nearly all
+    are dead. Such a table is closed by the slope of its oldest ages, see `Mortality`."""
+    count = q.shape[1]
+    last = first + count - 1
+    if last >= OLD or q[:, -1].min() >= HALF:
+        return count
+    got = Unquoted(f"the ages {first} to {last}")
+    if count < FEWEST:
+        what = f"a table that ends before {OLD} needs at least {FEWEST} ages, to go on from them"
+        raise section.error("file", got, what)
+    oldest = q[:, -SLOPE_AGES:]
+    ages = f"{last + 1 - oldest.shape[1]} to {last}"
+    place = np.arange(oldest.shape[1]) - (oldest.shape[1] - 1) / 2
+    with np.errstate(divide="ignore", invalid="ignore"):
+        rises = np.log(oldest) @ place > 0
+    if not rises.all() or not (oldest.max() < HALF):
+        what = (
+            f"a table that ends before {OLD} goes on from its oldest ages, and their death"
+            f" probabilities do not rise, or reach {HALF:g}, at {ages}"
+        )
+        raise section.error("file", got, what)
+    section.notes.append(
+        f"{file} ends at {last}: the ages {last + 1} to {LAST_AGE} are closed, the logit of their"
+        f" hazards rising as at {ages} (Kannisto)."
+    )
+    return LAST_AGE - first + 1
 
 
 def _table(section: Section, file: str) -> tuple[int, Given]:

@@ -29,6 +29,7 @@ STATUS = ("active", "deferred", "pensioner", "spouse")
 NUMBER = amount("the number of members of a cohort", "people", "members")
 PENSION = "the yearly pension that each member has earned"
 SALARY = "the salary of each member, and with it contributions and accrual"
+FACTOR = amount("the death probabilities of a cohort rise by 1 % of themselves", "people", "1")
 FLOW, COST = "an expected payment", "the value of the accrual of a step today"
 
 
@@ -37,7 +38,8 @@ def read_members(
 ) -> Members:
     """Cohorts, each within the ages of the mortality table."""
     columns = ("name", "status", "sex", "age", "number", "pension")
-    rows = read_rows(Mention(section, "file", str(table.file)), columns, ("salary", "service"))
+    more = ("salary", "service", "mortality")
+    rows = read_rows(Mention(section, "file", str(table.file)), columns, more)
     names = unique(rows, "name")
     status = np.array([STATUS.index(word(row, "status", STATUS)) for row in rows], np.int64)
     sex = np.array([SEX.index(word(row, "sex", SEX)) for row in rows], np.int64)
@@ -64,7 +66,16 @@ def read_members(
         ),
         salary=_salary(rows, status, names, money),
         service=np.array([number(row, "service", 0.0, 0.0) for row in rows]),
+        mortality=_factor(rows, names),
     )
+
+
+def _factor(rows: Sequence[Row], names: Sequence[str]) -> Given | None:
+    """Factors on death probabilities, 1 in an empty cell; None without the column."""
+    if not any(row.cells.get("mortality") for row in rows):
+        return None
+    return listed("member_mortality", [number(row, "mortality", 1.0, 0.0) for row in rows], names,
+                  FACTOR)  # fmt: skip
 
 
 def _age(row: Row, first: int, last: int) -> float:

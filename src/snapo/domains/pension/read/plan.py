@@ -3,22 +3,20 @@
 A number that the rule of a case does not look at is no input: its `Given` stays empty.
 """
 
-from collections.abc import Iterable
-
 import numpy as np
 
 from snapo.case.csv import Mention
 from snapo.case.error import CaseError
 from snapo.case.given import Given
-from snapo.case.table import Section, Table
+from snapo.case.table import Section
 
 from ..fund.contributions import CONTRIBUTIONS
 from ..fund.increases import INCREASES
 from ..records.case import Frontier, PensionCase
-from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile
+from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile, Revaluation
 from ..records.said import YEARLY, Said, amount, rate, share, time
 from .cash_plan import Clock, read_cash_plan
-from .cells import empty, single
+from .cells import Place, empty, single
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,
@@ -26,12 +24,15 @@ from .tables_people import (
     LiabilityTable,
     PlanTable,
     ReconcileTable,
+    RevaluationTable,
 )
 
 ACCRUAL = rate("the share of salary less offset that a year of service earns", "plan")
 OFFSET, EXPENSES = "the part of a salary without a pension", "the yearly expenses of the scheme"
 SPOUSE = share("the spouse's pension as a share of the member's", "plan")
 MARRIED = share("the share of members with a spouse", "plan")
+REVALUED = rate("the yearly increase of rights before payment", "plan")
+LOADED = share("the reserve for expenses, as a share of the value of the payments", "plan")
 INDEXED = rate("the rate, or a limit, of yearly indexation", "plan")
 RATIO = share("a funding ratio in the rule of indexation", "plan")
 RULE = share("a number of the rule of contributions", "plan")
@@ -40,7 +41,12 @@ LIMITS = ("floor", "cap", "sponsor_limit")
 
 
 def read_plan(
-    section: Section, table: PlanTable, indexation: Indexation, contribution: Contribution, money
+    section: Section,
+    table: PlanTable,
+    indexation: Indexation,
+    revaluation: Revaluation | None,
+    contribution: Contribution,
+    money: str,
 ) -> Plan:
     """Terms of the scheme; numbers that nothing was said about are no inputs."""
 
@@ -70,6 +76,7 @@ def read_plan(
         expenses=given("expenses", amount(EXPENSES, "plan", yearly)),
         indexation=indexation,
         contribution=contribution,
+        revaluation=revaluation,
     )
 
 
@@ -77,25 +84,13 @@ def _nothing(name: str) -> Given:
     return empty(name, ())
 
 
-def _only(section: Section, table: Table, used: Iterable[str], numbers: Iterable[str]) -> None:
-    """Keys that the chosen kind has no use for are mistakes."""
-    used = set(used)
-    for key in numbers:
-        if key in table.model_fields_set and key not in used:
-            value = getattr(table, key)
-            kind = getattr(table, "kind", getattr(table, "basis", ""))
-            raise section.error(key, value, f'"{kind}" has no use for this key')
-
-
 def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     """Increases once a year; cap and floor only where the rule has them."""
     kind = table.kind
     used = INCREASES[kind].takes
     cuts = ["required_ratio"] if table.cut_years else []
-    numbers = ("cap", "floor", "lower_ratio", "upper_ratio", "required_ratio", "rate")
     if kind == "fixed" and table.rate is None:
         raise section.error("rate", None, 'kind "fixed" needs this key')
-    _only(section, table, [*used, *cuts], numbers)
     if table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
     if "lower_ratio" in used and table.lower_ratio >= table.upper_ratio:
@@ -122,6 +117,17 @@ def read_indexation(section: Section, table: IndexationTable) -> Indexation:
     )
 
 
+def read_revaluation(section: Place, table: RevaluationTable | None) -> Revaluation | None:
+    """Rates of increase before payment; None where rights grow as pensions in payment do."""
+    if table is None:
+        return None
+
+    def given(key: str) -> Given:
+        return section.told(table, key, single(f"revaluation_{key}", getattr(table, key), REVALUED))
+
+    return Revaluation(deferred=given("deferred"), active=given("active"))
+
+
 def read_contribution(section: Section, table: ContributionTable, clock: Clock) -> Contribution:
     """The rule of contributions with its limits, and payments agreed in money."""
     kind, rule, money = table.kind, CONTRIBUTIONS[table.kind], clock.grid.currency
@@ -133,8 +139,6 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
         used.append("rate" if table.normal_cost == "rate" else "loading")
     if kind != "none":
         used += [each for each in LIMITS if getattr(table, each) is not None]
-    numbers = ("rate", "loading", "spread_factor", "target_ratio", "recovery_years", *LIMITS)
-    _only(section, table, used, numbers)
     for key in used:
         if getattr(table, key) is None:
             raise section.error(key, None, f'kind "{kind}" needs this key')
@@ -170,15 +174,17 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
     )
 
 
-def read_liability(section: Section, table: LiabilityTable) -> Liability:
-    """How payments are valued."""
+def read_liability(section: Section, table: LiabilityTable, annual: bool) -> Liability:
+    """How payments are valued; `annual`: the compounding of the case."""
     wanted = table.basis != "risk-free"
     if wanted and table.rate is None:
         raise section.error("rate", None, f'basis "{table.basis}" needs this key')
-    _only(section, table, ["rate"] if wanted else [], ["rate"])
     name = "liability_rate"
     added = single(name, table.rate, VALUED) if table.rate is not None else _nothing(name)
-    return Liability(table.basis, added, table.future_indexation)
+    loading = None
+    if table.expense_loading:
+        loading = single("liability_expense_loading", table.expense_loading, LOADED)
+    return Liability(table.basis, added, table.future_indexation, annual, loading)
 
 
 def check_limited(case: PensionCase) -> None:

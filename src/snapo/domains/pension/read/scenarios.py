@@ -22,9 +22,15 @@ class Columns(NamedTuple):
 
 
 def read_scenarios(
-    section: Section, table: ScenariosTable | None, classes: Sequence[str], grid: Grid, start: str
+    section: Section,
+    table: ScenariosTable | None,
+    classes: Sequence[str],
+    grid: Grid,
+    start: str,
+    annual: bool,
 ) -> SuppliedScenarios | None:
-    """Two sets of paths; `start` is the valuation date, for files that give dates."""
+    """Two sets of paths; `start` is the valuation date, for files that give dates. Zero rates that
+    are `annual` are made continuous."""
     if table is None:
         return None
     if table.training == table.evaluation:
@@ -39,7 +45,11 @@ def read_scenarios(
             what = f"the columns must be those of {table.training}"
             raise section.error(key, mention.name, what)
         known = columns
-        sets.append(_paths(mention, rows, columns, grid, start))
+        paths = _paths(mention, rows, columns, grid, start)
+        if annual:
+            zeros = slice(len(columns.names) - len(columns.tenor), None)
+            paths[:, :, zeros] = np.log1p(paths[:, :, zeros])
+        sets.append(paths)
     assert known is not None
     return SuppliedScenarios(sets[0], sets[1], known.names, known.tenor)
 

@@ -9,6 +9,7 @@ from typing import Annotated, Any, Literal
 import pydantic
 from pydantic import Field
 
+from snapo.case.meaning import Only
 from snapo.case.parts import Names, names_of_parts
 from snapo.case.table import TITLE, Table, Title
 
@@ -34,6 +35,33 @@ ABOVE = "a number above 0"
 SHARE = "a number from 0 to 1"
 STEPS = "or the name of a CSV file with columns from_year,value"
 VOLATILITY = f"{LEAST}, {STEPS}"
+
+
+COHORTS = Only(
+    lambda tables: tables["members"].cash_flows is None or tables["members"].file is not None,
+    "for cohorts of [members] file",
+    lambda _: "a case of the actuary's own cash flows",
+)
+PROMISED = Only(
+    lambda tables: "pots" not in tables,
+    "for promised rights",
+    lambda _: "a fund of personal pots",
+)
+NOT_FLAT = Only(
+    lambda tables: tables["curve"].extrapolation != "flat-forward",
+    'with extrapolation "ultimate" or "smith-wilson"',
+)
+ULTIMATE = Only(
+    lambda tables: tables["inflation"].extrapolation == "ultimate",
+    'with extrapolation "ultimate"',
+)
+SMITH_WILSON = Only(
+    lambda tables: tables["curve"].extrapolation == "smith-wilson",
+    'with extrapolation "smith-wilson"',
+)
+SOUGHT = Only(
+    lambda tables: tables["curve"].speed is None, "where no speed is stated that settles it"
+)
 
 
 def csv(columns: str, default: Any = ...) -> Any:
@@ -70,9 +98,11 @@ class CurveTable(Table):
         "flat-forward", "ultimate", "smith-wilson", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
-    speed: Positive | None = Field(None, description=ABOVE)
+    speed: Annotated[Positive | None, NOT_FLAT] = Field(None, description=ABOVE)
     last_liquid: Positive | None = Field(None, description=f"a tenor in years, {ABOVE}")
-    convergence: Positive | None = Field(None, description=f"a term in years, {ABOVE}")
+    convergence: Annotated[Positive | None, SMITH_WILSON, SOUGHT] = Field(
+        None, description=f"a term in years, {ABOVE}"
+    )
 
 
 class RatesTable(Table):
@@ -94,14 +124,14 @@ class InflationTable(Table):
     """`[inflation]`: break-evens, expected inflation, prices and wages."""
 
     break_evens: Name = csv("tenor,rate (or tenor,forward)")
-    compounding: Literal["continuous", "annual"] = words(
-        "continuous", "annual", default="continuous"
+    compounding: Literal["continuous", "annual"] | None = Field(
+        None, description='"continuous" or "annual", as in [curve] where left out'
     )
     extrapolation: Literal["flat-forward", "ultimate"] = words(
         "flat-forward", "ultimate", default="flat-forward"
     )
     ultimate: Rate | None = Field(None, description=RATE)
-    speed: Positive = Field(0.1, description=ABOVE)
+    speed: Annotated[Positive, ULTIMATE] = Field(0.1, description=ABOVE)
     mean_reversion: Positive = Field(0.3, description=ABOVE)
     volatility: NotNegative | Name = Field(0.007, description=VOLATILITY)
     price_of_risk: float = Field(0.0, description="a number")
@@ -242,8 +272,10 @@ class PensionTable(Table):
     correlations: dict | None = Field(None, description="the table [correlations]")
     overlay: dict | None = Field(None, description="the table [overlay]")
     members: dict = Field(description="the table [members]")
-    mortality: dict | None = Field(None, description="the table [mortality]")
-    lee_carter: dict | None = Field(None, description="the table [lee_carter]")
+    mortality: Annotated[dict | None, COHORTS] = Field(None, description="the table [mortality]")
+    lee_carter: Annotated[dict | None, COHORTS, PROMISED] = Field(
+        None, description="the table [lee_carter]"
+    )
     plan: dict = Field({}, description="the table [plan]")
     liability: dict = Field({}, description="the table [liability]")
     reconcile: dict | None = Field(None, description="the table [reconcile]")
@@ -254,9 +286,9 @@ class PensionTable(Table):
     )
     sensitivity: dict = Field({}, description="the table [sensitivity]")
     stress: dict | None = Field(None, description="the table [stress]")
-    frontier: dict | None = Field(None, description="the table [frontier]")
-    regulation: dict | None = Field(None, description="the table [regulation]")
-    funding: dict | None = Field(None, description="the table [funding]")
+    frontier: Annotated[dict | None, PROMISED] = Field(None, description="the table [frontier]")
+    regulation: Annotated[dict | None, PROMISED] = Field(None, description="the table [regulation]")
+    funding: Annotated[dict | None, PROMISED] = Field(None, description="the table [funding]")
     pots: dict | None = Field(None, description="the table [pots]")
     report: dict = Field({}, description="the table [report]")
     training: dict = Field({}, description="the table [training]")

@@ -13,21 +13,26 @@ from snapo.case.given import Given
 MALE, FEMALE = 0, 1
 ACTIVE, DEFERRED, PENSIONER, SPOUSE = 0, 1, 2, 3
 PAYMENT_YEARS = 100
+SLOPE_AGES = 20  # the oldest of a table, whose slope closes it
 
 
 @dataclass(frozen=True, eq=False)
 class Mortality:
     """Death probabilities of a year by sex and age, with yearly improvement.
 
-    Kind "table": `table` [sex, age] = q, from `first_age` on; the last age's q holds for all later
-    ages (a q of 1 ends all lives). Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x)
-    and q = 1 - exp(-integral of mu over the year).
-    Either way q(x, year j) = 1 - (1 - q(x))^(multiplier(x) exp(-improvement(x) j)).
+    Kind "table": `table` [sex, age] = q, from `first_age` on. A table of fewer than G ages is
+    closed: the logit of the hazard goes on from the last age with the slope of the `SLOPE_AGES`
+    last ones (V. Kannisto). The last of all ages holds for later ones (a q of 1 ends all lives).
+    Kind "gompertz-makeham": mu(x) = makeham + exp(alpha + beta x) and q = 1 - exp(-integral of mu
+    over the year).
+    Either way, j years after time 0, q(x, j) = 1 - (1 - m q(x))^exp(-improvement(x) (since + j)),
+    m = `multiplier(x)` times the factor of the cohort, and m q at most 1.
 
     - `first_age`: of all index axes "age"; ages have length G.
-    - `table`: index [2, G]; empty for the other kind. `gompertz`: index [2, 3], columns alpha,
-      beta, makeham; empty for "table".
-    - `multiplier`: on the hazard, index [2, G]. `improvement`: per year, index [2, G].
+    - `table`: index [2, ages of the table]; empty for the other kind. `gompertz`: index [2, 3],
+      columns alpha, beta, makeham; empty for "table".
+    - `multiplier`: on q, index [2, G]. `improvement`: per year, index [2, G].
+    - `since`: years of improvement from the table's year to time 0.
     """
 
     kind: Literal["table", "gompertz-makeham"]
@@ -37,6 +42,7 @@ class Mortality:
     gompertz: Given
     multiplier: Given
     improvement: Given
+    since: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,6 +67,7 @@ class Members:
     - `number`: members, index [C]. `pension`: accrued per member and year, index [C]. `salary`:
       per member and year, index [C] (0 for those who are not active).
     - `service`: [C] years until now, for reports and for `Plan.max_service`.
+    - `mortality`: factor on the members' own q, index [C]; None where the table has none.
     """
 
     names: tuple[str, ...]
@@ -71,6 +78,7 @@ class Members:
     pension: Given
     salary: Given
     service: np.ndarray
+    mortality: Given | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,8 @@ from snapo.case.given import Given
 
 @dataclass(frozen=True, eq=False)
 class Indexation:
-    """Increases of all pensions, accrued and in payment, once a year in calendar month `month`.
+    """Increases once a year in calendar month `month`: of pensions in payment, and of all other
+    rights alike where the plan has no `Revaluation`.
 
     "none"; "fixed": by `rate`, a part of the payments themselves (see `people.fixed_increases`);
     "full": price growth since the last time; "capped": the same within `floor` and
@@ -32,6 +33,15 @@ class Indexation:
     required_ratio: Given
     cut_years: int
     rate: Given | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class Revaluation:
+    """Increases of rights before payment, by fixed rates on the dates of `Indexation`: `deferred`
+    of deferred members until their pension begins, `active` of actives in service. Index []."""
+
+    deferred: Given
+    active: Given
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,7 +88,9 @@ class Contribution:
 
 @dataclass(frozen=True, eq=False)
 class Plan:
-    """Terms of the scheme: career average, pensions and accrued rights indexed alike.
+    """Terms of the scheme: a pension of career average.
+
+    - `revaluation`: of rights before payment; None: they grow as pensions in payment do.
 
     - `timing`: payments at the start ("advance") or end ("arrears") of a step, benefits and
       contributions alike.
@@ -111,6 +123,7 @@ class Plan:
     expenses: Given
     indexation: Indexation
     contribution: Contribution
+    revaluation: Revaluation | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,7 +131,9 @@ class Liability:
     """How payments are valued at any time.
 
     - `basis` "risk-free": the simulated curve; "spread": the same plus `rate`; "fixed": `rate`
-      for all terms (continuous). `rate`: index [].
+      for all terms. `rate`: index [], `annual` or continuous; an annual spread is added to annual
+      rates of today's curve, term by term, and what it is there in continuous rates is held.
+    - `loading`: for expenses, index []: reserves are 1 + `loading` times the value of the payments.
     - `future_indexation`: "none" values nominal payments, "full" payments that follow prices (real
       curve; basis "fixed" then takes `rate` as real), "capped" payments that follow them within
       the cap and the floor of the plan's indexation, as the options they are (`people.lpi`).
@@ -127,6 +142,8 @@ class Liability:
     basis: Literal["risk-free", "spread", "fixed"]
     rate: Given
     future_indexation: Literal["none", "full", "capped"]
+    annual: bool = False
+    loading: Given | None = None
 
 
 @dataclass(frozen=True, eq=False)

@@ -13,7 +13,8 @@ from ..results.figures.reconcile import payments
 
 
 class Due(NamedTuple):
-    """Expected payments `flow` [N], their `discount` factors and their times in `years`."""
+    """Expected payments `flow` [N], with the loading for their expenses, their `discount` factors
+    and their times in `years`."""
 
     flow: np.ndarray
     discount: np.ndarray

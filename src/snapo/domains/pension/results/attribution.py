@@ -117,17 +117,20 @@ class Explained(PensionSimulator):
         expected = after._replace(market=market)
         as_expected = balance(self.case, constants, now.people, now.shape, expected).liability
         gained = _assets(self.case, done)
-        added = self._liability(done, owed, as_expected)
+        added = self._liability(done, owed, as_expected, constants.plan.reserved)
         by_assets = (1 / before + 1 / owed) / 2
         by_liability = -(state.assets + after.assets) / (2 * before * owed)
         outputs = {f"{name} assets": by_assets * part for name, part in gained.items()}
         outputs |= {f"{name} liability": by_liability * part for name, part in added.items()}
         return after, outputs
 
-    def _liability(self, done: Happened, owed: Array, as_expected: Array) -> dict[str, Array]:
-        """Parts of the change of the liability, money; `owed` at the end of the step, and
-        `as_expected` the same with mortality as it was expected."""
-        books, benefit = done.books, done.flows.benefit
+    def _liability(
+        self, done: Happened, owed: Array, as_expected: Array, reserved: Array
+    ) -> dict[str, Array]:
+        """Parts of the change of the liability, money; `owed` at the end of the step,
+        `as_expected` the same with mortality as it was expected, `reserved` as in `PlanTerms`."""
+        # The reserve for a payment's expenses goes with it.
+        books, benefit = done.books, reserved * done.flows.benefit
         kept = books.liability + books.accrual
         interest = (kept - benefit if self._in_advance else kept) * jnp.expm1(done.moved.cash)
         unindexed = jnp.exp(-done.after.jump)

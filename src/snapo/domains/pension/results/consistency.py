@@ -16,6 +16,7 @@ from snapo.study.study import StudyRun
 from ..fund.simulator import PensionSimulator
 from ..market.curve import log_bond
 from ..market.state import log_factor
+from ..people.cash_flows import reserved
 from ..people.liability import nodes
 from ..read.cells import empty
 from ..records.case import PensionCase
@@ -92,7 +93,8 @@ def _tests(case: PensionCase, inputs: dict[str, Any], totals, liability: float) 
     plain_basis = case.liability.basis == "risk-free" and not _real(case)
     if plain_basis and case.lee_carter is None:
         added = totals["pv_indexation"] + totals["pv_accrual"]
-        left = totals["pv_liability"] + totals["pv_benefit"] - added
+        paid = float(reserved(case, inputs)) * totals["pv_benefit"]
+        left = totals["pv_liability"] + paid - added
         tests.append(("Liability: remainder and payments", left, liability))
     return tests
 

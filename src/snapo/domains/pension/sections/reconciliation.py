@@ -140,6 +140,8 @@ def reconciliation(run: PensionRun) -> Section:
     blocks: list[Block] = [Text(f"Note: {each}.", caveat=True) for each in data.get("remarks", [])]
     if rows:
         blocks.append(Table(head, rows, "Own figures, and those of the actuary where given", 2))
+    if words := data.get("in_words"):
+        blocks.append(Text(" ".join(f"{each[:1].upper()}{each[1:]}." for each in words)))
     scale, unit = run.size(data.get("liability"))
     blocks.append(
         Facts(

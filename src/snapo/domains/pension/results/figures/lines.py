@@ -3,6 +3,8 @@
 from functools import lru_cache
 from typing import NamedTuple
 
+import numpy as np
+
 from snapo.case.error import CaseError
 from snapo.problem.inputs import plain
 
@@ -11,6 +13,7 @@ from ...records.inputs import pension_inputs
 from ...regulation.bases import bases
 from ...regulation.stand import stand
 from .human import Human, human
+from .in_words import in_words
 from .monthly import against_months
 from .plausible import remarks
 from .reconcile import Figures, Line, check, figures
@@ -54,6 +57,7 @@ def lines(case: PensionCase) -> list[str]:
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
         *_human(case, found.human),
+        *in_words(case),
         *_leverage(case),
         *_regulation(case),
         *_funding(case),
@@ -76,7 +80,9 @@ def _human(case: PensionCase, found: Human) -> list[str]:
         lengths.append(f"hedge ratio {found.hedge_ratio:.0%}")
     if found.inflation_hedge_ratio is not None:
         lengths.append(f"of inflation {found.inflation_hedge_ratio:.0%}")
-    told = [", ".join(size), f"duration: {', '.join(lengths)}", f"rates: {_by_tenor(found.rate)}"]
+    annual = {tenor: float(np.expm1(each)) for tenor, each in found.rate.items()}
+    told = [", ".join(size), f"duration: {', '.join(lengths)}"]
+    told += [f"rates, annual: {_by_tenor(annual)}", f"rates, continuous: {_by_tenor(found.rate)}"]
     if found.rate_volatility:
         told.append(f"volatility of rates, a year: {_by_tenor(found.rate_volatility)}")
     grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())

@@ -11,7 +11,7 @@ import numpy as np
 from jaxtyping import Array
 
 from ...fund.schedule import basis_log_bond
-from ...people.cash_flows import horizon, project
+from ...people.cash_flows import horizon, project, reserved
 from ...people.liability import paid_at, people
 from ...records.case import PensionCase
 from ...records.market import Curve
@@ -56,6 +56,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
     with jax.enable_x64(True):
         found = _slopes(case)(_with_curves(case, inputs))
         slopes, (flow, discount) = jax.tree.map(np.asarray, found)
+        load = float(reserved(case, inputs))
     years = paid_at(case, np.arange(horizon(case))) * case.step
     value = flow * discount
     total = float(value.sum())
@@ -68,7 +69,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
         key_rate=BASIS_POINT * slopes[case.curve.rate.name],
         key_inflation=BASIS_POINT * slopes[prices],
         inflation01=BASIS_POINT * float(slopes[prices].sum()),
-        cash_flow=flow[: horizon(case) - case.steps],
+        cash_flow=flow[: horizon(case) - case.steps] / load,
     )
 
 
@@ -109,9 +110,9 @@ def check(case: PensionCase, inputs: dict[str, Any], known: Figures | None = Non
 
 
 def payments(case: PensionCase, inputs: dict[str, Any]) -> tuple[Array, Array]:
-    """Expected payments by step [N] and their discount factors."""
+    """Expected payments by step [N], loading for expenses included, and their discount factors."""
     log_bond = basis_log_bond(case, inputs)
-    flow = project(case, inputs, log_bond).accrued
+    flow = reserved(case, inputs) * project(case, inputs, log_bond).accrued
     return flow, jnp.exp(log_bond[paid_at(case, np.arange(horizon(case)))])
 
 

@@ -12,13 +12,14 @@ from ...records.inputs import pension_inputs
 from ...regulation.bases import bases
 from ...regulation.stand import stand
 from ..setup import case_of
+from .in_words import in_words
 from .lines import examine
 from .reconcile import BASIS_POINT, Figures
 
 
 def work(run: StudyRun) -> dict[str, Any]:
-    """ "reconciliation" with lines, figures, remarks and yearly payments; "liability", "funding"
-    today."""
+    """ "reconciliation" with lines, figures, remarks, the plan in words and yearly payments;
+    "liability", "funding" today."""
     case = case_of(run)
     examined, each = examine(case), round(1 / case.step)
     found, seen = examined.figures, examined.human
@@ -29,6 +30,7 @@ def work(run: StudyRun) -> dict[str, Any]:
     table = {
         "lines": [line._asdict() for line in examined.lines],
         "remarks": examined.remarks,
+        "in_words": in_words(case),
         "liability": found.liability,
         "duration": found.duration,
         "convexity": found.convexity,

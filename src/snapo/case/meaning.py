@@ -1,0 +1,63 @@
+"""When a key of a case has a meaning: said at the key itself, looked at once all tables are there.
+
+    spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
+
+A key that a case states and that nothing in it uses is a mistake of its owner's, and is refused.
+"""
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from pydantic.fields import FieldInfo
+
+from .error import CaseError
+
+Tables = Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Only:
+    """A key with a meaning only where something holds.
+
+    - `holds`: of the tables of a case by name, "" the whole file; a missing one is left out.
+    - `when`: the same in a clause that follows "only". `instead`: what the case has in its place.
+    """
+
+    holds: Callable[[Tables], bool]
+    when: str
+    instead: Callable[[Tables], str] | None = None
+
+    def why(self, tables: Tables) -> str:
+        """The reason for a refusal."""
+        reason = f"this key has a meaning only {self.when}"
+        if self.instead is None:
+            return reason
+        return f"{self.instead(tables)} has no use for this key; it has a meaning only {self.when}"
+
+
+def conditions(field: FieldInfo) -> Iterator[Only]:
+    """All that must hold for a key to have a meaning."""
+    return (each for each in field.metadata if isinstance(each, Only))
+
+
+def check_meanings(file: str, tables: Tables) -> None:
+    """Refuses the keys that a case states without a meaning.
+
+    **Raises:** `CaseError` with all of them.
+    """
+    mistakes = []
+    for name, table in tables.items():
+        for key in type(table).model_fields:
+            if key not in table.model_fields_set:
+                continue
+            for only in conditions(type(table).model_fields[key]):
+                if not only.holds(tables):
+                    value = getattr(table, key)
+                    shown = None if isinstance(value, dict | list) else value
+                    where = f"{name}.{key}" if name else key
+                    mistakes.append(CaseError(file, where, shown, only.why(tables)))
+                    break
+    if mistakes:
+        first, *rest = mistakes
+        raise CaseError(first.file, first.where, first.value, first.allowed, rest)
