@@ -17,6 +17,7 @@ from docutils import nodes
 from pydantic_core import PydanticUndefined
 from sphinx.util.docutils import SphinxDirective
 
+from snapo.case.meaning import conditions
 from snapo.case.table import Table
 
 
@@ -51,7 +52,8 @@ def described(table: type[Table]) -> Iterator[str]:
     yield from (f"## {title}", "", words[:1].upper() + words[1:], "")
     yield from ("| key | allowed | default |", "|---|---|---|")
     for key, field in table.model_fields.items():
-        allowed = _cell(field.description or _kind(field.annotation))
+        only = "".join(f"; only {each.when}" for each in conditions(field))
+        allowed = _cell((field.description or _kind(field.annotation)) + only)
         yield f"| `{field.alias or key}` | {allowed} | {_default(field)} |"
     yield ""
 
