@@ -15,6 +15,7 @@ from tests.domains.pension.people_cases import (
 
 from snapo.domains.pension.fund.schedule import basis_log_bond
 from snapo.domains.pension.people.cash_flows import horizon, project
+from snapo.domains.pension.people.liability import people
 from snapo.domains.pension.people.mortality import log_survival
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import ACTIVE, DEFERRED, FEMALE, MALE, PENSIONER
@@ -143,3 +144,33 @@ def test_a_pension_that_begins_within_a_step_pays_the_rest_of_it(timing):
     right = 0.5 * 0.0175 / 12 * (40 - 15)
     assert fresh[0, 1] == pytest.approx(right / 12 * life[1 + late], rel=1e-12)
     assert not fresh[1:].any()
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("timing", ["advance", "arrears"])
+def test_a_liability_with_all_of_it_rolls_forward_along_the_forward_curve(timing):
+    """Increases apart, a loading and pensions that begin within steps: what is left is worth the
+    forward value of today's and of what is earned, less what was paid and set free."""
+    rate, loading = given("liability_rate", 0.02), given("expense_loading", 0.04)
+    case = people_case(
+        30,
+        plan=plan(
+            timing=timing,
+            age_basis="exact",
+            retirement_age=62.9,
+            indexation=indexing("fixed", rate=given("indexation_rate", 0.03), cut_years=0),
+            revaluation=apart(),
+        ),
+        liability=Liability("spread", rate, "none", annual=True, loading=loading),
+    )
+    inputs = plain(pension_inputs(case))
+    with jax.enable_x64(True):
+        log_bond = np.asarray(basis_log_bond(case, inputs))
+        found = jax.tree.map(np.asarray, people(case, inputs, log_bond))
+    growth = np.exp(log_bond[:30] - log_bond[1:31])
+    value = (found.accrued + found.fresh).sum(1)
+    new = found.baseline[:30] * found.accrual[:30].sum(1)
+    paid = 1.04 * (found.benefit + found.fresh_benefit)[:30]
+    early, late = (paid, 0) if timing == "advance" else (0, paid)
+    np.testing.assert_allclose(value[1:], (value[:30] + new - early) * growth - late, rtol=1e-11)
+    assert new[8] > 0 and found.fresh_benefit[20] > 0

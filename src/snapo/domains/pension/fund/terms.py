@@ -31,7 +31,7 @@ class PlanTerms(NamedTuple):
     c_floor: Array
     c_cap: Array
     sponsor: Array
-    reserved: Array | float = 1.0
+    reserved: Array
 
 
 def plan_terms(case: PensionCase, inputs: dict[str, Any]) -> PlanTerms:

@@ -101,7 +101,7 @@ def _streams(
     drawn = drawing(case, lives, count)
     alive = lives.alive[:, shift : count + shift]
     growth = grown(case, inputs, lives, drawn)
-    own, paid = drawn * alive * case.step, jnp.asarray(case.step)
+    own, paid = case.step * jnp.asarray(drawn) * alive, jnp.asarray(case.step)
     rights = _accrual(case, inputs, lives)
     if growth is not None:
         own, paid = own * growth.member, paid * growth.payment
