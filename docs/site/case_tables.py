@@ -52,8 +52,10 @@ def described(table: type[Table]) -> Iterator[str]:
     yield from (f"## {title}", "", words[:1].upper() + words[1:], "")
     yield from ("| key | allowed | default |", "|---|---|---|")
     for key, field in table.model_fields.items():
-        only = "".join(f"; only {each.when}" for each in conditions(field))
-        allowed = _cell((field.description or _kind(field.annotation)) + only)
+        allowed = field.description or _kind(field.annotation)
+        if only := ", and ".join(each.when for each in conditions(field)):
+            allowed += f"; only {only}"
+        allowed = _cell(allowed)
         yield f"| `{field.alias or key}` | {allowed} | {_default(field)} |"
     yield ""
 
