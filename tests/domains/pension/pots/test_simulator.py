@@ -117,14 +117,15 @@ def test_a_fully_protected_cohort_without_excess_return_keeps_its_pension():
     assert outputs["cut"].max() < 1e-12
 
 
-@pytest.mark.parametrize("added", [0.0, 0.01])
+@pytest.mark.parametrize(("added", "annual"), [(0.0, False), (0.01, False), (0.01, True)])
 @pytest.mark.parametrize("timing", ["advance", "arrears"])
-def test_without_risk_every_pot_and_the_reserve_earn_cash(timing, added):
+def test_without_risk_every_pot_and_the_reserve_earn_cash(timing, added, annual):
     """No volatility and no costs: whatever the fund holds and whatever its rules are, no one's return
     goes to anyone else; pensions stand still, but where the projected return is above the curve."""
     case = quiet(timing)
     if added:
-        case = replace(case, liability=Liability("spread", given("liability_rate", added), "none"))
+        rate = given("liability_rate", added)
+        case = replace(case, liability=Liability("spread", rate, "none", annual))
     states, outputs, (_, steps) = rolled(case, paths=3)
     assert np.ptp(np.diff(states.fund.market.log_discount[:, 0])) > 1e-4
     of_pots, of_reserve = beyond_cash(states, steps, timing)
