@@ -12,19 +12,20 @@ from snapo.domains.pension.records.parts import PARTS
 # Every kind of class, with every column that its kind has.
 ASSETS = (
     "name,kind,mean,volatility,weight,low,high,group,group_low,group_high,max_sale,band,cost,fee,"
-    "maturity,rating,currency,smoothing,eligible,risk"
+    "maturity,coupon,rating,currency,smoothing,eligible,risk"
     """
-Cash,cash,,,0.1,0,0.5,,,,,,0,0,,,,,1,
-Bonds,bond,,,0.2,0,0.6,Matching,0.1,0.9,,0.01,0.0003,0.0002,10,,,,0.9,
-Linkers,index-linked,,,0.1,0,0.6,Matching,,,,0.01,0.0004,0.0002,10,,,,0.8,
-Credit,credit,,,0.1,0,0.3,Matching,,,,,0.003,0.001,5,BBB,,,0.5,
-Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,,0.01,0.001,0.001,,,USD,,0,emerging
-Property,property,0.04,0.15,0.1,0,0.2,,,,0.1,,0.01,0.005,,,,0.4,0,
-Gold,commodity,0.03,0.2,0.1,0,0.2,,,,,,0.002,0.001,,,,0.9,0,
-Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,USD,0.5,0,
+Cash,cash,,,0.1,0,0.5,,,,,,0,0,,,,,,1,
+Bonds,bond,,,0.1,0,0.6,Matching,0.1,0.9,,0.01,0.0003,0.0002,10,,,,,0.9,
+Coupons,coupon-bond,,,0.1,0,0.6,Matching,,,,0.01,0.0003,0.0002,10,par,,,,0.9,
+Linkers,index-linked,,,0.1,0,0.6,Matching,,,,0.01,0.0004,0.0002,10,,,,,0.8,
+Credit,credit,,,0.1,0,0.3,Matching,,,,,0.003,0.001,5,,BBB,,,0.5,
+Equity,equity,0.05,steps.csv,0.2,0,0.6,,,,,0.01,0.001,0.001,,,,USD,,0,emerging
+Property,property,0.04,0.15,0.1,0,0.2,,,,0.1,,0.01,0.005,,,,,0.4,0,
+Gold,commodity,0.03,0.2,0.1,0,0.2,,,,,,0.002,0.001,,,,,0.9,0,
+Hedge,hedge-fund,0.04,0.1,0.1,0,0.2,,,,0.5,,0.002,0.01,,,,USD,0.5,0,
 """
 )
-NAMES = ("Cash", "Bonds", "Linkers", "Credit", "Equity", "Property", "Gold", "Hedge")
+NAMES = ("Cash", "Bonds", "Coupons", "Linkers", "Credit", "Equity", "Property", "Gold", "Hedge")
 COHORTS = """
 name,status,sex,age,number,pension,salary,service,mortality
 Active,active,male,60.5,10,3,40,20,
@@ -47,7 +48,7 @@ FILES = {
     "USD,developed,0.09,0.001,0.5,0.002\n",
     "correlations.csv": "name,rate,Equity\nrate,1,\nEquity,1,1\n",  # repaired
     "overlay.csv": "tenor,kind,notional,low,high,cost\n10,rates,20,0,0.3,0.0001\n"
-    "20,inflation,5,0,0.3,0.0001\n",
+    "15,zero-coupon,5,0,0.3,0.0001\n20,inflation,5,0,0.3,0.0001\n",
     "cohorts.csv": COHORTS,
     "flows.csv": "year,amount\n1,40\n2,45\n15,400\n",
     "mortality.csv": "sex,age,q\n"

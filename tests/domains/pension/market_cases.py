@@ -278,6 +278,7 @@ def full(steps: int = 6, **changes) -> PensionCase:
             leverage=given("overlay_leverage", 0.3),
             cost=given("overlay_cost", [0.0002, 0.0003]),
             collateral_stress=given("overlay_collateral_stress", 0.035),
+            zero_coupon=(1,),
         ),
         "plan": plan(indexation="conditional", expenses=given("expenses", 0.3),
                      contribution=no_contribution("spread")),

@@ -87,6 +87,7 @@ def curve_case(flows, observation, steps=24):
         leverage=given("overlay_leverage", 0.5),
         cost=given("overlay_cost", [0.0002]),
         collateral_stress=given("overlay_collateral_stress", 0.035),
+        zero_coupon=(0,),  # the share of a par swap that each payment has moves with the curve
     )
     return case(
         steps,

@@ -6,6 +6,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 from tests.domains.pension.market_cases import cash_flows, full, given
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
@@ -66,15 +67,23 @@ def test_a_bucket_without_payments_or_without_a_range_starts_somewhere():
 
 def test_headroom_of_receivers_of_payers_and_of_nothing():
     one = swaps()
-    weights = np.eye(CLASSES)[0]  # all in cash, which counts in full
+    weights = np.array([0.05, 0.95, 0, 0, 0, 0, 0])  # cash counts in full, shares do not
     none, receive, pay = (
         balance.headroom(one, weights, np.array(notional)) or {}
         for notional in ([0, 0], [8, 10], [-8, -10.0])
     )
     assert none["headroom"] is None
-    assert receive["headroom"] == pytest.approx(1e4 * 100 / (8 * 10 + 10 * 20))
+    years = np.arange(1, 11)
+    zero = np.interp(years, one.curve.tenor, one.curve.rate.values)
+    price = np.exp(-zero * years)
+    due = (1 - price[-1]) / price.sum() + (years == 10)
+
+    def gain(rise):
+        return 8 * (due @ (price * np.exp(-rise * years)) - 1) + 10 * np.expm1(-20 * rise)
+
+    assert receive["headroom"] == pytest.approx(1e4 * brentq(lambda x: 5 + gain(x), 0, 0.1))
     assert receive["direction"] == "rise"
-    assert pay["headroom"] == receive["headroom"]
+    assert pay["headroom"] == pytest.approx(1e4 * brentq(lambda x: 5 - gain(-x), 0, 0.1))
     assert pay["direction"] == "fall"
 
 

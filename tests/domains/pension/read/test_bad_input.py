@@ -213,6 +213,14 @@ MISTAKES = {
         "assets.csv", "0.0003,10,", "0.0003,,",
         ["assets.csv", "maturity", "empty"],
     ),
+    "coupon bond without a coupon": (
+        "assets.csv", "Bonds 10y,bond", "Bonds 10y,coupon-bond",
+        ["assets.csv", "coupon", "a rate per year or \"par\" is needed"],
+    ),
+    "kind of a swap": (
+        "overlay.csv", None, "tenor,kind,notional,low,high\n10,par,0,0,0.2\n",
+        ["overlay.csv", "kind", "'par'", "rates", "zero-coupon", "inflation"],
+    ),
     "maturity between steps": (
         "assets.csv", "0.0003,10,", "0.0003,10.01,",
         ["assets.csv", "maturity", "'10.01'", "1m"],

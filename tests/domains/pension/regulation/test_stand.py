@@ -9,12 +9,15 @@ import pytest
 from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, curve, given
 
 from snapo.domains.pension.market.assets.bond import Bond
+from snapo.domains.pension.market.assets.coupon_bond import CouponBond
 from snapo.domains.pension.read.cells import Place
 from snapo.domains.pension.read.tables import RegulationTable
+from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
+from snapo.domains.pension.regulation.due import due
 from snapo.domains.pension.regulation.read import read_regulation
-from snapo.domains.pension.regulation.stand import recovery, stand
+from snapo.domains.pension.regulation.stand import known, recovery, shocked, stand
 from snapo.problem.inputs import plain
 
 
@@ -52,6 +55,35 @@ def test_required_own_funds_of_a_small_fund():
     assert found.required_ratio == pytest.approx(1 + own / liability, rel=1e-10)
     assert found.policy_ratio == pytest.approx(80 / liability, rel=1e-12)
     assert (found.minimum_ratio, found.minimum / liability) == (1.04, pytest.approx(0.04))
+
+
+def test_coupon_bonds_and_par_swaps_move_by_their_payments():
+    """Of rates of 2 %, every payment at the factor of its own term; a par swap is
+    a bond with the coupon of 2 %."""
+    bond = CouponBond("Bond", maturity=10, coupon=0.05)
+    one = fund(insurance_risk=0.0)
+    swap = Overlay(
+        maturity=np.array([20]),
+        notional=given("overlay_notional", [5.0]),
+        low=np.zeros(1),
+        high=np.ones(1),
+        unit="assets",
+        leverage=given("overlay_leverage", 2.0),
+        cost=given("overlay_cost", [0.0]),
+        collateral_stress=given("overlay_collateral_stress", 0.035),
+    )
+    one = replace(one, assets=replace(one.assets, classes=(CASH, bond)), overlay=swap)
+    rules, inputs = known(one).rules, plain(pension_inputs(one))
+    found = shocked(one, inputs, due(one, inputs), "fall")
+
+    def change(coupon, years):
+        times = np.arange(1, years + 1)
+        amount = coupon + (times == years)
+        rates = 0.02 * np.interp(times, rules.term, rules.factors["fall"])
+        return amount @ (1 + rates) ** -times / (amount @ 1.02**-times) - 1
+
+    assert found.classes == pytest.approx([0, change(0.05, 10)], rel=1e-12)
+    assert found.swaps == pytest.approx([change(0.02, 20)], rel=1e-12)
 
 
 def test_the_way_to_recover_is_that_of_twelve_month_means():

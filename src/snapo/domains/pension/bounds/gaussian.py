@@ -4,20 +4,35 @@ from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ..fund.schedule import Period, Terms
+from ..market.assets.asset_class import by_kind
 from ..market.dynamics import move, noise_size
 from ..market.state import Market
 from ..records.case import PensionCase
 
 
 class Returns(NamedTuple):
-    """`mean` [m] and `load` [m, Z] on the step's normals of n classes over cash, of b swaps, and
-    of money over cash (minus its log return): m = n + b + 1. Linear in the normals."""
+    """Log returns over cash, linear in the step's normals [Z].
+
+    - `mean` [m], `load` [m, Z]: of n classes, and of money over cash (minus its log return): m = n
+      + 1. Of classes made of bonds, to first order.
+    - `bonds`, `bond_load`: the same of the q bonds beneath classes and swaps, whatever the path.
+    - `shares`: their weights [k, q of its own] in each kind, in the order of `by_kind`, and in the
+      swaps if there are any; None where nothing is made of bonds.
+    """
 
     mean: Float[Array, " m"]
     load: Float[Array, "m Z"]
+    bonds: Float[Array, " q"]
+    bond_load: Float[Array, "q Z"]
+    shares: tuple[Array | None, ...]
+
+
+# The axes over paths.
+ACROSS = Returns(0, 0, None, None, 0)  # pyright: ignore
 
 
 def gaussian_returns(case: PensionCase, terms: Terms, now: Period, market: Market) -> Returns:
@@ -25,12 +40,15 @@ def gaussian_returns(case: PensionCase, terms: Terms, now: Period, market: Marke
 
     def over_cash(noise):
         moved = move(case, terms.market, now.market, market, noise)
-        parts = [jnp.log(moved.gross) - moved.cash]
-        parts += [] if moved.swaps is None else [moved.swaps]
-        return jnp.concatenate([*parts, -moved.cash[None]])
+        bonds = [each.log for each in moved.beneath if each is not None]
+        shares = tuple(None if each is None else each.share for each in moved.beneath)
+        logs = jnp.append(jnp.log(moved.gross) - moved.cash, -moved.cash)
+        return logs, jnp.concatenate([jnp.zeros(0), *bonds]), shares
 
     calm = jnp.zeros(noise_size(case))
-    return Returns(over_cash(calm), jax.jacfwd(over_cash)(calm))
+    mean, bonds, shares = over_cash(calm)
+    load, bond_load = jax.jacfwd(lambda noise: over_cash(noise)[:2])(calm)
+    return Returns(mean, load, bonds, bond_load, shares)
 
 
 class Worth(NamedTuple):
@@ -44,7 +62,27 @@ class Worth(NamedTuple):
 
 def worth(case: PensionCase, returns: Returns, price: Float[Array, " Z"]) -> Worth:
     """E[exp(-price @ noise - price^2 / 2) exp(return over cash)]."""
-    exponent = returns.mean + jnp.sum(returns.load**2, axis=-1) / 2 - returns.load @ price
-    n = len(case.assets.classes)
-    grown = jnp.exp(exponent)
-    return Worth(grown[:n], jnp.expm1(exponent[n:-1]), grown[-1])
+    exponent = _exponent(returns.mean, returns.load, price)
+    bonds = jnp.expm1(_exponent(returns.bonds, returns.bond_load, price))
+    classes, start, gains = jnp.exp(exponent[:-1]), 0, []
+    for share in returns.shares:
+        stop = start + (0 if share is None else share.shape[-1])
+        gains.append(None if share is None else share @ bonds[start:stop])
+        start = stop
+    for (_, places), gain in zip(by_kind(case), gains):
+        if gain is not None:
+            classes = classes.at[np.array(places)].set(1 + gain)
+    swaps = gains[-1] if case.buckets else jnp.zeros(0)
+    return Worth(classes, swaps, jnp.exp(exponent[-1]))
+
+
+def _exponent(mean: Array, load: Array, price: Array) -> Array:
+    return mean + jnp.sum(load**2, axis=-1) / 2 - load @ price
+
+
+def fair(returns: Returns) -> np.ndarray:
+    """[Z] the least prices of risk at which no investment earns more than another, of the first
+    step on the first of many paths."""
+    load = np.concatenate([returns.load[0, 0, :-1], returns.bond_load[0]])
+    mean = np.concatenate([returns.mean[0, 0, :-1], returns.bonds[0]])
+    return np.linalg.lstsq(load, mean + np.sum(load**2, axis=-1) / 2, rcond=None)[0]

@@ -33,14 +33,14 @@ from ..market.dynamics import noise_size
 from .best_mix import best_mix, limits
 from .conjugate import IN_MONEY, conjugate
 from .extremes import Extremes, extremes
-from .gaussian import Returns, Worth, gaussian_returns, worth
+from .gaussian import ACROSS, Returns, Worth, fair, gaussian_returns, worth
 
 PATHS, STREAM = 512, 258  # on which prices are fitted
 SHARES = np.linspace(0, 1, 6)  # of the prices at which all investments are fair
 
 
 class Paths(NamedTuple):
-    """The market of paths, whatever the prices: leaves [T, N, …]."""
+    """The market of paths, whatever the prices: leaves [T, N, …], of bonds [T, …]."""
 
     returns: Returns
     noise: Float[Array, "T N Z"]
@@ -99,11 +99,11 @@ class FundRelaxation:
         rolled = engine.values(policy, draws, Exact(), record=("state",))
         with jax.enable_x64(True):
             known = self._paths(rolled, draws), self._extremes(rolled)
-            fair = _fair(jax.tree.map(lambda leaf: leaf[0, 0], known[0].returns))
+            price = fair(known[0].returns)
             split = jax.jit(self._split)
-            found = [self._lowest(*split(share * fair, *known)) for share in SHARES]
+            found = [self._lowest(*split(share * price, *known)) for share in SHARES]
         least = int(np.argmin([value for value, _ in found]))
-        return SHARES[least] * fair, found[least][1]
+        return SHARES[least] * price, found[least][1]
 
     def _lowest(self, value: Array, money: Array) -> tuple[float, float]:
         """The bound on paths of these (see `_split`) where it is lowest, and the y there."""
@@ -116,7 +116,7 @@ class FundRelaxation:
 
     def _paths(self, rolled: Rollout, draws: Draws) -> Paths:
         before = rolled.record["state"].market
-        across = jax.vmap(gaussian_returns, (None, None, None, 0))
+        across = jax.vmap(gaussian_returns, (None, None, None, 0), ACROSS)
         terms, steps = self.schedule.constants, self.schedule.steps
         returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.case, terms, steps, before)
         return Paths(returns, self._noise(draws))
@@ -148,7 +148,7 @@ class FundRelaxation:
             log = log + returns.mean[-1] + returns.load[-1] @ noise
             return units, most, log - jnp.log(most)
 
-        units, most, log = jax.vmap(jax.vmap(step))(paths.returns, paths.noise)
+        units, most, log = jax.vmap(jax.vmap(step, (ACROSS, 0)))(paths.returns, paths.noise)
         after = jnp.exp(jnp.cumsum(log, axis=0))
         before = jnp.concatenate([jnp.ones_like(after[:1]), after[:-1]])
         return Deflated(before / most, after, units)
@@ -191,9 +191,3 @@ class FundRelaxation:
             self.schedule.steps, states, actions, paths.noise, found.worth
         )
         return jnp.sum(found.after * after - found.over * mean, axis=0) / constants.assets
-
-
-def _fair(returns: Returns) -> np.ndarray:
-    """[Z] the least prices of risk at which no investment earns more than another."""
-    excess = returns.mean + jnp.sum(returns.load**2, axis=-1) / 2
-    return np.linalg.lstsq(np.asarray(returns.load)[:-1], np.asarray(excess)[:-1], rcond=None)[0]

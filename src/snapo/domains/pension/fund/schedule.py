@@ -18,22 +18,23 @@ from ..people.lpi import limited, log_growth, lpi
 from ..records.case import PensionCase
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
+from .collateral import Stress, stress
 from .plan import indexation_flags
 from .terms import PlanTerms, plan_terms
 
 
 class Swaps(NamedTuple):
-    """The overlay: present `notional`, `low`, `high`, `cost` [b], `leverage`, `stress`, and
-    `duration` [b] in years. `nearest` [b, J]: 1 at the payment nodes nearest to the bucket, among
-    those of its kind."""
+    """The overlay: present `notional`, `low`, `high`, `cost`, whether `at_par` [b], `leverage`, and
+    `stress` (see `collateral`). `nearest` [b, J]: 1 at the payment nodes nearest to the bucket,
+    among those of its kind."""
 
     notional: Array
     low: Array
     high: Array
     cost: Array
+    at_par: Array
     leverage: Array
-    stress: Array
-    duration: Array
+    stress: Stress
     nearest: Array
 
 
@@ -126,9 +127,9 @@ def _swaps(case: PensionCase, inputs: dict[str, Any], payment_nodes: np.ndarray)
         low=jnp.asarray(overlay.low.copy()),
         high=jnp.asarray(overlay.high.copy()),
         cost=use(inputs, overlay.cost),
+        at_par=jnp.asarray(overlay.at_par),
         leverage=use(inputs, overlay.leverage),
-        stress=use(inputs, overlay.collateral_stress),
-        duration=jnp.asarray(overlay.maturity * case.step),
+        stress=stress(case, inputs, use(inputs, overlay.collateral_stress)),
         nearest=jnp.asarray(nearest),
     )
 

@@ -174,7 +174,10 @@ class PensionSimulator(Simulator):
         assets = assets if self._in_advance else assets + flows.net
         if held.notional is not None:
             least = LEAST * constants.assets
-            rolled = held.notional * jnp.exp(moved.cash + moved.swaps)
+            # Gains are settled: what a par swap was struck on stays, a sum that grows with its bond
+            # becomes that of a swap over as much.
+            grown = jnp.exp(moved.cash + moved.swaps)
+            rolled = held.notional * jnp.where(constants.swaps.at_par, 1.0, grown)
             overlay = rolled / jnp.where(assets > least, assets, constants.assets)
         weights = drifted(self.case.assets, held.weights * moved.gross, growth)
         return after._replace(assets=assets, weights=weights, overlay=overlay)

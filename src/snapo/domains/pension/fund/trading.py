@@ -58,12 +58,7 @@ def trade(case: PensionCase, terms, state, action, assets, buckets, smooth) -> H
         # of one more.
         change = state.overlay * state.assets / terms.assets - notional / terms.assets
         cost = cost + terms.assets * jnp.sum(swaps.cost * smooth.absolute(change, SHARE))
-        required = jnp.sum(notional * swaps.duration) * swaps.stress
-        eligible = np.array([each.eligible for each in case.assets.classes])
-        there = jnp.sum(eligible * weights)
-        if case.assets.short:
-            there = jnp.maximum(there, 0.0)
-        gap = required - assets * there
+        gap = swaps.stress.gap(assets * weights, notional)
         short = smooth.positive_part(gap, SHARE * terms.assets)
     held = Holdings(weights, notional, cost, excess(case.assets, wanted), short)
     return _while_solvent(case.assets, held, assets) if case.assets.short else held

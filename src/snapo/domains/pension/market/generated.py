@@ -33,7 +33,7 @@ def generated_schedule(
     indices = growth(case, inputs, both, nominal_shift - real_shift)
     rates = slice(0, case.rates.count())
     risk = both.volatility * both.price_of_risk
-    terms, asset_steps = asset_schedule(case, inputs, both, together)
+    terms, asset_steps = asset_schedule(case, inputs, both, together, found[0])
     node_slope, node_shape = _nodes(case, both, kinds, found, nodes * d)
     long_slope = slope(both, kinds[0], np.array([LONG]))
     onward = log_bond(case.curve, inputs, times[:-1] + LONG) - price[:-1]
@@ -101,4 +101,4 @@ def generated_move(
         shown=moved.shown,
         log_discount=market.log_discount - cash,
     )
-    return Move(cash, jnp.exp(moved.log), moved.swaps, after)
+    return Move(cash, jnp.exp(moved.log), moved.swaps, after, moved.beneath)

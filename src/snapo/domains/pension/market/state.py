@@ -26,7 +26,8 @@ class Market(NamedTuple):
 class MarketTerms(NamedTuple):
     """The numbers of the whole horizon: `start` the market at time 0; ln P(t, t+u) = shape -
     `slope` @ factors [J, g] at the payment nodes; `rate_slope` [2, g] of long and short
-    rate. Under ready-made scenarios `swap_slope` [2, b, k] before and after a step; else the
+    rate. Under ready-made scenarios `swap_slope` [2, J, k] of the payments of swaps, before and
+    after a step; else the
     numbers of the models, with
     `shock` [Z, Z], `decay`, `reach` [g] and wages (see `inflation.Growth`)."""
 
@@ -59,12 +60,13 @@ class MarketSteps(NamedTuple):
 
 class Move(NamedTuple):
     """Over one step: log return of cash, gross returns [n], swaps' log returns over cash [b] or
-    None, and the market after it."""
+    None, the market after it, and of the models the bonds `beneath` (see `assets.returns`)."""
 
     cash: Array
     gross: Array
     swaps: Any
     market: Market
+    beneath: Any = ()
 
 
 def at_start(factors: Array, spread: Array | None = None, shown: Array | None = None) -> Market:

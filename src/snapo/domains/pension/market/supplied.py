@@ -7,9 +7,11 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from ..records.assets import Overlay
 from ..records.case import PensionCase
 from ..records.market import SuppliedScenarios
+from .assets.asset_class import Mixture
+from .assets.swaps import fixed_legs, swap_returns
+from .bonds.strips import shares
 from .curve import log_bond
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
@@ -32,15 +34,16 @@ def supplied_schedule(
         rate_slope=jnp.asarray(
             np.concatenate([slopes(np.array([LONG])) / LONG, slopes(short) / short])
         ),
-        swap_slope=None if case.overlay is None else _swap_slope(case, case.overlay, slopes),
+        swap_slope=None if case.overlay is None else _swap_slope(case, slopes),
     )
     steps = MarketSteps(rate_level=jnp.zeros((case.steps, 2)))
     return terms, steps, jnp.zeros((case.steps + 1, len(nodes)))
 
 
-def _swap_slope(case: PensionCase, overlay: Overlay, slopes: Callable) -> Array:
-    """[2, b, k] slopes of the swaps' bonds before and after a step."""
-    both = [slopes(steps * case.step) for steps in (overlay.maturity, overlay.maturity - 1)]
+def _swap_slope(case: PensionCase, slopes: Callable) -> Array:
+    """[2, J, k] slopes of the swaps' payments before and after a step."""
+    due = fixed_legs(case).steps
+    both = [slopes(steps * case.step) for steps in (due, due - 1)]
     return jnp.asarray(np.stack(both))
 
 
@@ -51,7 +54,9 @@ def supplied_move(case: PensionCase, terms: MarketTerms, market: Market, noise: 
     cash = jnp.log(gross[case.assets.cash])
     swaps = None
     if terms.swap_slope is not None:
-        swaps = terms.swap_slope[0] @ market.factors - terms.swap_slope[1] @ zeros - cash
+        before, later = terms.swap_slope[0] @ market.factors, terms.swap_slope[1] @ zeros
+        share = shares(fixed_legs(case), jnp.exp(-before))
+        swaps = swap_returns(Mixture(share, before - later - cash))
     after = market._replace(
         factors=zeros,
         log_price=market.log_price + noise[count],

@@ -9,6 +9,7 @@ from jaxtyping import Array, Float
 from snapo.problem.inputs import Frozen
 from snapo.problem.policy import Policy
 
+from ..fund.collateral import stressed
 from ..fund.swap_limits import limit_unit
 from ..fund.trading import SHARE
 from ..records.case import PensionCase
@@ -37,13 +38,13 @@ class Limits(Policy):
         self.groups = tuple((each.members, each.low, each.high) for each in assets.groups)
         self.cover = None
         if overlay is not None and overlay.unit == "assets":
-            years = overlay.maturity * case.step
+            after = stressed(case, float(overlay.collateral_stress.used()))
             self.cover = Cover(
                 # A copy: JAX remembers an array of the case in the type it met first.
                 Frozen(overlay.low.copy()),
                 Frozen(overlay.high - overlay.low),
-                Frozen(years * overlay.collateral_stress.used()),
-                Frozen(np.array([each.eligible for each in assets.classes])),
+                Frozen(after.need),
+                Frozen(after.cover),
             )
 
     def weights(self, logits: Array, smooth) -> Float[Array, " n"]:
@@ -80,21 +81,21 @@ class Limits(Policy):
 
 
 class Cover(eqx.Module):
-    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], the need
-    of a unit of each `need` [b], and the cover by a unit of each class `eligible` [n]."""
+    """Collateral behind swaps: ranges of their shares of assets `low`, `width` [b], and under
+    stress `need` [b] and `cover` [n] (see `fund.collateral`)."""
 
     low: Frozen
     width: Frozen
     need: Frozen
-    eligible: Frozen
+    cover: Frozen
 
     def __call__(self, places: Array, weights: Array, smooth) -> Float[Array, " b"]:
         """Places at which the collateral needed is there; these, where they need no more."""
-        given = (self.low, self.width, self.need, self.eligible)
-        low, width, need, eligible = (jnp.asarray(x.array, places.dtype) for x in given)
+        given = (self.low, self.width, self.need, self.cover)
+        low, width, need, cover = (jnp.asarray(x.array, places.dtype) for x in given)
         share = low + places * width
         # Borrowed cash can outweigh what counts; there is no collateral then.
-        there = jnp.maximum(jnp.sum(eligible * weights), 0.0)
+        there = jnp.maximum(jnp.sum(cover * weights), 0.0)
         needed = smooth.maximum(jnp.sum(need * share), there, SHARE)
         backed = share * there / jnp.where(needed > 0, needed, 1.0)
         # Swaps that have to be held stay, covered or not.

@@ -38,12 +38,6 @@ MEAN = share(
 )
 VOLATILITY = volatility("volatility of a class in its own currency, its mean as the case gives it")
 SMOOTHING = share("the share of a step's return that an appraisal shows at once", "model")
-RISK = {
-    "equity": "developed",
-    "property": "unlisted-property",
-    "commodity": "commodity",
-    "hedge-fund": "unlisted",
-}  # where the table is silent
 LIMITS = ("low", "high", "group", "group_low", "group_high", "max_sale", "band")
 OPTIONAL = (*SPECIAL, *LIMITS, "cost", "fee", "currency", "eligible", "risk")
 COST = rate("the cost of trading as a share of the trade", "assets", "1")
@@ -91,13 +85,13 @@ def read_assets(
         max_sale=_limit(rows, "max_sale", math.inf),
         band=_limit(rows, "band", 0.0),
         turnover=table.turnover,
-        risk=tuple(_risk(row, each.kind) for row, each in zip(rows, classes)),
+        risk=tuple(_risk(row, each) for row, each in zip(rows, classes)),
         amount=single("assets", amount_now, amount(AMOUNT, "assets", grid.currency)),
     )
 
 
-def _risk(row: Row, kind: str) -> str:
-    return word(row, "risk", RISKS) if row.cells.get("risk") else RISK.get(kind, "none")
+def _risk(row: Row, of: AssetClass) -> str:
+    return word(row, "risk", RISKS) if row.cells.get("risk") else of.risk
 
 
 def _limit(rows: Sequence[Row], column_name: str, default: float) -> np.ndarray | None:

@@ -98,7 +98,7 @@ def read_currencies(section: Section, table: CurrenciesTable | None) -> Currenci
     return Currencies(names=names, emerging=emerging, **numbers)
 
 
-SWAPS = ("rates", "inflation")  # kinds of swaps of the overlay
+SWAPS = ("rates", "zero-coupon", "inflation")  # kinds of swaps of the overlay
 
 
 def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Overlay | None:
@@ -108,13 +108,14 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
     rows = read_rows(
         Mention(section, "file", table.file), ("tenor", "notional", "low", "high"), ("kind", "cost")
     )
-    kinds = [[row for row in rows if _swap_kind(row) == kind] for kind in SWAPS]
-    for of_kind in kinds:
+    inflation = [row for row in rows if _swap_kind(row) == SWAPS[-1]]
+    rates = [row for row in rows if _swap_kind(row) != SWAPS[-1]]
+    for of_kind in (rates, inflation):
         rising(of_kind, "tenor")
-    rows = [row for of_kind in kinds for row in of_kind]
+    rows = [*rates, *inflation]
     maturity = [whole_steps(row, "tenor", grid.step) for row in rows]
     labels = [years(steps * grid.step) for steps in maturity]
-    labels = [f"{t} inflation" * (_swap_kind(r) != SWAPS[0]) or t for t, r in zip(labels, rows)]
+    labels = [f"{t} {SWAPS[-1]}" * (row in inflation) or t for t, row in zip(labels, rows)]
     low, high = (np.array([row.number(name) for row in rows]) for name in ("low", "high"))
     for row, least, most in zip(rows, low, high):
         if least > most:
@@ -134,7 +135,8 @@ def read_overlay(section: Place, table: OverlayTable | None, grid: Grid) -> Over
         leverage=limit("leverage", share(LIMIT, "overlay")),
         cost=column("overlay_cost", rows, "cost", labels, cost),
         collateral_stress=limit("collateral_stress", share(LIMIT, "overlay", YEARLY)),
-        inflation=len(kinds[1]),
+        inflation=len(inflation),
+        zero_coupon=tuple(i for i, row in enumerate(rates) if _swap_kind(row) == SWAPS[1]),
     )
 
 

@@ -172,7 +172,7 @@ class CorrelationsTable(Table):
 
 
 class OverlayTable(Table):
-    """`[overlay]`: receiver swaps by tenor."""
+    """`[overlay]`: receiver swaps by tenor, at par unless their kind says otherwise."""
 
     file: Name = csv("tenor,kind,notional,low,high,cost")
     unit: Literal["assets", "liability"] = words("assets", "liability", default="assets")

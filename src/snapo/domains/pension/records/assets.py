@@ -85,13 +85,15 @@ class Assets:
 
 @dataclass(frozen=True, eq=False)
 class Overlay:
-    """Receiver swaps by tenor bucket, each a zero-coupon bond financed at cash; b buckets.
+    """Receiver swaps by tenor bucket; b buckets.
 
     - `inflation`: the number of zero-coupon swaps of inflation, which are the last buckets (they
-      receive the growth of prices); the others are of rates.
-    - `maturity`: [b] whole steps, rising among each kind. `notional`: present value of the fixed
-      leg now, money, index [b]. `low`, `high`: [b] limits as a share of `unit`: of assets, or of
-      the value of the liability payments that are nearest to the bucket (a hedge ratio).
+      receive the growth of prices); the others are of rates, at par but for those at the positions
+      `zero_coupon`.
+    - `maturity`: [b] whole steps, rising among swaps of rates and of inflation. `notional`: money,
+      what the fixed leg is worth when the swap is struck, index [b].
+    - `low`, `high`: [b] limits as a share of `unit`: of assets, or of the value of the liability
+      payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals over assets, index [].
     - `cost`: share of the notional traded, index [b].
     - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
@@ -106,3 +108,10 @@ class Overlay:
     cost: Given
     collateral_stress: Given
     inflation: int = 0
+    zero_coupon: tuple[int, ...] = ()
+
+    @property
+    def at_par(self) -> np.ndarray:
+        """[b] whether each is a par swap of rates."""
+        place = np.arange(len(self.maturity))
+        return (place < len(place) - self.inflation) & ~np.isin(place, self.zero_coupon)

@@ -6,7 +6,9 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from ..market.curve import log_bond
+from ..market.assets.asset_class import by_kind, ratios
+from ..market.assets.swaps import swap_gains
+from ..market.bonds.payments import curve_prices
 from ..records.case import PensionCase
 from ..records.regulation import Regulation
 from .due import Due, due
@@ -80,7 +82,7 @@ def losses_on(case: PensionCase, moves: list[Shocked], assets: float, liability:
         move.liability - float(held @ move.classes) - float(notional @ move.swaps) for move in moves
     ]
     groups: dict[str, float] = {}
-    for each, word in zip(held, case.assets.risk):
+    for each, word in zip(held, case.assets.risk, strict=True):
         groups[word] = groups.get(word, 0.0) + float(each)
     return Losses(
         rates=max(*rates, 0.0),
@@ -100,25 +102,18 @@ def shocked(case: PensionCase, inputs: dict[str, Any], paid: Due, name: str) -> 
     if case.liability.basis != "fixed":
         after = moved_discount(rules, name, paid.years, paid.discount)
 
-    def change(maturity: np.ndarray, real: bool) -> np.ndarray:
-        """[k] relative change of zero-coupon bonds."""
-        term = np.asarray(maturity, float) * case.step
-        with jax.enable_x64(True):
-            price = np.asarray(log_bond(case.curve, inputs, term))
-            if real:
-                price = price - np.asarray(log_bond(case.inflation.break_even, inputs, term))
-        now = np.exp(price)
-        return moved_discount(rules, f"real_{name}" if real else name, term, now) / now - 1
+    before = curve_prices(case, inputs)
 
-    maturity = np.array([getattr(each, "maturity", 0) or 0 for each in case.assets.classes])
-    linked = np.array([each.kind == "index-linked" for each in case.assets.classes])
-    classes = np.where(linked, change(maturity, True), change(maturity, False))
-    swaps = np.zeros(0)
-    if case.overlay is not None:
-        first = case.buckets - case.overlay.inflation
-        swaps = change(case.overlay.maturity, False)
-        swaps[first:] = change(case.overlay.maturity[first:], True) - swaps[first:]
-    return Shocked(float(paid.flow @ (after - paid.discount)), classes * (maturity > 0), swaps)
+    def moved(steps: np.ndarray, linked: bool) -> np.ndarray:
+        factors = f"real_{name}" if linked else name
+        return moved_discount(rules, factors, steps * case.step, np.asarray(before(steps, linked)))
+
+    with jax.enable_x64(True):
+        classes = np.asarray(ratios(case, before, moved)) - 1
+        swaps = np.zeros(0)
+        if case.overlay is not None:
+            swaps = np.asarray(swap_gains(case, before, moved))
+    return Shocked(float(paid.flow @ (after - paid.discount)), classes, swaps)
 
 
 def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
@@ -133,15 +128,21 @@ def _unhedged(case: PensionCase, held: np.ndarray) -> list[float]:
 
 
 def _credit(case: PensionCase, held: np.ndarray) -> float:
-    """S5: bonds with a rating lose the rise of its spread over their maturity."""
-    rules, lost = known(case).rules, 0.0
-    for each, one in zip(held, case.assets.classes):
-        rating = getattr(one, "rating", -1)
-        if one.kind == "credit" and rating >= 0:
-            name = case.credit.names[rating]
+    """S5: bonds with a rating lose the rise of its spread until their payments."""
+    rules, lost, before = known(case).rules, 0.0, curve_prices(case, {})
+    for kind, places in by_kind(case):
+        if "rating" not in kind.columns:
+            continue
+        for place in places:
+            name = case.credit.names[case.assets.classes[place].rating]
             rise = rules.spreads.get(name, rules.spreads["other"])
-            years = getattr(one, "maturity", 0) * case.step
-            lost += float(each) * -np.expm1(-rise * years)
+
+            def wider(steps: np.ndarray, linked: bool, rise=rise) -> np.ndarray:
+                return before(steps, linked) * np.exp(-rise * steps * case.step)
+
+            with jax.enable_x64(True):
+                left = kind.ratio(case, [place], before, wider)
+            lost += float(held[place]) * (1 - float(left[0]))
     return max(lost, 0.0)
 
 

@@ -9,16 +9,18 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array
+from scipy.optimize import brentq
 
+from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
 from ..market.assets.asset_class import log_prices
-from ..market.assets.swaps import swap_log_prices
+from ..market.assets.swaps import swap_values
 from ..records.case import PensionCase
 from ..records.market import Curve
 from .figures.reconcile import Figures
 
 BASIS_POINT = 1e-4
-LINKED = "index-linked"
+FARTHEST = 2000  # basis points up to which the headroom of collateral is looked for
 
 
 def held_now(case: PensionCase) -> np.ndarray:
@@ -26,14 +28,14 @@ def held_now(case: PensionCase) -> np.ndarray:
     return case.assets.weight.used() * float(case.assets.amount.used())
 
 
-def slopes(curve: Curve, inputs: dict[str, Any], log_prices: Callable[[dict], Array]) -> np.ndarray:
-    """[k, nodes]: d ln price / d quote at a node of `curve`; `log_prices` [k] at given inputs."""
+def slopes(curve: Curve, inputs: dict[str, Any], worth: Callable[[dict], Array]) -> np.ndarray:
+    """[k, nodes]: d `worth` [k] / d quote at a node of `curve`."""
 
-    def prices(quotes):
-        return log_prices(inputs | {curve.rate.name: quotes})
+    def moved(quotes):
+        return worth(inputs | {curve.rate.name: quotes})
 
     with jax.enable_x64(True):
-        return np.asarray(jax.jacrev(prices)(np.asarray(curve.rate.values)))
+        return np.asarray(jax.jacrev(moved)(np.asarray(curve.rate.values)))
 
 
 def ladder(
@@ -44,7 +46,7 @@ def ladder(
     Classes with a shock of their own count as insensitive to the curve; break-evens are held.
     `real_assets`, `real_liability`: the part of what pays the price index, so of real rates.
     """
-    linked = np.array([each.kind == LINKED for each in case.assets.classes])
+    linked = np.array([each.linked for each in case.assets.classes])
     prices = case.liability.future_indexation == "full"
     liability = np.asarray(figure.key_rate)
     return _ladder(case, case.curve, given, notional, liability) | {
@@ -70,8 +72,8 @@ def _ladder(
 ) -> dict[str, Any]:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
-        bonds = slopes(curve, given, lambda moved: swap_log_prices(case, moved))
-        swaps = BASIS_POINT * notional @ bonds
+        worth = slopes(curve, given, lambda moved: swap_values(case, moved))
+        swaps = BASIS_POINT * notional @ worth
     return {
         "label": list(curve.rate.labels),
         "tenor": curve.tenor,
@@ -117,22 +119,40 @@ def trades(case: PensionCase, weights: np.ndarray, places: np.ndarray, values: n
 def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> dict[str, Any] | None:
     """How far rates may move until eligible assets are used up as collateral, in basis points.
 
-    With swaps of inflation, break-evens fall by as much at the same time. `direction` is "rise",
-    or "fall" where swaps in sum pay the fixed rate; `headroom` is None where they do not move with
-    rates at all.
+    Both sides are revalued (see `fund.collateral`). `eligible`: before the move. `pv01`: gain of
+    the swaps of rates for a fall by 1 bp. `direction` is "rise", or "fall" where swaps in sum pay
+    the fixed rate. `headroom` is None where swaps do not move with rates at all, and where no move
+    up to `FARTHEST` uses the assets up: then `enough` is true.
     """
     if case.overlay is None:
         return None
-    amount = float(case.assets.amount.used())
-    counted = sum(w * each.eligible for w, each in zip(weights, case.assets.classes))
-    eligible = amount * max(counted, 0.0)
-    years = case.overlay.maturity * case.step
-    exposure, rates = float(np.sum(notional * years)), case.buckets - case.overlay.inflation
-    stress = float(case.overlay.collateral_stress.used())
+    held = float(case.assets.amount.used()) * weights
+    owed = notional * slope(case)
+    rates = case.buckets - case.overlay.inflation
+    sign = -1.0 if owed.sum() < 0 else 1.0
+
+    def missing(moves: np.ndarray) -> np.ndarray:
+        with jax.enable_x64(True):
+            return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
+
+    found = _first(missing) if owed.any() else None
     return {
-        "eligible": eligible,
-        "pv01": BASIS_POINT * float(np.sum((notional * years)[:rates])),
-        "headroom": eligible / abs(exposure) / BASIS_POINT if exposure else None,
-        "direction": "fall" if exposure < 0 else "rise",
-        "required": stress / BASIS_POINT,
+        "eligible": max(float(stressed(case, 0.0).cover @ held), 0.0),
+        "pv01": BASIS_POINT * float(owed[:rates].sum()),
+        "headroom": found,
+        "enough": bool(owed.any()) and found is None,
+        "direction": "fall" if sign < 0 else "rise",
+        "required": float(case.overlay.collateral_stress.used()) / BASIS_POINT,
     }
+
+
+def _first(missing: Callable[[np.ndarray], np.ndarray]) -> float | None:
+    """The first number of basis points at which collateral is missing; None up to `FARTHEST`."""
+    whole = np.arange(FARTHEST + 1.0)
+    short = missing(whole) >= 0
+    if not short.any():
+        return None
+    last = int(np.argmax(short))
+    if not last:
+        return 0.0
+    return float(brentq(lambda x: float(missing(np.array(x))), last - 1.0, last, xtol=1e-10))

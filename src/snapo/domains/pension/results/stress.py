@@ -11,7 +11,7 @@ from snapo.problem.inputs import plain
 from snapo.study.study import StudyRun
 
 from ..market.assets.asset_class import log_prices
-from ..market.assets.swaps import swap_log_prices
+from ..market.assets.swaps import swap_values
 from ..market.zero_rates import from_zero_rates, zero_rates
 from ..read.stress import CURVES, PRICE, Shock, read_shocks
 from ..records.case import PensionCase
@@ -106,7 +106,7 @@ def stressed(
     ratio = scenario.price * np.exp(_change(log_prices, case, before, after))
     assets = float(held_now(case) @ ratio)
     if case.overlay is not None:
-        assets += float(notional @ np.expm1(_change(swap_log_prices, case, before, after)))
+        assets += float(notional @ _change(swap_values, case, before, after))
     liability = float(figures(case, after).liability)
     return {
         "scenario": scenario.scenario,
@@ -117,7 +117,7 @@ def stressed(
     }
 
 
-def _change(log_prices: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
-    """Changes of `log_prices` from one set of inputs to another."""
+def _change(worth: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
+    """Changes of `worth` from one set of inputs to another."""
     with jax.enable_x64(True):
-        return np.asarray(log_prices(case, after)) - np.asarray(log_prices(case, before))
+        return np.asarray(worth(case, after)) - np.asarray(worth(case, before))

@@ -50,7 +50,7 @@ def trades(run: PensionRun) -> Section:
             for each in swaps
         ]
         head = [("Swap", ""), ("", ""), ("Now", unit), ("Policy", unit), ("Trade", unit)]
-        blocks.append(Table(head, lines, "Receiver swaps: present value of the fixed leg", 2))
+        blocks.append(Table(head, lines, "Receiver swaps: notionals", 2))
     return Section("trades", title, short, blocks)
 
 
@@ -249,9 +249,9 @@ def _months(run: PensionRun, name: str, words: str, months: np.ndarray) -> Chart
 
 def _headroom(run: PensionRun, name: str, each: dict | None) -> tuple[str, str, str]:
     known = finite((each or {}).get("headroom"))
-    if each is None or known is None:
+    if each is None or (known is None and not each.get("enough")):
         return name, "no swaps", "nothing to be collateralised"
     note = f"{run.large(each.get('eligible'))} eligible, PV01 {run.large(each.get('pv01'), 2)}"
     if each.get("direction") == "fall":
         note = f"{note}; of a fall in rates"
-    return name, f"{number(known, 0)} bp", note
+    return name, "no limit" if known is None else f"{number(known, 0)} bp", note

@@ -19,12 +19,14 @@ from snapo.case.csv import Row
 
 from ...read.cells import position
 from ...records.case import PensionCase
+from ...records.regulation import RISKS
+from ..bonds.payments import Payments, Prices, curve_prices, ratio
 from ..currencies import CurrencyTerms
-from ..factors import Factors
+from ..factors import Factors, Moments
 
 AttributionPart = Literal["cash", "rates", "credit", "assets"]
 # Columns that not every kind has; `AssetClass.columns` says which of them a kind has.
-SPECIAL = ("mean", "volatility", "maturity", "rating", "smoothing")
+SPECIAL = ("mean", "volatility", "maturity", "coupon", "rating", "smoothing")
 
 
 class Names(NamedTuple):
@@ -44,29 +46,40 @@ class Names(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """The sources from which all kinds prepare their returns."""
+    """The sources from which all kinds prepare their returns; `moments` of nominal bonds."""
 
     case: PensionCase
     inputs: dict[str, Any]
     factors: Factors
     covariance: Float[Array, "Z Z"]
     currencies: CurrencyTerms
+    moments: Moments
 
 
 class Now(NamedTuple):
     """A step of the market, as a return sees it.
 
     `shock` [Z] the Gaussian vector, `volatility` [g] of the factors, `index_volatility` of prices,
-    `cash` the log return of cash, `spread` [R] ln(s / mean) before the step, `foreign` [X] log
-    returns of the unhedged share of each currency, None without currencies.
+    `cash` the log return of cash, `factors` [g] of rates and expected inflation and `spread` [R]
+    ln(s / mean) before the step, `foreign` [X] log returns of the unhedged share of each currency,
+    None without currencies.
     """
 
     shock: Array
     volatility: Array
     index_volatility: Array
     cash: Array
+    factors: Array
     spread: Array | None
     foreign: Array | None
+
+
+class Mixture(NamedTuple):
+    """Holdings made of bonds: `log` [q] returns of the bonds over cash, Gaussian, and the weights
+    `share` [k, q] of a holding's gain over cash, share @ expm1(log); fixed before the step."""
+
+    share: Array
+    log: Array
 
 
 @dataclass(frozen=True)
@@ -82,6 +95,9 @@ class AssetClass(ABC):
     - `columns`: those of `SPECIAL` that it has; `without`: the reason why it has no others.
     - `part`: the part of an attribution that its return over cash belongs to.
     - `collateral`: the share that is eligible where the table is silent.
+    - `risk`: the risk beside rates and spreads that a regulator sees in it where the table is
+      silent, one of `records.regulation.RISKS`; "none" only where there is none.
+    - `linked`: whether its payments follow prices.
     - `own_shock`: whether it has a mean and a volatility of its own, and counts as growth.
     """
 
@@ -90,7 +106,9 @@ class AssetClass(ABC):
     columns: ClassVar[tuple[str, ...]]
     without: ClassVar[str]
     part: ClassVar[AttributionPart]
+    risk: ClassVar[str]
     collateral: ClassVar[float] = 0.0
+    linked: ClassVar[bool] = False
     own_shock: ClassVar[bool] = False
     is_cash: ClassVar[bool] = False
 
@@ -118,11 +136,32 @@ class AssetClass(ABC):
 
     @classmethod
     @abstractmethod
+    def payments(cls, case: PensionCase, places: Sequence[int]) -> Payments | None:
+        """The payments by which these classes follow the curve; None where they do not."""
+
+    @classmethod
+    def mixture(
+        cls, case: PensionCase, places: Sequence[int], terms: Any, steps: Any, now: Now
+    ) -> Mixture | None:
+        """The bonds beneath these classes where their log returns are not Gaussian; else None."""
+        return None
+
+    @classmethod
+    def ratio(
+        cls, case: PensionCase, places: Sequence[int], before: Prices, after: Prices
+    ) -> Float[Array, " k"]:
+        """Values over those before, when prices of payments go from `before` to `after`."""
+        due = cls.payments(case, places)
+        return jnp.ones(len(places)) if due is None else ratio(due, cls.linked, before, after)
+
+    @classmethod
     def log_price(
         cls, case: PensionCase, inputs: dict[str, Any], places: Sequence[int]
     ) -> Float[Array, " k"]:
-        """ln of today's prices up to a constant: its derivatives are the exposures to curves,
-        break-evens and spreads."""
+        """ln of prices over those at the case's own numbers: its derivatives are the exposures to
+        curves, break-evens and spreads."""
+        now = curve_prices(case, {}), curve_prices(case, inputs)
+        return jnp.log(cls.ratio(case, places, *now))
 
     @classmethod
     def of(cls, case: PensionCase, places: Sequence[int]) -> list[Self]:
@@ -141,12 +180,17 @@ AnyKind = TypeVar("AnyKind", bound=type[AssetClass])
 
 def register(kind: AnyKind) -> AnyKind:
     """Makes a kind known by its word; one that is incomplete or known already is an error."""
-    missing = [n for n in ("kind", "words", "columns", "without", "part") if not hasattr(kind, n)]
+    needed = ("kind", "words", "columns", "without", "part", "risk")
+    missing = [name for name in needed if not hasattr(kind, name)]
+    # Of its own: what a kind that it is made from is charged would be silence here.
+    missing += ["risk of its own"] * ("risk" not in vars(kind) and "risk" not in missing)
     missing += sorted(getattr(kind, "__abstractmethods__", ()))
     if missing or inspect.isabstract(kind):
         raise TypeError(f"{kind.__name__}: a kind of asset class needs {', '.join(missing)}.")
     if unknown := set(kind.columns) - set(SPECIAL):
         raise TypeError(f"{kind.__name__}: there are no columns {', '.join(sorted(unknown))}.")
+    if kind.risk not in RISKS:
+        raise TypeError(f"{kind.__name__}: there is no risk {kind.risk!r}: {', '.join(RISKS)}.")
     if kind.kind in KINDS:
         raise TypeError(f"{kind.__name__}: the kind {kind.kind!r} is {KINDS[kind.kind].__name__}.")
     KINDS[kind.kind] = kind
@@ -168,5 +212,10 @@ def in_order(case: PensionCase, parts: Sequence[Array]) -> Array:
 
 
 def log_prices(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " n"]:
-    """ln of today's price of every class up to a constant (see `AssetClass.log_price`)."""
+    """ln of the price of every class over today's (see `AssetClass.log_price`)."""
     return in_order(case, [kind.log_price(case, inputs, at) for kind, at in by_kind(case)])
+
+
+def ratios(case: PensionCase, before: Prices, after: Prices) -> Float[Array, " n"]:
+    """Values of all classes over those before, when prices of payments move."""
+    return in_order(case, [kind.ratio(case, at, before, after) for kind, at in by_kind(case)])

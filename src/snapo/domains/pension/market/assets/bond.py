@@ -4,14 +4,14 @@ from dataclasses import dataclass
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from snapo.case.csv import Row
 
 from ...read.cells import whole_steps
 from ...records.case import PensionCase
-from ..curve import log_bond
-from . import constant_maturity
+from ..bonds import constant_maturity
+from ..bonds.payments import Payments, zero_coupon
 from .asset_class import AssetClass, AttributionPart, Names, register
 
 
@@ -44,9 +44,9 @@ class Maturing(AssetClass):
         return np.array([each.maturity for each in cls.of(case, places)], int)
 
     @classmethod
-    def log_price(cls, case: PensionCase, inputs: dict[str, Any], places) -> Float[Array, " k"]:
-        """By the nominal curve alone."""
-        return log_bond(case.curve, inputs, cls.maturities(case, places) * case.step)
+    def payments(cls, case: PensionCase, places) -> Payments:
+        """The principal at maturity."""
+        return zero_coupon(cls.maturities(case, places), case.step)
 
 
 @register
@@ -59,6 +59,7 @@ class Bond(Maturing):
     columns: ClassVar[tuple[str, ...]] = ("maturity",)
     without: ClassVar[str] = "its return follows from the curve"
     part: ClassVar[AttributionPart] = "rates"
+    risk: ClassVar[str] = "none"
     collateral: ClassVar[float] = 1.0
 
     @classmethod

@@ -18,6 +18,7 @@ class Cash(AssetClass):
     columns: ClassVar[tuple[str, ...]] = ()
     without: ClassVar[str] = "its return is the short rate, which follows from the curve"
     part: ClassVar[AttributionPart] = "cash"
+    risk: ClassVar[str] = "none"
     collateral: ClassVar[float] = 1.0
     is_cash: ClassVar[bool] = True
 
@@ -36,5 +37,5 @@ class Cash(AssetClass):
         return jnp.broadcast_to(now.cash, (len(places),))
 
     @classmethod
-    def log_price(cls, case, inputs, places):
-        return jnp.zeros(len(places))
+    def payments(cls, case, places):
+        return None

@@ -14,3 +14,4 @@ class Commodity(Priced):
 
     kind: ClassVar[str] = "commodity"
     words: ClassVar[str] = "commodities; lognormal with a shock of their own"
+    risk: ClassVar[str] = "commodity"

@@ -13,9 +13,9 @@ import numpy as np
 from jaxtyping import Array
 
 from ...records.inputs import use
+from ..bonds import constant_maturity
 from ..shocks import slots
 from ..spreads import spread_terms
-from . import constant_maturity
 from .asset_class import AttributionPart, register
 from .bond import Maturing
 
@@ -55,6 +55,7 @@ class CreditBond(Maturing):
     columns: ClassVar[tuple[str, ...]] = ("maturity", "rating")
     without: ClassVar[str] = "its return follows from the curve and the spread of its rating"
     part: ClassVar[AttributionPart] = "credit"
+    risk: ClassVar[str] = "none"
 
     rating: int = -1
 

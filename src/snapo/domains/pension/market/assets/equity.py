@@ -16,3 +16,4 @@ class Equity(Priced):
     words: ClassVar[str] = (
         "shares, listed or private, and infrastructure; lognormal with a shock of their own"
     )
+    risk: ClassVar[str] = "developed"

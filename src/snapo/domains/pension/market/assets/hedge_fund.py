@@ -14,3 +14,4 @@ class HedgeFund(Priced):
 
     kind: ClassVar[str] = "hedge-fund"
     words: ClassVar[str] = "hedge funds and other alternatives; lognormal with a shock of their own"
+    risk: ClassVar[str] = "unlisted"

@@ -8,11 +8,8 @@ A bond of u years is worth I(t) P_real(t, t + u) in money, where P_real discount
 from dataclasses import dataclass
 from typing import ClassVar
 
-import numpy as np
-
-from ..curve import log_bond
-from . import constant_maturity
-from .asset_class import AttributionPart, register
+from ..bonds import constant_maturity
+from .asset_class import register
 from .bond import Bond
 
 
@@ -27,15 +24,10 @@ class IndexLinked(Bond):
         " less break-evens"
     )
     without: ClassVar[str] = "its return follows from the curve and the break-evens"
-    part: ClassVar[AttributionPart] = "rates"
+    risk: ClassVar[str] = "none"
+    linked: ClassVar[bool] = True
 
     @classmethod
     def held(cls, case, places) -> constant_maturity.Held:
         given = cls.maturities(case, places), cls.currencies(case, places)
         return constant_maturity.linked_bonds(case, *given)
-
-    @classmethod
-    def log_price(cls, case, inputs, places):
-        years = np.asarray(cls.maturities(case, places) * case.step)
-        prices = log_bond(case.inflation.break_even, inputs, years)
-        return super().log_price(case, inputs, places) - prices

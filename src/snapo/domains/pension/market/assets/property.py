@@ -16,3 +16,4 @@ class Property(Priced):
     words: ClassVar[str] = (
         "buildings and land; lognormal with a shock of its own, where appraised shown with a lag"
     )
+    risk: ClassVar[str] = "unlisted-property"

@@ -7,11 +7,11 @@ from jaxtyping import Array, Float
 from ...records.case import PensionCase
 from ...records.inputs import use
 from ..currencies import currency_terms
-from ..factors import Factors
+from ..factors import Factors, Moments
 from ..shocks import slots
 from .appraisal import appraised
-from .asset_class import Now, Scene, by_kind, in_order
-from .swaps import swap_returns, swap_schedule
+from .asset_class import Mixture, Now, Scene, by_kind, in_order
+from .swaps import swap_mixture, swap_returns, swap_schedule
 
 
 class AssetTerms(NamedTuple):
@@ -33,19 +33,25 @@ class AssetSteps(NamedTuple):
 
 class Returns(NamedTuple):
     """Over one step: `log` [n] log returns as shown, `swaps` [b] log returns over cash, `shown` [q]
-    of the next step."""
+    of the next step; `beneath` the bonds of each kind and of the swaps, None where log returns are
+    Gaussian themselves."""
 
     log: Array
     swaps: Array | None
     shown: Array | None
+    beneath: tuple[Mixture | None, ...]
 
 
 def asset_schedule(
-    case: PensionCase, inputs: dict[str, Any], factors: Factors, covariance: Float[Array, "Z Z"]
+    case: PensionCase,
+    inputs: dict[str, Any],
+    factors: Factors,
+    covariance: Float[Array, "Z Z"],
+    moments: Moments,
 ) -> tuple[AssetTerms, AssetSteps]:
-    """The numbers of all classes that paths share."""
+    """The numbers of all classes that paths share; `moments` of nominal bonds."""
     currencies = currency_terms(case, inputs)
-    scene = Scene(case, inputs, factors, covariance, currencies)
+    scene = Scene(case, inputs, factors, covariance, currencies, moments)
     kinds = [kind.prepare(scene, places) for kind, places in by_kind(case)]
     swaps = (None, None) if case.overlay is None else swap_schedule(scene)
     smoothing = use(inputs, case.assets.smoothing)
@@ -57,13 +63,15 @@ def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> R
     """Log returns of all classes; `now` the step's `MarketSteps`, `market` the state before it,
     `shock` [Z] the Gaussian vector, `cash` the log return of cash."""
     foreign = terms.exposure * shock[slots(case).currency] if case.currencies.names else None
-    seen = Now(shock, now.volatility, now.index_volatility, cash, market.spread, foreign)
-    parts = [
-        kind.log_return(case, places, term, step, seen)
-        for (kind, places), term, step in zip(by_kind(case), terms.kinds, now.assets.kinds)
-    ]
+    seen = Now(
+        shock, now.volatility, now.index_volatility, cash, market.factors, market.spread, foreign
+    )
+    held = list(zip(by_kind(case), terms.kinds, now.assets.kinds))
+    parts = [kind.log_return(case, at, term, step, seen) for (kind, at), term, step in held]
+    beneath = [kind.mixture(case, at, term, step, seen) for (kind, at), term, step in held]
     log, shown = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
     swaps = None
     if case.buckets:
-        swaps = swap_returns(case, terms.swaps, now.assets.swaps, seen)
-    return Returns(log, swaps, shown)
+        beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, seen))
+        swaps = swap_returns(beneath[-1])
+    return Returns(log, swaps, shown, tuple(beneath))

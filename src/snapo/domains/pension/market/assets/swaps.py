@@ -1,38 +1,41 @@
 """The overlay: receiver swaps of rates and of inflation, of constant maturity.
 
-A swap of rates is a nominal zero-coupon bond financed at cash. A zero-coupon swap of inflation
+A swap of rates receives the fixed leg and pays cash on the notional. At par, the fixed leg is a
+bond with a coupon once a year that is worth the notional on the path's curve; the leg of a
+zero-coupon swap is a zero-coupon bond bought with the notional. A zero-coupon swap of inflation
 receives the growth of the price index over its maturity and pays the break-even: an index-linked
-bond bought with the money of a nominal one of the same maturity. Per unit of notional they earn
+bond bought with the money of a nominal one of the same maturity.
 
-    exp(cash) (exp(n) - 1)   and   exp(cash) (exp(l) - exp(n))
-
-over a step, n and l being the bonds' log returns over cash; both are told as a log return over
-cash, ln(1 + exp(l) - exp(n)) for inflation. Swaps of rates come first among the buckets.
+So per unit of notional all earn exp(cash) times w @ (exp(n) - 1) over a step, n being log returns
+over cash of zero-coupon bonds and w the shares of a bond's payments, or 1 and -1 for inflation.
+Reported is ln(1 + w @ (exp(n) - 1)). Swaps of rates come first among the buckets.
 """
 
 from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from ...records.assets import Overlay
 from ...records.case import PensionCase
-from ..curve import log_bond
-from . import constant_maturity
-from .asset_class import Now, Scene
+from ..bonds import constant_maturity, strips
+from ..bonds.payments import AT_PAR, Payments, Prices, curve_prices, payments, ratio, zero_coupon
+from .asset_class import Mixture, Now, Scene
 
 
 class SwapTerms(NamedTuple):
-    """`reach` [b, f] of the nominal bonds, `linked` [i, f + 1] of the index-linked ones or None."""
+    """Of the fixed legs (see `bonds.strips`), and `reach` [i, f + 1] of the index-linked bonds or
+    None."""
 
-    reach: Array
+    fixed: strips.StripTerms
     linked: Array | None
 
 
 class SwapSteps(NamedTuple):
-    """`drift` [T, b] of the nominal bonds, `linked` [T, i] of the index-linked ones or None."""
+    """Of the fixed legs, and `drift` [T, i] of the index-linked bonds or None."""
 
-    drift: Array
+    fixed: strips.StripSteps
     linked: Array | None
 
 
@@ -41,8 +44,11 @@ def _overlay(case: PensionCase) -> Overlay:
     return case.overlay
 
 
-def _held(case: PensionCase) -> constant_maturity.Held:
-    return constant_maturity.nominal_bonds(case, _overlay(case).maturity, [-1] * case.buckets)
+def fixed_legs(case: PensionCase) -> Payments:
+    """Payments of all fixed legs, those against swaps of inflation among them."""
+    overlay = _overlay(case)
+    coupon = np.where(overlay.at_par, AT_PAR, 0.0)
+    return payments(overlay.maturity, coupon, case.step)
 
 
 def _linked(case: PensionCase) -> constant_maturity.Held:
@@ -51,40 +57,52 @@ def _linked(case: PensionCase) -> constant_maturity.Held:
     return constant_maturity.linked_bonds(case, maturity, [-1] * overlay.inflation)
 
 
+def _own(case: PensionCase) -> np.ndarray:
+    return np.full(case.buckets, -1)
+
+
 def swap_schedule(scene: Scene) -> tuple[SwapTerms, SwapSteps]:
     """The numbers of the b swaps that all paths share."""
-
-    def bonds(held: constant_maturity.Held) -> tuple[Array, Array]:
-        drift = constant_maturity.drift(scene, held, constant_maturity.load(scene, held))
-        return constant_maturity.reach(held, scene.factors, scene.case.step), drift
-
-    reach, drift = bonds(_held(scene.case))
-    linked = (None, None)
-    if _overlay(scene.case).inflation:
-        linked = bonds(_linked(scene.case))
-    return SwapTerms(reach, linked[0]), SwapSteps(drift, linked[1])
+    case = scene.case
+    terms, steps = strips.prepare(scene, fixed_legs(case), _own(case))
+    if not _overlay(case).inflation:
+        return SwapTerms(terms, None), SwapSteps(steps, None)
+    held = _linked(case)
+    drift = constant_maturity.drift(scene, held, constant_maturity.load(scene, held))
+    reach = constant_maturity.reach(held, scene.factors, case.step)
+    return SwapTerms(terms, reach), SwapSteps(steps, drift)
 
 
-def swap_returns(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> Array:
-    """[b] log returns over cash of a step; swaps are in the fund's own currency."""
+def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now) -> Mixture:
+    """The bonds beneath the b swaps; swaps are in the fund's own currency."""
     own = now._replace(foreign=None)
-    nominal = constant_maturity.over_cash(case, _held(case), terms.reach, steps.drift, own)
-    if terms.linked is None:
-        return nominal
-    given = (terms.linked, steps.linked, own)
-    linked = constant_maturity.over_cash(case, _linked(case), *given)  # pyright: ignore
-    first = case.buckets - _overlay(case).inflation
-    prices = jnp.log1p(jnp.exp(linked) - jnp.exp(nominal[first:]))
-    return jnp.concatenate([nominal[:first], prices])
+    fixed = strips.mixture(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, own)
+    if terms.linked is None or steps.linked is None:
+        return fixed
+    linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, own)
+    inflation = np.eye(case.buckets)[:, case.buckets - len(linked) :]
+    share = jnp.where(inflation.any(1)[:, None], -fixed.share, fixed.share)
+    share = jnp.concatenate([share, jnp.asarray(inflation, share.dtype)], axis=1)
+    return Mixture(share, jnp.concatenate([fixed.log, linked]))
 
 
-def swap_log_prices(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " b"]:
-    """ln of today's price of the bond in each swap of rates; of inflation, of the index-linked
-    bond over the nominal one."""
-    years = _held(case).maturity * case.step
-    first = case.buckets - _overlay(case).inflation
-    nominal = log_bond(case.curve, inputs, years[:first])
-    if first == case.buckets:
-        return nominal
-    prices = log_bond(case.inflation.break_even, inputs, years[first:])
-    return jnp.concatenate([nominal, -prices])
+def swap_returns(found: Mixture) -> Float[Array, " b"]:
+    """Log returns over cash of a step."""
+    return jnp.log1p(found.share @ jnp.expm1(found.log))
+
+
+def swap_gains(case: PensionCase, before: Prices, after: Prices) -> Float[Array, " b"]:
+    """Gains of a unit of notional of each swap, when prices of payments move at once."""
+    overlay = _overlay(case)
+    fixed = ratio(fixed_legs(case), False, before, after)
+    if not overlay.inflation:
+        return fixed - 1
+    first = case.buckets - overlay.inflation
+    due = zero_coupon(overlay.maturity[first:], case.step)
+    linked = ratio(due, True, before, after)
+    return jnp.concatenate([fixed[:first] - 1, linked - fixed[first:]])
+
+
+def swap_values(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " b"]:
+    """Values of swaps that are worth nothing at the case's own numbers, per unit of notional."""
+    return swap_gains(case, curve_prices(case, {}), curve_prices(case, inputs))

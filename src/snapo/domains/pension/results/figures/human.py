@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...market.assets.asset_class import log_prices
-from ...market.assets.swaps import swap_log_prices
+from ...market.assets.swaps import swap_values
 from ...market.correlation import matrix
 from ...market.curve import log_bond
 from ...market.dynamics import market_schedule, move
@@ -83,7 +83,7 @@ def _parallel(case: PensionCase, given: dict[str, Any], curve: Curve) -> float:
         held = case.assets.weight.used() * float(case.assets.amount.used())
         total = held @ log_prices(case, moved)
         if case.overlay is not None:
-            total = total + case.overlay.notional.used() @ swap_log_prices(case, moved)
+            total = total + case.overlay.notional.used() @ swap_values(case, moved)
         return total
 
     return float(jax.jit(jax.grad(worth))(jnp.zeros(())))

@@ -19,10 +19,10 @@ from numpy.typing import ArrayLike
 
 from ...records.case import PensionCase
 from ...records.inputs import use
+from ..assets.asset_class import Now, Scene
 from ..currencies import of_currency
 from ..factors import Factors
 from ..shocks import slots
-from .asset_class import Now, Scene
 
 
 class Held(NamedTuple):

@@ -1,0 +1,66 @@
+"""Coupon bonds: on the nominal curve, without default, with a coupon of their own or at par.
+
+After each step they are sold, and bonds of the first maturity and of the same coupon are bought; at
+par, of the coupon at which the path's curve values them at their principal.
+"""
+
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import jax.numpy as jnp
+
+from snapo.case.csv import Row
+
+from ...records.case import PensionCase
+from ..bonds import strips
+from ..bonds.payments import AT_PAR, Payments, payments
+from .asset_class import AttributionPart, Names, register
+from .bond import Maturing
+
+PAR = "par"
+
+
+@register
+@dataclass(frozen=True)
+class CouponBond(Maturing):
+    """Bonds that pay a `coupon` per year, `AT_PAR` for the par rate."""
+
+    kind: ClassVar[str] = "coupon-bond"
+    words: ClassVar[str] = (
+        "bonds of constant maturity on the nominal curve that pay a coupon once a year"
+    )
+    columns: ClassVar[tuple[str, ...]] = ("maturity", "coupon")
+    without: ClassVar[str] = "its return follows from the curve"
+    part: ClassVar[AttributionPart] = "rates"
+    risk: ClassVar[str] = "none"
+    collateral: ClassVar[float] = 1.0
+
+    coupon: float = AT_PAR
+
+    @classmethod
+    def read(cls, row: Row, names: Names) -> dict[str, Any]:
+        text = row.cells.setdefault("coupon", "").strip()
+        if not text:
+            raise row.error("coupon", f'a rate per year or "{PAR}" is needed')
+        coupon = AT_PAR if text == PAR else row.number("coupon", 0.0, 1.0)
+        return super().read(row, names) | {"coupon": coupon}
+
+    @classmethod
+    def payments(cls, case: PensionCase, places) -> Payments:
+        coupons = [each.coupon for each in cls.of(case, places)]
+        return payments(cls.maturities(case, places), coupons, case.step)
+
+    @classmethod
+    def prepare(cls, scene, places):
+        case = scene.case
+        return strips.prepare(scene, cls.payments(case, places), cls.currencies(case, places))
+
+    @classmethod
+    def mixture(cls, case, places, terms, steps, now):
+        due, currency = cls.payments(case, places), cls.currencies(case, places)
+        return strips.mixture(case, due, currency, terms, steps, now)
+
+    @classmethod
+    def log_return(cls, case, places, terms, steps, now):
+        found = cls.mixture(case, places, terms, steps, now)
+        return jnp.log1p(found.share @ jnp.expm1(found.log)) + now.cash

@@ -1,0 +1,83 @@
+"""Payments of bonds and of the fixed legs of swaps: amounts at dates, of money or linked to prices.
+
+Coupons are paid once a year up to the maturity, the first in proportion to the time before it.
+"""
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+from numpy.typing import ArrayLike
+
+from ...records.case import PensionCase
+from ..curve import log_bond
+
+AT_PAR = np.nan  # the coupon of a bond that is worth its principal when it is bought
+
+
+class Payments(NamedTuple):
+    """Payments of k holdings for a principal of 1, static.
+
+    - `steps` [J]: when they are due, in steps from the purchase, rising.
+    - `coupon` [k]: the rate per year, or `AT_PAR`. `period` [k, J]: the years for which a coupon is
+      due. `principal` [k, J]: 1 where the principal is due.
+    """
+
+    steps: np.ndarray
+    coupon: np.ndarray
+    period: np.ndarray
+    principal: np.ndarray
+
+
+# Prices now of 1 that is due after `steps` [J]; where `linked`, of 1 that follows prices.
+Prices = Callable[[np.ndarray, bool], Float[Array, " J"]]
+
+
+def payments(maturity: ArrayLike, coupon: ArrayLike, step: float) -> Payments:
+    """Those of bonds of `maturity` [k] in steps; the length of a `step` in years."""
+    maturity, coupon = np.asarray(maturity, int), np.asarray(coupon, float)
+    year = round(1 / step)
+    dates = [
+        np.arange(last, 0, -year) if rate != 0 else np.array([last])
+        for last, rate in zip(maturity, coupon)
+    ]
+    steps = np.unique(np.concatenate(dates))
+    due = np.array([np.isin(steps, own) for own in dates])
+    period = due * np.minimum(steps, year) * step * (coupon != 0)[:, None]
+    return Payments(steps, coupon, period, (steps == maturity[:, None]).astype(float))
+
+
+def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
+    """The principal alone."""
+    return payments(maturity, np.zeros(np.shape(maturity)), step)
+
+
+def amounts(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
+    """What is due, with coupons at the par rate of these prices where they are at par."""
+    at_par = np.isnan(of.coupon)
+    # Periods of nothing would divide by nothing.
+    years = jnp.where(at_par, of.period @ price, 1.0)
+    rate = jnp.where(at_par, (1 - of.principal @ price) / years, np.nan_to_num(of.coupon))
+    return rate[:, None] * of.period + of.principal
+
+
+def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Array, " k"]:
+    """Value at the prices `after` of what is bought at the prices `before`, for a unit of money."""
+    price = before(of.steps, linked)
+    due = amounts(of, price)
+    return (due @ after(of.steps, linked)) / (due @ price)
+
+
+def curve_prices(case: PensionCase, inputs: dict[str, Any]) -> Prices:
+    """Today's, on the curve, and less break-evens; without `inputs` at the case's own numbers."""
+
+    def prices(steps: np.ndarray, linked: bool) -> Array:
+        years = steps * case.step
+        log = log_bond(case.curve, inputs, years)
+        if linked:
+            log = log - log_bond(case.inflation.break_even, inputs, years)
+        return jnp.exp(log)
+
+    return prices

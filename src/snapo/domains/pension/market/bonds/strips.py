@@ -1,0 +1,74 @@
+"""Coupon bonds over a step: each payment is a zero-coupon bond of its own, bought at the prices of
+the path's curve and sold after the step (see `constant_maturity`).
+
+With shares w of the value by payment, fixed at the purchase, a bond earns sum_j w_j exp(n_j) over
+cash, n_j being the log returns over cash of the payments.
+"""
+
+from typing import NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float
+
+from ...records.case import PensionCase
+from ..assets.asset_class import Mixture, Now, Scene
+from ..curve import log_bond
+from ..factors import nominal, shape, slope
+from . import constant_maturity
+from .payments import Payments, amounts
+
+
+class StripTerms(NamedTuple):
+    """Of the q payments, by date and currency, `reach` [q, f] (see `constant_maturity`); of the J
+    dates `slope` [J, g], by which ln P falls per unit of each factor."""
+
+    reach: Array
+    slope: Array
+
+
+class StripSteps(NamedTuple):
+    """`drift` [T, q] of log returns over cash; `level` [T, J] ln P at factors of zero."""
+
+    drift: Array
+    level: Array
+
+
+def _held(case: PensionCase, of: Payments, currency: np.ndarray) -> constant_maturity.Held:
+    """All dates in the first currency, then all in the next one."""
+    own = np.unique(currency)
+    return constant_maturity.nominal_bonds(
+        case, np.tile(of.steps, len(own)), np.repeat(own, len(of.steps))
+    )
+
+
+def prepare(scene: Scene, of: Payments, currency: np.ndarray) -> tuple[StripTerms, StripSteps]:
+    """The numbers that all paths share; `currency` [k] of the holdings."""
+    case, held = scene.case, _held(scene.case, of, currency)
+    drift = constant_maturity.drift(scene, held, constant_maturity.load(scene, held))
+    reach = constant_maturity.reach(held, scene.factors, case.step)
+    years, times = of.steps * case.step, np.arange(case.steps) * case.step
+    slopes = slope(scene.factors, nominal(case), years)
+    later = log_bond(case.curve, scene.inputs, (times[:, None] + years).ravel())
+    level = later.reshape(len(times), -1) - log_bond(case.curve, scene.inputs, times)[:, None]
+    level = level + shape(slopes, scene.moments)[:-1]
+    return StripTerms(reach, slopes), StripSteps(drift, level)
+
+
+def mixture(
+    case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
+    now: Now,
+) -> Mixture:  # fmt: skip
+    """The payments' shares of each holding, and their log returns over cash."""
+    held = _held(case, of, currency)
+    log = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
+    share = shares(of, jnp.exp(steps.level - terms.slope @ now.factors))
+    own = np.unique(currency)
+    of_own = (currency[:, None] == own).astype(float)
+    return Mixture((of_own[:, :, None] * share[:, None]).reshape(len(currency), -1), log)
+
+
+def shares(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
+    """Of the value of each holding, by payment."""
+    due = amounts(of, price) * price
+    return due / jnp.sum(due, axis=1, keepdims=True)
