@@ -184,7 +184,8 @@ CASES: dict[str, dict[str, Any]] = {
         | {"open": True, "entry_age": 30.0, "accrual_rate": 0.02}
         | {
             "indexation": {"kind": "capped", "cap": 0.05, "floor": 0.0},
-            "contribution": {"kind": "target", "target_ratio": 1.1, "recovery_years": 8.0},
+            "contribution": {"kind": "target", "target_ratio": 1.1, "recovery": "level"}
+            | {"recovery_years": 8.0},
         },
         "liability": {"basis": "risk-free", "future_indexation": "capped"},
         "evaluation": VALUED | {"scenarios": "sobol"},
@@ -215,7 +216,7 @@ CASES: dict[str, dict[str, Any]] = {
         "mortality": None,
         "plan": {
             "indexation": {"kind": "none"},
-            "contribution": {"kind": "fixed", "rate": 0.1},
+            "contribution": {"kind": "target", "recovery": "rolling", "recovery_years": 8.0},
         },
     },
     "personal pots": MARKET

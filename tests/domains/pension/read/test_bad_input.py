@@ -382,6 +382,14 @@ def test_scenarios_measured_on_the_training_paths(case):
     refused(case, ["scenarios.evaluation", "same paths"])
 
 
+def test_level_payments_end_after_a_whole_step(case):
+    file = case / "case.toml"
+    text = file.read_text(encoding="utf-8").replace('kind = "spread"  ', 'kind = "target"  ', 1)
+    level = 'recovery = "level"\nrecovery_years = 5.01'
+    file.write_text(text.replace("spread_factor = 0.06", level), encoding="utf-8")
+    refused(case, ["case.toml", "plan.contribution.recovery_years", "5.01", "whole steps of 1m"])
+
+
 def test_several_mistakes_are_told_at_once(case):
     text = (case / "case.toml").read_text(encoding="utf-8")
     text = text.replace("valuation_date = ", "valuation = ").replace("assets = 3", "asets = 3")

@@ -65,6 +65,7 @@ def _most_received(simulator, terms: Terms, now: Period, least: State, most: Sta
         wage=jnp.exp(most.market.log_wage),
         step=case.step,
         smooth=Exact(),
+        annuity=now.annuity,
     )
     if now.agreed is not None:
         highest = highest + now.agreed

@@ -13,7 +13,8 @@ from .terms import PlanTerms
 class Due(NamedTuple):
     """A fund when a contribution is due: money, with the normal cost and salaries of the step.
 
-    `step`: its length in years.
+    `step`: its length in years. `annuity`: years of level payments that a gap is worth, None where
+    the rule has a rolling share of it (see `recovery`).
     """
 
     assets: Array
@@ -21,6 +22,7 @@ class Due(NamedTuple):
     salaries: Array
     normal: Array
     step: float
+    annuity: Array | None = None
 
 
 class ContributionRule:
@@ -78,14 +80,16 @@ class Spread(ContributionRule):
 
 
 class Target(ContributionRule):
-    """The normal cost and the gap to a funding ratio, paid over some years."""
+    """The normal cost and the gap to a funding ratio: level payments with interest until a fixed
+    end, or always the same share of what is left, without interest."""
 
-    kind, takes, responds = "target", ("target_ratio", "recovery_years"), True
+    kind, takes, responds = "target", ("target_ratio", "recovery", "recovery_years"), True
 
     def amount(self, terms, due, smooth):
         missing = terms.target * due.liability - due.assets
         missing = smooth.positive_part(missing, due.liability)
-        return due.normal + due.step * missing / terms.recovery_years
+        years = terms.recovery_years if due.annuity is None else due.annuity
+        return due.normal + due.step * missing / years
 
 
 CONTRIBUTIONS: dict[str, ContributionRule] = {

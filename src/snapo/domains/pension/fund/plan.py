@@ -26,18 +26,20 @@ def contribution(
     wage: ArrayLike,
     step: float,
     smooth: Constraints,
+    annuity: Array | None = None,
 ) -> Array:
     """The contribution of this step, money.
 
     **Arguments:**
 
     - `normal_cost`: value of the step's accrual; `payroll`: salaries of the step at wages of time
-      0, `wage` over that of time 0; `step`: its length in years.
+      0, `wage` over that of time 0; `step`: its length in years; `annuity` of level payments.
     """
     rule, salaries = plan.contribution, jnp.asarray(payroll * jnp.asarray(wage))
     by_rate = rule.normal_cost == "rate"
     normal = terms.rate * salaries if by_rate else (1 + terms.loading) * normal_cost
-    due = Due(jnp.asarray(assets), jnp.asarray(liability), salaries, jnp.asarray(normal), step)
+    money = (jnp.asarray(assets), jnp.asarray(liability), salaries, jnp.asarray(normal))
+    due = Due(*money, step, annuity)
     regular = CONTRIBUTIONS[rule.kind].amount(terms, due, smooth)
     if rule.has_floor:
         regular = smooth.maximum(regular, terms.c_floor * salaries, salaries)

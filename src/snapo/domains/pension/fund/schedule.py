@@ -20,6 +20,7 @@ from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .collateral import Stress, stress
 from .plan import indexation_flags
+from .recovery import annuity
 from .terms import PlanTerms, plan_terms
 
 
@@ -57,7 +58,7 @@ class Terms(NamedTuple):
 class Period(NamedTuple):
     """One step, the same for all paths: people at its start, the curve's `shape` [J] at the
     payment nodes, flags of indexation, `time` as a share of the horizon, `agreed` the
-    contributions agreed in money, None without any."""
+    contributions agreed in money, None without any, `annuity` of `recovery`."""
 
     market: MarketSteps
     people: People
@@ -66,6 +67,7 @@ class Period(NamedTuple):
     averaging: Array
     time: Array
     agreed: Array | None = None
+    annuity: Array | None = None
 
 
 def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
@@ -99,6 +101,7 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
             averaging=jnp.asarray(averaging, float),
             time=jnp.arange(case.steps) / case.steps,
             agreed=_agreed(case, inputs),
+            annuity=annuity(case, inputs),
         ),
     )
 

@@ -156,6 +156,7 @@ class PensionSimulator(Simulator):
             wage=jnp.exp(market.log_wage),
             step=self.case.step,
             smooth=smooth,
+            annuity=now.annuity,
         )
         if now.agreed is not None:
             received = received + now.agreed

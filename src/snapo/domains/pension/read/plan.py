@@ -16,7 +16,7 @@ from ..records.case import Frontier, PensionCase
 from ..records.plan import Contribution, Indexation, Liability, Plan, Reconcile, Revaluation
 from ..records.said import YEARLY, Said, amount, rate, share, time
 from .cash_plan import Clock, read_cash_plan
-from .cells import Place, empty, single
+from .cells import WHOLE, Place, empty, single, years
 from .tables import FrontierTable
 from .tables_people import (
     ContributionTable,
@@ -144,6 +144,13 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
             raise section.error(key, None, f'kind "{kind}" needs this key')
     if table.floor is not None and table.cap is not None and table.floor > table.cap:
         raise section.error("floor", table.floor, f"allowed is at most cap, {table.cap:g}")
+    level = None
+    if kind == "target" and table.recovery == "level":
+        step = clock.grid.step
+        level = round(table.recovery_years / step)
+        if not level or abs(level * step - table.recovery_years) > WHOLE:
+            what = f"level payments end after whole steps of {years(step)}"
+            raise section.error("recovery_years", table.recovery_years, what)
     said = {
         "spread_factor": share(RULE.words, "plan", YEARLY),
         "recovery_years": time(RULE.words, "plan"),
@@ -154,6 +161,7 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
         value, full = getattr(table, name), f"contribution_{name}"
         # A loading of zero that nobody wrote is no number of the owner's.
         wanted = name in used and (name != "loading" or name in table.model_fields_set)
+        wanted = wanted and (name != "recovery_years" or level is None)  # a date has no gradient
         return single(full, value, said.get(name, RULE)) if wanted else _nothing(full)
 
     return Contribution(
@@ -171,6 +179,7 @@ def read_contribution(section: Section, table: ContributionTable, clock: Clock) 
         has_cap="cap" in used,
         has_sponsor_limit="sponsor_limit" in used,
         schedule=schedule,
+        level_steps=level,
     )
 
 

@@ -269,6 +269,9 @@ class ContributionTable(Table):
         None, description=f"per year, {LEAST}"
     )
     target_ratio: Annotated[Positive, _contribution("target_ratio")] = Field(1.0, description=ABOVE)
+    recovery: Annotated[Literal["rolling", "level"], _contribution("recovery")] = words(
+        "rolling", "level", default="rolling"
+    )
     recovery_years: Annotated[Positive, _contribution("recovery_years")] = Field(
         10.0, description=ABOVE
     )

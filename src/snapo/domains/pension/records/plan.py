@@ -61,8 +61,8 @@ class Contribution:
 
     - `kind` "none": nothing; "fixed": `rate` times salaries; "normal-cost"; "spread": normal cost
       plus `spread_factor` per year times (liability - assets), surplus is spread too;
-      "target": normal cost plus the gap to `target_ratio` times the liability, over
-      `recovery_years`.
+      "target": normal cost plus the gap to `target_ratio` times the liability, as level payments
+      in periods of `level_steps`; where that is None, the gap over `recovery_years` a year.
     - `normal_cost` "valuation": value of the step's accrual on the simulated curve, times
       1 + `loading`; "rate": `rate` times salaries.
     - `floor`, `cap`: share of salaries; `sponsor_limit`: most money per year, grows with wages.
@@ -84,6 +84,7 @@ class Contribution:
     has_cap: bool
     has_sponsor_limit: bool
     schedule: CashPlan | None = None
+    level_steps: int | None = None
 
 
 @dataclass(frozen=True, eq=False)

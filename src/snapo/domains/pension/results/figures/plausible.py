@@ -5,7 +5,11 @@ The ranges are wide: a fund outside one of them is possible, and its owner knows
 
 from collections.abc import Iterator
 
+import jax
+import numpy as np
+
 from ...fund.contributions import CONTRIBUTIONS
+from ...fund.recovery import log_discount
 from ...records.case import PensionCase
 from ...records.people import ACTIVE
 from .human import Human
@@ -21,7 +25,9 @@ ASSET_VOLATILITY = (0.01, 0.6)
 
 def remarks(case: PensionCase, found: Human) -> list[str]:
     """A sentence for each figure outside its range, and for a deficit that nothing will close."""
-    return [*_size(case, found), *_market(case, found), *_unpaid(case, found)]
+    return [
+        *_size(case, found), *_market(case, found), *_unpaid(case, found), *_rolling(case, found)
+    ]  # fmt: skip
 
 
 def _outside(value: float, allowed: tuple[float, float]) -> bool:
@@ -97,6 +103,27 @@ def _unpaid(case: PensionCase, found: Human) -> Iterator[str]:
         f"paid in: {reason}. Payments agreed in money go into plan.contribution.schedule, a limit "
         "in money into sponsor_limit"
     )
+
+
+def _rolling(case: PensionCase, found: Human) -> Iterator[str]:
+    """A gap of which less is paid in every step than its interest."""
+    paid = case.plan.contribution
+    if paid.kind != "target" or paid.level_steps is not None or found.funding is None:
+        return
+    target, years = float(paid.target_ratio.used()), float(paid.recovery_years.used())
+    if found.funding >= target:
+        return
+    with jax.enable_x64(True):
+        rate = -float(log_discount(case, {}, np.array([years]))[0]) / years
+    grown, left = np.exp(rate * case.step), case.step / years
+    growth = (1 - left) * grown if case.plan.timing == "advance" else grown - left
+    if growth >= 1:
+        yield (
+            f"the gap to a funding ratio of {target:.0%} bears interest of {np.expm1(rate):.1%} a "
+            f"year, and recovery_years = {years:g} pays no more than {1 / years:.1%} of what is "
+            'left: it is never closed. plan.contribution.recovery = "level" ends it after these '
+            "years"
+        )
 
 
 def _has_salaries(case: PensionCase) -> bool:
