@@ -351,3 +351,39 @@ def test_ready_made_scenarios_take_the_generators_place():
     left = 10 - 2 / 12
     assert total["liability"] == pytest.approx(50 * np.exp(-0.03 * left), rel=1e-3)
     assert total["discount"] == pytest.approx(1.001**-2, rel=1e-14)
+
+
+@pytest.mark.prove
+def test_swaps_under_ready_made_scenarios_earn_what_their_payments_do():
+    """Of yearly steps, from 2 % at every tenor to the file's zero rates: a par swap of three years
+    pays exp(0.02) - 1 a year, a zero-coupon swap all at its end."""
+    columns = ("return Cash", "inflation", "wage", "zero 1", "zero 10")
+    table = np.tile([0.02, 0.0, 0.0, 0.01, 0.04], (2, 1, 1))
+    held = assets(1, [CASH], weight=[1.0])
+    swaps = Overlay(
+        maturity=np.array([3, 4]),
+        notional=given("overlay_notional", [0.0, 0.0]),
+        low=np.zeros(2),
+        high=np.ones(2),
+        unit="assets",
+        leverage=given("overlay_leverage", 2.0),
+        cost=given("overlay_cost", [0.0, 0.0]),
+        collateral_stress=given("overlay_collateral_stress", 0.035),
+        zero_coupon=(1,),
+    )
+    one = case(
+        1,
+        step=1.0,
+        held_assets=held,
+        scenarios=SuppliedScenarios(table, table, columns, np.array([1.0, 10.0])),
+        overlay=swaps,
+    )
+    simulator, _, _ = simulated(one)
+    source = Supplied(np.ascontiguousarray(np.swapaxes(table, 0, 1)))
+    total = totals_of(simulator, Constant(np.array([1.0, 0.5, 0.25])), source, 2)
+    left = np.arange(3)
+    price = np.exp(-left * np.interp(left, [1, 10], [0.01, 0.04]))
+    par = (np.expm1(0.02) + (left == 2)) @ price - 1.02
+    zero = np.exp(4 * 0.02 - 3 * np.interp(3, [1, 10], [0.01, 0.04])) - 1.02
+    paid = 1.0  # at the end of the step
+    assert total["assets"] == pytest.approx(102 + 50 * par + 25 * zero - paid, rel=1e-12)

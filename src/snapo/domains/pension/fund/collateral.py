@@ -23,15 +23,15 @@ class Stress(NamedTuple):
     """After a rise of rates: `cover` [n] the collateral by a unit of each class, `need` [b] that
     for a unit of notional of each swap."""
 
-    cover: Array
-    need: Array
+    cover: Array | np.ndarray
+    need: Array | np.ndarray
 
-    def gap(self, weights: ArrayLike, notional: ArrayLike) -> Array:
+    def gap(self, weights: Array | np.ndarray, notional: Array | np.ndarray) -> Array:
         """The collateral that is missing, negative where more than enough is there; holdings
         `weights` [n] and `notional` [b] in one unit. Borrowed cash can outweigh what counts: there
         is no collateral then."""
         there = self.cover @ weights
-        return self.need @ notional - jnp.where(there >= 0, there, 0.0)
+        return jnp.asarray(self.need @ notional - jnp.where(there >= 0, there, 0.0))
 
 
 def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
@@ -41,7 +41,7 @@ def stress(case: PensionCase, inputs: dict[str, Any], rise: Any) -> Stress:
     before = curve_prices(case, inputs)
     real = 2 if overlay.inflation else 1  # of rates less break-evens
 
-    def after(steps: np.ndarray, linked: bool) -> Array:
+    def after(steps: np.ndarray, linked: bool) -> Array | np.ndarray:
         years = steps * case.step * (real if linked else 1)
         return before(steps, linked) * jnp.exp(-rise * years)
 

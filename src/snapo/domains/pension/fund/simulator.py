@@ -173,7 +173,7 @@ class PensionSimulator(Simulator):
             returned = jnp.exp(moved.cash) * jnp.expm1(moved.swaps)
             assets = assets + jnp.sum(held.notional * returned)
         assets = assets if self._in_advance else assets + flows.net
-        if held.notional is not None:
+        if held.notional is not None and constants.swaps is not None:
             least = LEAST * constants.assets
             # Gains are settled: what a par swap was struck on stays, a sum that grows with its bond
             # becomes that of a swap over as much.

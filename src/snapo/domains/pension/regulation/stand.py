@@ -4,7 +4,9 @@ from dataclasses import replace
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from ..market.assets.asset_class import by_kind, ratios
 from ..market.assets.swaps import swap_gains
@@ -131,18 +133,16 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
     """S5: bonds with a rating lose the rise of its spread until their payments."""
     rules, lost, before = known(case).rules, 0.0, curve_prices(case, {})
     for kind, places in by_kind(case):
-        if "rating" not in kind.columns:
-            continue
-        for place in places:
-            name = case.credit.names[case.assets.classes[place].rating]
-            rise = rules.spreads.get(name, rules.spreads["other"])
+        for place, rating in zip(places, kind.ratings(case, places)):
+            if rating >= 0:
+                rise = rules.spreads.get(case.credit.names[rating], rules.spreads["other"])
 
-            def wider(steps: np.ndarray, linked: bool, rise=rise) -> np.ndarray:
-                return before(steps, linked) * np.exp(-rise * steps * case.step)
+                def wider(steps: np.ndarray, linked: bool, rise=rise) -> Array | np.ndarray:
+                    return before(steps, linked) * jnp.exp(-rise * steps * case.step)
 
-            with jax.enable_x64(True):
-                left = kind.ratio(case, [place], before, wider)
-            lost += float(held[place]) * (1 - float(left[0]))
+                with jax.enable_x64(True):
+                    left = kind.ratio(case, [place], before, wider)
+                lost += float(held[place]) * (1 - float(left[0]))
     return max(lost, 0.0)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import jax
 import numpy as np
 from jaxtyping import Array
-from scipy.optimize import brentq
+from scipy.optimize import toms748
 
 from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
@@ -155,4 +155,5 @@ def _first(missing: Callable[[np.ndarray], np.ndarray]) -> float | None:
     last = int(np.argmax(short))
     if not last:
         return 0.0
-    return float(brentq(lambda x: float(missing(np.array(x))), last - 1.0, last, xtol=1e-10))
+    ends = (last - 1.0, float(last))
+    return toms748(lambda x: float(missing(np.array(x))), *ends, xtol=1e-10)  # pyright: ignore

@@ -140,6 +140,11 @@ class AssetClass(ABC):
         """The payments by which these classes follow the curve; None where they do not."""
 
     @classmethod
+    def ratings(cls, case: PensionCase, places: Sequence[int]) -> np.ndarray:
+        """[k] positions of the ratings whose spreads count in their prices, -1 for none."""
+        return np.full(len(places), -1)
+
+    @classmethod
     def mixture(
         cls, case: PensionCase, places: Sequence[int], terms: Any, steps: Any, now: Now
     ) -> Mixture | None:

@@ -66,8 +66,7 @@ class CreditBond(Maturing):
         return super().read(row, names) | {"rating": names.rating(row)}
 
     @classmethod
-    def ratings(cls, case, places) -> np.ndarray:
-        """[k] positions of the ratings."""
+    def ratings(cls, case, places):
         return np.array([each.rating for each in cls.of(case, places)], int)
 
     @classmethod

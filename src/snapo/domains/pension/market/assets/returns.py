@@ -72,6 +72,6 @@ def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> R
     log, shown = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
     swaps = None
     if case.buckets:
-        beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, seen))
-        swaps = swap_returns(beneath[-1])
+        found = swap_mixture(case, terms.swaps, now.assets.swaps, seen)
+        swaps, beneath = swap_returns(found), [*beneath, found]
     return Returns(log, swaps, shown, tuple(beneath))

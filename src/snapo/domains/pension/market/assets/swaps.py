@@ -81,7 +81,7 @@ def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
         return fixed
     linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, own)
     inflation = np.eye(case.buckets)[:, case.buckets - len(linked) :]
-    share = jnp.where(inflation.any(1)[:, None], -fixed.share, fixed.share)
+    share = fixed.share * (1 - 2 * inflation.sum(1, keepdims=True))
     share = jnp.concatenate([share, jnp.asarray(inflation, share.dtype)], axis=1)
     return Mixture(share, jnp.concatenate([fixed.log, linked]))
 

@@ -31,8 +31,8 @@ class Payments(NamedTuple):
     principal: np.ndarray
 
 
-# Prices now of 1 that is due after `steps` [J]; where `linked`, of 1 that follows prices.
-Prices = Callable[[np.ndarray, bool], Float[Array, " J"]]
+# Prices [J] now of 1 that is due after `steps` [J]; where `linked`, of 1 that follows prices.
+Prices = Callable[[np.ndarray, bool], Array | np.ndarray]
 
 
 def payments(maturity: ArrayLike, coupon: ArrayLike, step: float) -> Payments:
@@ -54,8 +54,8 @@ def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
     return payments(maturity, np.zeros(np.shape(maturity)), step)
 
 
-def amounts(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:
-    """What is due, with coupons at the par rate of these prices where they are at par."""
+def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
+    """The sums due, with coupons at the par rate of these prices [J] where they are at par."""
     at_par = np.isnan(of.coupon)
     # Periods of nothing would divide by nothing.
     years = jnp.where(at_par, of.period @ price, 1.0)
