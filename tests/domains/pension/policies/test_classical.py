@@ -81,18 +81,20 @@ def test_weights_within_the_limits_are_their_own_nearest(problem):
 
 @pytest.mark.prove
 def test_swaps_are_held_as_far_as_weights_back_them():
-    """100 % of a 20-year swap takes 70 % of the assets at 350 bp; three quarters of them count."""
+    """100 % of a 20-year zero-coupon swap loses 50.3 % of the assets at 350 bp, of a payment that is
+    then worth exp(-0.7); three quarters of them count."""
     steps = 6
     held = assets(steps, [CASH, EQUITY], mean=[0.04], volatility=[0.18], weight=[0.75, 0.25])
     swap = Overlay(
         maturity=np.array([240]), notional=given("overlay_notional", [0.0]), low=np.zeros(1),
         high=np.array([2.0]), unit="assets", leverage=given("overlay_leverage", 2.0),
         cost=given("overlay_cost", [0.0]),
-        collateral_stress=given("overlay_collateral_stress", 0.035),
+        collateral_stress=given("overlay_collateral_stress", 0.035), zero_coupon=(0,),
     )  # fmt: skip
+    lost = 1 - np.exp(-20 * 0.035)
     limits = Limits(case(steps, held_assets=held, overlay=swap))
     weights = jnp.asarray([0.75, 0.25])
-    for place, expected in ((0.9, 0.75 / 1.4), (0.5, 0.5)):
+    for place, expected in ((0.9, 0.75 / lost / 2), (0.5, 0.5)):
         logit = jnp.log(jnp.asarray([place / (1 - place)]))
         action = np.asarray(limits.action(weights, logit, Exact()))
         assert action == pytest.approx([0.75, 0.25, expected], rel=1e-6)
