@@ -219,6 +219,42 @@ def test_the_steps_allowed_are_never_exceeded(rounds, more, made, monkeypatch):
     assert learned.found.episodes >= 1
 
 
+class Still(snapo.Simulator):
+    """In the place of a learned model: two decisions that move nothing."""
+
+    horizon: int = 100
+    action: snapo.Box = snapo.Box(2, -1.0, 1.0)
+    noise_size: int = 1
+    may_end: bool = False
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": np.zeros(100)})
+
+    def initial(self, constants, noise):
+        return constants["one"]
+
+    def observe(self, constants, now, state):
+        return state[None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return state, {"reward": action.sum() + noise[0]}
+
+
+def test_middle_rounds_take_half_of_steps_that_nobody_chose(monkeypatch):
+    """Steps that follow the problem were 0 there, and half of them one step."""
+    taken = []
+    monkeypatch.setattr(rounds_, "trained", lambda *given: taken.append(given[3].steps))
+    inside = SimpleNamespace(model=Still(), inputs={"one": snapo.Input(1.0)})
+    policy = rounds_.begun(inside, None, None, 0)
+    for settings in (snapo.Training(paths=64), snapo.Training(steps=30), snapo.Training(steps=1)):
+        plan = SimpleNamespace(training=settings, rounds=3, engine="xla")
+        for number in range(3):
+            rounds_.improved(plan, inside, policy, number)
+    # A horizon of 100 and 64 paths: 960 steps, times (512 / 64)^0.4.
+    whole = round(960 * 8**0.4)
+    assert taken == [whole, whole // 2, whole, 30, 15, 30, 1, 1, 1]
+
+
 def test_a_held_environment_is_one_of_gymnasium():
     held = Held(Counter(last=5), 2, 100)
     held.reset(seed=0)

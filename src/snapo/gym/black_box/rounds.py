@@ -12,6 +12,7 @@ from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
+from snapo.solver.learning.following import fitted as chosen
 from snapo.solver.train import Training
 
 from ..agent import Agent
@@ -93,7 +94,8 @@ def begun(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
 
 def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
     """The policy trained on, on paths that no round had before."""
-    settings, middle = plan.training, 0 < number < plan.rounds - 1
+    problem = Problem(inside.model, inside.inputs, Mean("reward"))
+    settings, middle = chosen(plan.training, problem, policy), 0 < number < plan.rounds - 1
     settings = replace(settings, seed=settings.seed + 1000 * number)
     if middle:
         settings = replace(settings, steps=max(1, settings.steps // 2))
