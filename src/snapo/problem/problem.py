@@ -28,7 +28,8 @@ class Problem:
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
     - `objective`: of the path totals; made as large as possible.
-    - `sources`: the scenarios of training, validation and evaluation.
+    - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
+      where nothing is random (see `EqualPaths`).
     - `limits`: kept on average or with a probability: `(AtMost("unserved", 0.05),)`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
       (a guide, a hedge, scales of features) computed again; None where nothing was.
@@ -40,6 +41,9 @@ class Problem:
     sources: Sources = field(default_factory=lambda: Sources.of(None))
     limits: tuple[Limit, ...] = ()
     rebuild: Callable[["Problem"], "Problem"] | None = field(default=None, repr=False)
+
+    def __post_init__(self):
+        object.__setattr__(self, "sources", self.sources.of_equal_paths(not self.is_random))
 
     @cached_property
     def schedule(self) -> Schedule:

@@ -215,6 +215,28 @@ class Supplied(Scenarios):
         return paths
 
 
+@dataclass(frozen=True)
+class EqualPaths(Scenarios):
+    """Those of a problem in which nothing is random: every path is the same.
+
+    Two are taken whatever is asked for, since one alone has no standard error: theirs is zero.
+    """
+
+    own: Scenarios
+
+    def words(self, paths: int) -> str:
+        return f"{self.available(paths):,} equal paths, since nothing is random"
+
+    def available(self, wanted: int) -> int:
+        return min(2, self.own.available(wanted))
+
+    def draws(self, paths: np.ndarray, simulator: Simulator) -> Draws:
+        return self.own.draws(paths, simulator)
+
+    def groups(self, paths: np.ndarray) -> np.ndarray:
+        return paths
+
+
 TRAIN, VALIDATE, EVALUATE = 1, 2, 3  # uses of a stream of `Pseudo`, in its upper half
 
 
@@ -250,6 +272,13 @@ class Sources:
         fresh = (Pseudo(seed, stream=stream(use)) for use in (TRAIN, VALIDATE, EVALUATE))
         training, validation, evaluation = fresh
         return cls(training, validation, given or evaluation)
+
+    def of_equal_paths(self, equal: bool) -> "Sources":
+        """The same where paths differ; where all are equal, few for validation and evaluation."""
+        given = self.validation, self.evaluation
+        own = [each.own if isinstance(each, EqualPaths) else each for each in given]
+        few = [EqualPaths(each) for each in own] if equal else own
+        return self if few == list(given) else Sources(self.training, *few)
 
     def reseeded(self, seed: int) -> "Sources":
         """Sources with other paths for training and validation; the evaluation's stay."""

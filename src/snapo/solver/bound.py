@@ -195,7 +195,7 @@ class _Paths:
 def _fresh(problem: Problem, seed: int, use: int) -> Scenarios:
     """Paths that no other part uses, where they can be drawn; else those of the validation or of
     the evaluation."""
-    if isinstance(problem.sources.training, Pseudo):
+    if problem.is_random and isinstance(problem.sources.training, Pseudo):
         return Pseudo(seed, stream=stream(EVALUATE, use))
     return problem.sources.validation if use == TRAINED else problem.sources.evaluation
 

@@ -177,6 +177,8 @@ def words(found: Mapping[str, Any]) -> str:
             f" and the standard deviation {number(sizes[0], places)} between seeds, beside a Monte "
             f"Carlo error of {number(sizes[1], places)} that all share"
         )
+    if found["standard_error"] == 0:  # nothing is random
+        return f"{text}."
     if found["fresh"]:
         return f"{text}. The value of this run is on other paths, which that choice has not seen."
     return (
