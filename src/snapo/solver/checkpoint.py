@@ -46,6 +46,8 @@ def save(progress: Progress, file: Path, mark: str = "") -> None:
         "dual": progress.dual,
         "raced": progress.raced,
         "slowed": progress.slowed,
+        "redrawn": progress.redrawn,
+        "alike": progress.alike,
         "scale": progress.scale,
         "features": None if progress.critic is None else progress.critic.critic.features,
         "history": [list(record) for record in progress.history],
@@ -68,14 +70,15 @@ def load(file: Path, like: Progress, mark: str = "") -> Progress:
         history = tuple(Record(*record) for record in state["history"])
         growth, dual = Growth.read(state["growth"]), Dual.read(state["dual"])
         raced = tuple(map(Round.read, state.get("raced", ())))
-        slowed = tuple(map(int, state.get("slowed", ())))
+        steps = {name: tuple(map(int, state.get(name, ()))) for name in ("slowed", "redrawn")}
         scale = Scale.read(state.get("scale"))
     except CheckpointError:
         raise
     except (KeyError, TypeError, AttributeError, ValueError):
         raise CheckpointError(f"{file}: this is another kind of file.") from None
     told = {"history": history, "growth": growth, "dual": dual, "raced": raced}
-    return replace(like, **trees, **plain, **told, slowed=slowed, scale=scale)
+    told |= {**steps, "alike": int(state.get("alike", 0))}
+    return replace(like, **trees, **plain, **told, scale=scale)
 
 
 def _with_critic(file: Path, like: Progress) -> Progress:

@@ -3,7 +3,7 @@
 A run is two plain stages on one problem: `train`, `measure`.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import TypeVar
@@ -25,7 +25,7 @@ from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
 
-from .learning.features import scale_of, undrawn
+from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.following import fitted
 from .learning.starts import others, race
 from .learning.told import recorded
@@ -92,7 +92,8 @@ def solve(
             if progress is None:
                 progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
             clock.stage("evaluate")
-            progress = train(problem, progress, training, engines.train, callbacks)
+            fresh = _fresh_starts(policy, training) if to_be_drawn(recipe) else None
+            progress = train(problem, progress, training, engines.train, callbacks, fresh=fresh)
             progress = recorded(problem, progress, training)
             clock.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
@@ -180,6 +181,12 @@ def _begun(
 
     left, rounds = race(begun, training.steps, run)
     return replace(left, raced=rounds)
+
+
+def _fresh_starts(policy: Policy, training: Training) -> Callable[[int], Policy]:
+    """Starts that no race has had: for a training that has to begin anew."""
+    first = training.starts
+    return lambda number: others(policy, first + number + 1, training.seed)[-1]
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:

@@ -34,6 +34,7 @@ from .learning.progress import begin as begin
 from .learning.settings import Training, follows
 from .limits.dual import Dual
 from .limits.dual import moved as moved_prices
+from .verdict import idle
 from .windows.critic import Learner, has_worth_ahead, learner
 from .windows.window import UPDATES, sweep, window_adjoint
 
@@ -67,10 +68,12 @@ def train(
     engine: Engine,
     callbacks: Sequence[Callback] = (),
     until: int | None = None,
+    fresh: Callable[[int], Policy] | None = None,
 ) -> Progress:
     """Runs the loop from `progress` to its end, and tells the callbacks after every validation.
 
-    With `until` it stops after that step, validated, and can go on from there.
+    With `until` it stops after that step, validated, and can go on from there. A training that does
+    nothing begins anew, for the n-th time from `fresh(n)`, n from 0, where there is one.
 
     It stops early where a callback returns True. On Ctrl-C they are told once more, and the
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
@@ -98,6 +101,8 @@ def train(
             due = _due(moved, training) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
+            if due and fresh is not None and idle.caught(moved, training):
+                moved = _anew(loop, moved, fresh(len(moved.redrawn)))
             progress = moved
             # Each is told, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
@@ -172,20 +177,32 @@ def _may_be_slower(training: Training, progress: Progress) -> bool:
 def _slower(loop: Loop, progress: Progress) -> Progress:
     """On from the best policy so far, with a lower rate; the optimiser, the critic and the prices
     of limits, which the steps before led astray too, begin anew."""
-    training, best, step = loop.training, progress.best, progress.step + 1
-    critic = None if progress.window is None else learner(loop.problem, training.seed)
+    step = progress.step + 1
+    moved = _begun_with(loop, progress, progress.best, step)
+    return replace(moved, slowed=(*progress.slowed, step), status="training")
+
+
+def _anew(loop: Loop, progress: Progress, policy: Policy) -> Progress:
+    """On from another start, which the next validation values; the best so far stays known."""
+    if progress.scale is not None:
+        policy = progress.scale.plain(policy)
+    moved = _begun_with(loop, progress, policy, progress.step)
+    return replace(moved, halfway=policy, alike=0, redrawn=(*progress.redrawn, progress.step))
+
+
+def _begun_with(loop: Loop, progress: Progress, policy: Policy, step: int) -> Progress:
+    """On from a policy after `step`, with nothing remembered of the steps before."""
+    critic = None if progress.window is None else learner(loop.problem, loop.training.seed)
     return replace(
         progress,
         step=step,
-        policy=best,
-        average=best,
-        recent=best,
-        optimiser=anew(training, best, progress.optimiser, 1),
+        policy=policy,
+        average=policy,
+        recent=policy,
+        optimiser=anew(loop.training, policy, progress.optimiser, 1),
         critic=critic,
         dual=Dual(),
         since=step,
-        slowed=(*progress.slowed, step),
-        status="training",
     )
 
 
@@ -365,7 +382,9 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
         known = {"exact": value, "best": best_value, "exact_error": error}
         history = (*history[:-1], history[-1]._replace(**known))
     stale = 0 if better else progress.stale + 1
-    return replace(progress, best=best, best_value=best_value, stale=stale, history=history)
+    alike = progress.alike + 1 if idle.equal_on_all_paths(problem, totals) else 0
+    found = {"best": best, "best_value": best_value, "stale": stale, "alike": alike}
+    return replace(progress, history=history, **found)
 
 
 def _conclude(loop: Loop, progress: Progress, seconds: float) -> Progress:

@@ -17,6 +17,7 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 from snapo.solver.learning import clipping, constant
 from snapo.solver.learning.convergence import Gain
+from snapo.solver.verdict.stopping import ends_for_good
 
 STEPS, SPREAD = 100, 0.1**0.5
 SMALL = snapo.Evaluation(paths=8192, sensitivity_paths=2048, smooth_paths=0, judge_paths=0)
@@ -212,7 +213,7 @@ SHORT = snapo.Training(steps=60, paths=64, validation_paths=1024, validation_eve
     [
         (0.3, 60, "constant", "A constant decision (0.3"),
         (20.0, 120, "saturated", "at its limit"),
-        (0.5, 1, "barely moved", "Training gained nothing over the rule"),
+        (0.5, 1, "barely moved", "Training gained nothing over the network"),
         (0.8, 8, "still improving", "try steps=16"),
     ],
 )
@@ -267,7 +268,8 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     assert constant.words(found, 2) == "Decision 2 of 2 (size) never changes (1, at its limit)"
     assert constant.at_limit(found)
     # An option that is never taken is no decision that never changes, and a bare set has no names.
-    assert not constant.constant_decisions(snapo.Choice(3), np.insert(taken[..., :2], 1, 0.0, -1))
+    three = np.insert(taken[..., :2], 1, 0.0, -1)
+    assert not constant.constant_decisions(snapo.Choice(3), three)
     many = constant.constant_decisions(
         snapo.Box(6), np.insert(np.full((2, 2, 5), 0.5), 5, on[:2, :2], -1)
     )
@@ -276,6 +278,44 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     )
     assert constant.words(many, 5) == "The decision never changes (0.5, 0.5, 0.5, 0.5, 0.5)"
     assert not constant.at_limit(many)
+
+
+class Closes(snapo.Simulator):
+    """A plant that is closed once and for good, or a stock that is sold part by part."""
+
+    horizon: int = 4
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 1
+    part: float = 1.0
+
+    def prepare(self, inputs):
+        return Schedule(dict(inputs), {"t": jnp.arange(4.0)})
+
+    def initial(self, constants, noise):
+        return {"open": constants["open"], "seen": jnp.zeros(())}
+
+    def observe(self, constants, now, state):
+        return jnp.stack([state["open"], state["seen"]])
+
+    def step(self, constants, now, state, action, noise, smooth):
+        closed = self.part * action[0] * state["open"]
+        return {"open": state["open"] - closed, "seen": noise[0]}, {"cash": closed * state["seen"]}
+
+
+@pytest.mark.parametrize(
+    "simulator, first, stops",
+    [
+        (Closes(), 1.0, True),
+        (Closes(part=0.3), 1.0, False),  # a store that only withdraws
+        (Closes(), 5.0, False),  # no flag
+        (Closes(action=snapo.Choice(2), part=0.0), 1.0, False),
+        (Closes(action=snapo.Box(1, 0.0)), 1.0, False),  # no upper end
+        (Closes(action=snapo.Product(a=snapo.Box(1, 0.0, 1.0), b=snapo.Choice(2))), 1.0, False),
+    ],
+)
+def test_a_decision_stops_where_it_takes_a_flag_for_good(simulator, first, stops):
+    problem = Problem(simulator, {"open": snapo.Input(first)}, snapo.Mean("cash"))
+    assert ends_for_good(problem) == stops
 
 
 def test_options_that_are_never_taken_are_told_with_the_name_of_their_choice():

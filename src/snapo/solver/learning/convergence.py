@@ -1,7 +1,8 @@
 """How a training ended, in one word, and what speaks against its result.
 
-"trained" only says that all steps were taken. Here the policy is compared with the untrained one
-and with constant decisions on the same paths, in kernels that are there already.
+"trained" only says that all steps were taken. Here the policy is compared with the untrained one,
+with that of halfway and with constant decisions on the same paths, in kernels that are there
+already. "converged" has to be earned: where nothing tells, the word is "too short to tell".
 """
 
 from typing import NamedTuple
@@ -11,7 +12,9 @@ import numpy as np
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
-from snapo.problem.policy import Policy
+from snapo.problem.policies.memory import GRU, Recent
+from snapo.problem.policies.plain import Plain
+from snapo.problem.policy import MLP, Policy, parameters
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 
@@ -21,18 +24,23 @@ from ..evaluate import chunks, worth
 from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
+from ..verdict import further, idle
+from ..verdict.further import Further
+from ..verdict.stopping import ends_for_good
 from .constant import at_limit, constant_decisions, never_taken, rivals, told, words
+from .settings import Training
 
-CONVERGED, IMPROVING = "converged", "still improving"
-SATURATED, UNMOVED, CONSTANT = "saturated", "barely moved", "constant"
+CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
+SATURATED, CONSTANT = "saturated", "constant"
+UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
+DRAWN = (MLP, GRU, Recent, Plain)  # policies that begin as networks drawn at random
 SURE = 2.0  # standard errors of a gain
-LATE = 0.01  # of all that was gained, in the last quarter of the steps: more is still improving
+OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
 ENOUGH = 2048  # paths on which two rules are compared
 TRY_OTHERS = (
     "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
     "temperature_start"
 )
-TRY = f"write a decision of when to stop with snapo.Stop, or {TRY_OTHERS}"
 
 
 class Ending(NamedTuple):
@@ -53,6 +61,11 @@ class Gain(NamedTuple):
         # One randomised net has no error that could be known.
         return self.value > (SURE * self.error if np.isfinite(self.error) else 0.0)
 
+    @property
+    def surely_below(self) -> bool:
+        """Whether the other rule is better."""
+        return Gain(-self.value, self.error).sure
+
     def __str__(self) -> str:
         return f"{self.value:,.3g} ± {self.error:,.2g}"
 
@@ -61,28 +74,28 @@ def ending(
     problem: Problem,
     untrained: Policy,
     progress: Progress,
+    training: Training,
     exact: Totals,
     held_paths: int,
     engine: Engine,
+    gradient: tuple[float, float] | None = None,
 ) -> Ending:
     """How training ended, by the exact simulator on paths of the evaluation; a training that
     broke off has notes and no word.
 
     A rule that breaks a limit of the problem, and more than the trained one does, is no rival.
 
-    - `exact`: {output: [paths]} of the best policy on the evaluation's paths.
+    - `progress`: its `best` is the policy that is reported; `training`: with numbers for all that
+      follows the problem.
+    - `exact`: {output: [paths]} of that policy on the evaluation's paths.
     - `held_paths`: of the held derivatives, which record decisions; 0 leaves out what needs them.
+    - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
     """
     if not np.isfinite(worth(problem.objective, exact)):
         return Ending("")
-    notes = []
-    over_start = _over_untrained(problem, untrained, exact, engine)
-    if not over_start.sure:
-        notes.append(
-            f"Training gained nothing over the rule that it began with ({over_start}). Unless that "
-            "is a good rule already, try more steps, another learning_rate, wider starting states "
-            "or features that tell states apart."
-        )
+    does_nothing = idle.equal_on_all_paths(problem, exact)
+    over_start = _over(problem, untrained, exact, engine)
+    notes = [idle.advice(worth(problem.objective, exact))] if does_nothing else []
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
         taken = _decisions(problem, progress.best, held_paths, engine)
@@ -90,50 +103,122 @@ def ending(
         still = constant_decisions(problem.action, actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
         if still:
-            notes.append(f"{words(still, of)}: if that is not meant, {TRY}.")
+            notes.append(f"{words(still, of)}: if that is not meant, {TRY_OTHERS}.")
         if len(still) < of and not over_constant.sure:
-            notes.append(_as_well(constant, over_constant))
+            notes.append(_as_well(problem, constant, over_constant))
         if unused := never_taken(problem.action, actions):
             notes.append(f"{unused}. If one of them should be, {TRY_OTHERS}.")
-    late = _late(progress, over_start.value, exact[problem.objective.outputs[0]])
-    if late:
-        notes.append(
-            f"Still improving: the last quarter of the {progress.step} steps gained {late:,.3g}; "
-            f"try steps={2 * progress.step}."
-        )
     if progress.status == "diverged":
-        word = ""
+        return Ending("", tuple(notes))
+    all_still = len(still) == of
+    if does_nothing:
+        word = CONSTANT
     elif not over_start.sure:
-        word = UNMOVED
-    elif len(still) == of and at_limit(still):
+        drawn = isinstance(untrained, DRAWN)
+        if drawn:
+            notes.append(UNMOVED_ADVICE)
+        word = UNMOVED if drawn else AS_BEGUN
+    elif all_still and at_limit(still):
         word = SATURATED
-    elif late:
-        word = IMPROVING
     else:
-        same = over_constant is not None and not over_constant.sure
-        word = CONSTANT if same or len(still) == of else CONVERGED
+        more = _further(problem, progress, training, exact, over_start, engine)
+        as_good = over_constant is not None and not over_constant.sure
+        if all_still or (as_good and not over_constant.surely_below):
+            word = CONSTANT
+        elif more.improving:
+            word = IMPROVING
+            notes.append(_improving(progress, training, more))
+        elif as_good:
+            word = CONSTANT
+        elif short := _short(progress, training, more, gradient):
+            word = SHORT
+            notes.append(f"Too short to tell whether more steps would bring more: {short}.")
+        else:
+            word = CONVERGED
     return Ending(word, tuple(notes))
 
 
-def _as_well(constant: np.ndarray, gain: Gain) -> str:
-    """The sentence on a constant decision that is as good as the trained rule, or better."""
-    if Gain(-gain.value, gain.error).sure:
-        return (
-            f"A constant decision ({told(constant)}) does better, by {-gain.value:,.3g} ± "
-            f"{gain.error:,.2g}: {TRY}."
-        )
+UNMOVED_ADVICE = (
+    "Training gained nothing over the network that was drawn at random: try more steps, another "
+    "learning_rate, wider starting states or features that tell states apart."
+)
+
+
+def _further(
+    problem: Problem,
+    progress: Progress,
+    training: Training,
+    exact: Totals,
+    over_start: "Gain",
+    engine: Engine,
+) -> Further:
+    """The gain over the policy of halfway, on more paths until they tell, and what it means."""
+    known = exact[problem.objective.outputs[0]]
+    best, spread = worth(problem.objective, exact), float(np.nanstd(known))
+    size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
+    times = further.times(progress, training)
+    paths, most = ENOUGH, len(known)
+    while True:
+        late = _over(problem, progress.halfway, exact, engine, paths)
+        found = Further(late.value, late.error, times, size)
+        if found.improving or found.known or paths >= most:
+            return found
+        paths *= 4
+
+
+def _improving(progress: Progress, training: Training, more: Further) -> str:
     return (
-        f"A constant decision ({told(constant)}) does as well (the trained rule gains {gain}): "
-        f"what the policy observes does not help it. If it should, {TRY}."
+        f"Still improving: the steps after {further.compared_step(progress, training)} of "
+        f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
+        f"bring about {more.more:,.2g}; try steps={2 * progress.step}."
     )
 
 
-def _over_untrained(problem: Problem, untrained: Policy, exact: Totals, engine: Engine) -> Gain:
+def _short(
+    progress: Progress,
+    training: Training,
+    more: Further,
+    gradient: tuple[float, float] | None,
+) -> str:
+    """Why nobody can tell whether a training has ended; empty where it has."""
+    if further.too_short(training, progress.step):
+        return f"of its {progress.step} steps {min(training.warmup, progress.step)} are the warm-up"
+    if not more.known:
+        return (
+            f"the steps after {further.compared_step(progress, training)} gained "
+            f"{Gain(more.late, more.late_error)}"
+        )
+    moved = parameters(progress.best) - parameters(progress.halfway)
+    way = float(np.linalg.norm(moved))
+    if gradient is not None and further.restless(*gradient, way, more.size):
+        return f"the gradient is {gradient[0] / gradient[1]:.2g} times its noise"
+    return ""
+
+
+def _as_well(problem: Problem, constant: np.ndarray, gain: "Gain") -> str:
+    """The sentence on a constant decision that is as good as the trained rule, or better."""
+    attempt = TRY_OTHERS
+    if ends_for_good(problem):
+        attempt = f"write a decision of when to stop with snapo.Stop, or {attempt}"
+    if gain.surely_below:
+        return (
+            f"A constant decision ({told(constant)}) does better, by {-gain.value:,.3g} ± "
+            f"{gain.error:,.2g}: {attempt}."
+        )
+    return (
+        f"A constant decision ({told(constant)}) does as well (the trained rule gains {gain}): "
+        f"what the policy observes does not help it. If it should, {attempt}."
+    )
+
+
+def _over(
+    problem: Problem, other: Policy, exact: Totals, engine: Engine, enough: int = ENOUGH
+) -> Gain:
     """On the first chunks of the evaluation, whose kernels are there."""
     source, bound = problem.sources.evaluation, engine.bind(_unpriced(problem))
-    blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])))
+    blocks = _first(chunks(source, len(exact[problem.objective.outputs[0]])), enough)
     found = [
-        bound.values(untrained, source.draws(block, problem.simulator), Exact()).totals
+        bound.values(other, source.draws(block, problem.simulator), Exact()).totals
         for block in blocks
     ]
     return _gain(problem, exact, [float64(each) for each in found], np.concatenate(blocks))
@@ -176,10 +261,10 @@ def _over_constants(
     return min(found, key=lambda each: each[1].value)
 
 
-def _first(blocks: list[np.ndarray]) -> list[np.ndarray]:
+def _first(blocks: list[np.ndarray], enough: int = ENOUGH) -> list[np.ndarray]:
     """The first blocks that have enough paths together, or all."""
     sizes = np.cumsum([len(block) for block in blocks])
-    return blocks[: int(np.searchsorted(sizes, ENOUGH)) + 1]
+    return blocks[: int(np.searchsorted(sizes, enough)) + 1]
 
 
 def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarray) -> Gain:
@@ -215,14 +300,3 @@ def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.nd
         if beyond > max(SURE * error if np.isfinite(error) else 0.0, NEARLY * influence.std()):
             return True
     return False
-
-
-def _late(progress: Progress, gained: float, totals: np.ndarray) -> float:
-    """The gain of the last quarter of the steps, if it is a large part of all; else 0."""
-    history = progress.history
-    before = [record.best for record in history if record.step <= 0.75 * progress.step]
-    if not before or not np.isfinite(before[-1]):
-        return 0.0
-    late = progress.best_value - before[-1]
-    size = min(abs(gained), max(abs(progress.best_value), float(np.std(totals))))
-    return late if late > LATE * size else 0.0

@@ -108,6 +108,11 @@ def undrawn(policy: Policy) -> bool:
     return all(each is None for each in networks(policy))
 
 
+def to_be_drawn(policy: Policy) -> bool:
+    """Whether a policy is a recipe that has networks: training may begin from other weights."""
+    return bool(networks(policy)) and undrawn(policy)
+
+
 def layers(policy: Policy) -> list[tuple[Any, Any]]:
     """Weights and biases of the first layers of a policy's networks."""
     return [(each.weights[0], each.biases[0]) for each in networks(policy) if each is not None]

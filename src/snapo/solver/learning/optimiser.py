@@ -39,16 +39,21 @@ class Plan(Protocol):
     def decay(self) -> float: ...
 
 
-def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
-    """AdamW; with more than one update a step, the rate is that of the step."""
-    # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
+def schedule(plan: Plan) -> optax.Schedule:
+    """The rate of every step: up in the warm-up, then down to zero by a cosine."""
     warmup = min(plan.warmup, max(0, plan.steps - 1))
-    rate = optax.warmup_cosine_decay_schedule(
+    return optax.warmup_cosine_decay_schedule(
         0.0 if warmup else plan.learning_rate,
         plan.learning_rate,
         warmup,
         max(1, plan.steps),
     )
+
+
+def optimiser(plan: Plan, updates: int = 1, forget: float = FORGET) -> optax.GradientTransformation:
+    """AdamW; with more than one update a step, the rate is that of the step."""
+    # Objectives come in any unit, so Adam's guard against division by zero must be tiny.
+    rate = schedule(plan)
     if updates == 1:
         return optax.adamw(rate, b2=forget, eps=1e-16, weight_decay=plan.decay)
     slower, forget = (lambda count: rate(count / updates)), WINDOWS_FORGET

@@ -73,6 +73,8 @@ class Progress:
     `dual`: the prices of the problem's limits.
     `raced`: the rounds in which starts fell out, where there were several.
     `slowed`: the steps that broke, from each of which on the rate is lower (see `train`).
+    `redrawn`: the steps at which it began anew from other first weights (see `verdict.idle`);
+    `alike`: the validations in a row in which every path earned the same.
     `scale`: of the features that no decision moves, for which the first layer is trained.
     """
 
@@ -96,6 +98,8 @@ class Progress:
     dual: Dual = Dual()
     raced: tuple[Round, ...] = ()
     slowed: tuple[int, ...] = ()
+    redrawn: tuple[int, ...] = ()
+    alike: int = 0
     scale: Scale | None = None
 
     def __str__(self) -> str:

@@ -9,6 +9,7 @@ from snapo.problem.policies.memory import remembering
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 
+from ..verdict import idle
 from . import clipping
 from .growth import Growth
 from .progress import Progress
@@ -29,9 +30,11 @@ def recorded(problem: Problem, progress: Progress, training: Training) -> Progre
 
 
 def chosen(progress: Progress) -> tuple[str, ...]:
-    """Which start went on; by how much adjoints grow, where they do, and how training went back;
-    the steps that broke."""
+    """Which start went on, and where training began anew; by how much adjoints grow, where they do,
+    and how training went back; the steps that broke."""
     raced = (words(progress.raced),) if progress.raced else ()
+    if progress.redrawn:
+        raced = (*raced, idle.words(progress.redrawn, progress.history))
     slowed = (_slowed(progress.slowed),) if progress.slowed else ()
     growth = progress.growth
     if growth is None or not growth.large:

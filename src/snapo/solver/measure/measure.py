@@ -76,8 +76,11 @@ def measure(run: Run) -> dict[str, Any]:
     if problem.limits:
         surface = _surface(run, within)
     table = _sensitivities(run, within, selection, surface)
-    ended = ending(problem, run.start, progress, exact, run.held_paths, engine)
-    norm, noise = (table and table.policy_gradient) or (float("nan"), float("nan"))
+    gradient = table and table.policy_gradient
+    ended = ending(
+        problem, run.start, progress, training, exact, run.held_paths, engine, gradient
+    )
+    norm, noise = gradient or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
         "evaluate": value.dropped,

@@ -1,0 +1,57 @@
+"""Trainings that end at doing nothing: every path earns the same, whatever is random.
+
+A store that never buys has nothing to sell, and one that never sells has no use for what it buys:
+no gradient leads out of there, from whichever side a training got in. It is seen by validations
+that are worth the same number on every path, and other first weights mostly lead elsewhere.
+"""
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from snapo.problem.objective import Totals
+from snapo.problem.problem import Problem
+
+from ..learning.progress import Progress, Record
+from ..learning.settings import Training
+
+MOST = 3  # times that a training begins anew
+LAST = 0.5  # of the steps: later on too few are left
+NONE = 1e-9  # of a total: a difference that is round-off
+
+
+def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
+    """Whether every path has the same totals of the objective, although paths are random.
+
+    An error of zero does not say so: antithetic pairs have none where noise counts linearly.
+    """
+    found = [np.asarray(totals[name]) for name in problem.objective.outputs]
+    return problem.is_random and all(
+        np.ptp(total) <= NONE * np.max(np.abs(total)) for total in found
+    )
+
+
+def caught(progress: Progress, training: Training) -> bool:
+    """Whether training should begin anew: the last two validations say that it does nothing."""
+    early = progress.step <= LAST * training.steps and progress.status == "training"
+    return progress.alike >= 2 and early and len(progress.redrawn) < MOST
+
+
+def words(steps: Sequence[int], history: Sequence[Record]) -> str:
+    """One sentence on the steps at which training began anew."""
+    *first, last = map(str, steps)
+    where = f"steps {', '.join(first)} and {last}" if first else f"step {last}"
+    value = history[steps[0] - 1].exact
+    return (
+        f"Training began anew from other first weights at {where}, since every path earned the "
+        f"same ({value:,.6g})."
+    )
+
+
+def advice(value: float) -> str:
+    """One sentence where the trained rule does nothing."""
+    return (
+        f"Every path earns the same ({value:,.6g}): the decisions do nothing with what is random. "
+        "If that is not meant, try another seed, a wider exploration (exploration=0.4), or a rule "
+        "to begin from (snapo.Residual)."
+    )
