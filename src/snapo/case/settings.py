@@ -35,7 +35,11 @@ class TrainingTable(Table):
     validation_paths: Annotated[int, Field(ge=1, le=MOST_PATHS)] = Field(
         4096, description="a whole number, 1 to 100,000,000: more do not fit in memory"
     )
-    validation_every: Count = Field(50, description="a number of steps, 1 or more")
+    validation_every: Count | None = Field(
+        None,
+        description="a number of steps, 1 or more, or left out: 50, and in a short training a "
+        "quarter of its steps",
+    )
     patience: Count | None = Field(None, description="a number of validations, 1 or more")
     window: Count | Literal["auto"] = Field(
         "auto", description='a number of steps, 1 or more, or "auto"'
@@ -56,7 +60,7 @@ FOLLOWS = "or left out: then it follows the problem"
 
 
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a simulator of one's own: five keys follow the problem.
+    """`[training]` of a plant or of a simulator of one's own: six keys follow the problem.
 
     They do so where they are left out, as in `snapo.Training`.
     """
@@ -76,6 +80,9 @@ class FollowingTable(TrainingTable):
     )
     exploration: Annotated[float, Field(ge=0, lt=1)] | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
         None, description=f"a number from 0 to below 1, {FOLLOWS}"
+    )
+    starts: Count | None = Field(  # pyright: ignore[reportIncompatibleVariableOverride]
+        None, description=f"a number of first weights, 1 or more, {FOLLOWS}"
     )
 
 

@@ -87,12 +87,13 @@ def solve(
         if check:
             _refuse_mistakes(problem, policy)
         engines = choose(engine, problem, policy)
-        training = fitted(training, problem, policy)
+        drawn = to_be_drawn(recipe)
+        training = fitted(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
             if progress is None:
                 progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
             clock.stage("evaluate")
-            fresh = _fresh_starts(policy, training) if to_be_drawn(recipe) else None
+            fresh = _fresh_starts(policy, training) if drawn else None
             progress = train(problem, progress, training, engines.train, callbacks, fresh=fresh)
             progress = recorded(problem, progress, training)
             clock.stage("train")
@@ -170,7 +171,7 @@ def _begun(
 
     Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
     """
-    starts = others(policy, training.starts, training.seed)
+    starts = others(policy, training.starts or 1, training.seed)
     scale = scale_of(policy, problem) if fresh else None
     if scale is not None:
         starts = [scale.plain(each) for each in starts]
@@ -185,8 +186,8 @@ def _begun(
 
 def _fresh_starts(policy: Policy, training: Training) -> Callable[[int], Policy]:
     """Starts that no race has had: for a training that has to begin anew."""
-    first = training.starts
-    return lambda number: others(policy, first + number + 1, training.seed)[-1]
+    first = 1 + (training.starts or 1)
+    return lambda number: others(policy, first + number, training.seed)[-1]
 
 
 def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManager[None]:

@@ -25,7 +25,7 @@ from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
-from .learning.following import fitted
+from .learning.following import EVERY, fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, memory, updater
 from .learning.practice import practised
@@ -124,7 +124,7 @@ def _updaters(training: Training, progress: Progress) -> tuple[Callable, Callabl
 def _due(progress: Progress, training: Training) -> bool:
     """Whether it is time to validate: every so often, and at the end."""
     over = progress.step >= training.steps or progress.status != "training"
-    return over or progress.step % training.validation_every == 0
+    return over or progress.step % (training.validation_every or EVERY) == 0
 
 
 def _advance(loop: Loop, progress: Progress) -> Progress:
@@ -319,7 +319,7 @@ def _may_window(
     if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
         return False
     # Where the whole horizon has taught something, a leap is no reason to leave it.
-    gained = progress.stale < progress.step // loop.training.validation_every
+    gained = progress.stale < progress.step // (loop.training.validation_every or EVERY)
     doubtful = wild or (apart and not gained and progress.step > horizon.FIRST)
     return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
 

@@ -14,6 +14,7 @@ import snapo
 from snapo.problem.policy import parameters
 from snapo.problem.problem import Problem
 from snapo.solver.learning import starts
+from snapo.solver.learning.following import fitted
 from snapo.solver.learning.progress import Round
 from snapo.solver.train import Training, begin
 
@@ -75,6 +76,47 @@ def test_starts_are_compared_at_equal_steps_also_where_the_winner_was_behind():
     assert "the other was 0.33 % lower at step 20" in words and "starts=" not in words
     none = (Round(10, ((0, 0.0), (1, -1.0))),)
     assert "not all of them had a value to compare with" in starts.words(none)
+
+
+@pytest.mark.parametrize(
+    "action, several",
+    [
+        (snapo.Choice(2), True),
+        (snapo.Whole(1, 0, 5), True),
+        (snapo.Stop(), True),
+        (snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0, 1.0)), True),
+        (snapo.Box(1, 0.0, 1.0), False),
+        (snapo.Simplex(3), False),
+    ],
+)
+def test_decisions_of_few_values_have_several_starts_where_nobody_chose(action, several):
+    of = Problem(Press(action=action), {"one": snapo.Input(1.0)}, snapo.Mean("cash"))
+    one = snapo.MLP().for_problem(of.interface, jax.random.key(0))
+
+    def chosen(fresh=True, **given):
+        return fitted(Training(**given), of, one, fresh).starts
+
+    assert chosen() == (4 if several else 1)
+    assert chosen(starts=1) == 1 and chosen(starts=2) == 2
+    # Weights of one's own, and a number of steps, are a choice.
+    assert chosen(fresh=False) == chosen(steps=100) == 1
+
+
+def test_a_short_training_is_validated_at_its_quarters():
+    of = problem(Regulator)
+    every = {
+        steps: fitted(Training(steps=steps), of, policy(of)).validation_every
+        for steps in (1, 10, 60, 200, 240, 3840)
+    }
+    assert every == {1: 1, 10: 3, 60: 15, 200: 50, 240: 50, 3840: 50}
+    assert fitted(Training(steps=60, validation_every=50), of, policy(of)).validation_every == 50
+
+
+def test_a_race_tells_the_last_two_starts():
+    begun = begin(policy(problem(Regulator)), Training())
+    assert begun.last_two is None
+    rounds = (Round(10, ((2, 4.0), (0, 3.0), (1, 2.0))), Round(20, ((0, 6.0), (2, 5.5))))
+    assert replace(begun, raced=rounds).last_two == (6.0, 5.5)
 
 
 class Press(snapo.Simulator):

@@ -16,6 +16,9 @@ they are. Ten batteries earned, of the best, 93.6 to 97.0 % with neither, 94.1 t
 decay alone, 95.7 to 97.7 % with both; of the first five with exploration alone one earned 94.4 %.
 Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
 both; .45 and .48 % with a decay of .2, seven times as large.
+
+A `Choice`, a `Whole` or a `Stop` decides between few values, so that where the weights begin
+matters more: several of them begin, and the better half goes on (`starts`).
 """
 
 import math
@@ -24,7 +27,7 @@ from dataclasses import replace
 import jax
 import numpy as np
 
-from snapo.problem.actions import Actions, Stop, holds
+from snapo.problem.actions import Actions, Choice, Stop, Whole, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
@@ -39,12 +42,17 @@ WIDTH = 32  # of hidden layers at which it is
 MANY = 8  # numbers decided in one step, above which weights decay and decisions explore
 LEFT = 1 / 4  # of a weight that nothing holds, after all steps
 EXPLORED = 0.1  # share of a decision
+SEVERAL = 4  # first weights, where decisions are of few values
+EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
 
-def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
-    """The training with numbers in place of all that follows the problem."""
+def fitted(training: Training, problem: Problem, policy: Policy, fresh: bool = False) -> Training:
+    """The training with numbers in place of all that follows the problem.
+
+    `fresh`: the policy's networks were drawn for it, so that others may be.
+    """
     paths, steps, rate = training.paths, training.steps, training.learning_rate
     decay, explored, free = training.decay, training.exploration, follows(training.steps)
     if follows(explored):
@@ -69,7 +77,13 @@ def fitted(training: Training, problem: Problem, policy: Policy) -> Training:
     # A rate that is chosen stays known as such: it is lowered where it breaks the training.
     rate = chosen_rate(rate) if follows(training.learning_rate) else rate
     training = replace(training, paths=paths, steps=steps, learning_rate=rate)
-    return replace(training, decay=decay, exploration=explored)
+    training = replace(training, decay=decay, exploration=explored)
+    starts, every = training.starts, training.validation_every
+    if starts is None:
+        few_values = any(holds(problem.action, kind) for kind in (Choice, Whole, Stop))
+        starts = SEVERAL if fresh and free and few_values else 1
+    every = min(EVERY, max(1, -(-steps // QUARTERS))) if every is None else every
+    return replace(training, starts=starts, validation_every=every)
 
 
 def _explores(action: Actions, training: Training) -> bool:

@@ -122,6 +122,15 @@ class Progress:
         return training.learning_rate * SLOWER ** len(self.slowed)
 
     @property
+    def last_two(self) -> tuple[float, float] | None:
+        """The exact values of the last two starts of a race at the same step, the better one first;
+        None without a race. Their distance tells how much of a value is the start's."""
+        if not self.raced:
+            return None
+        (_, better), (_, other) = self.raced[-1].values
+        return better, other
+
+    @property
     def record(self) -> Record:
         """The line of the last step taken."""
         return self.history[-1]

@@ -49,7 +49,8 @@ class Training:
     - `temperature_start`, `temperature_end`: of the smooth constraints, annealed geometrically.
     - `average`: the averaged policy remembers about this share of the steps.
     - `validation_paths`, `validation_every`, `patience`: the exact value is measured every so many
-      steps; after `patience` validations without a new best the run stops (None: never).
+      steps (None: every 50, in a short training at every quarter); after `patience` validations
+      without a new best the run stops (None: never).
     - `window`: go back through windows of this many steps, after which a critic tells the worth of
       all that comes (see `windows`); for means only.
     - `clip`: bound on each path's own adjoint at every step (see `engine.Clip`); "auto" finds one
@@ -62,7 +63,8 @@ class Training:
       `learning.practice`); it falls to 0 with the temperature. 0: none. Where it is not given, as
       the decay, if the decisions have bounds.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
-      steps the better half goes on (`solver.learning.starts`).
+      steps the better half goes on (`solver.learning.starts`). None: four where `solve` draws
+      them, the steps are not given and a `Choice`, `Whole` or `Stop` decides; else one.
     - `seed`: of the network's first weights and of all scenarios.
     """
 
@@ -75,14 +77,14 @@ class Training:
     temperature_end: float = 0.005
     average: float = 0.05
     validation_paths: int = 4096
-    validation_every: int = 50
+    validation_every: int | None = None
     patience: int | None = None
     window: int | str | None = "auto"
     clip: float | str | None = "auto"
     keep: float | str = "auto"
     spread: float = 1.0
     exploration: float = EXPLORATION
-    starts: int = 1
+    starts: int | None = None
     seed: int = 0
 
     def __post_init__(self):
