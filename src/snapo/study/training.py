@@ -10,11 +10,12 @@ from snapo.problem.scenarios import Scenarios, Supplied
 from snapo.solver import checkpoint
 from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
-from snapo.solver.learning.convergence import SURE
+from snapo.solver.learning.convergence import CONVERGED, SURE, UNDECIDED, without_advice
 from snapo.solver.learning.practice import refused
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
 from snapo.solver.train import Progress, Record, Training, begin
+from snapo.solver.verdict.room import Room, room
 
 from .run_folder import CHECKPOINT, GROUPS
 from .study import Part, Setup, StudyRun
@@ -35,7 +36,9 @@ def train(run: StudyRun) -> dict[str, Any]:
     run.trained = solution
     solution.save(run.folder)
     _keep_groups(run, solution)
-    run.tell("\n".join(solution.lines()))
+    # Whether to train on is said with the bound, where one follows.
+    follows = any(part.name == "bound" for part in run.study.parts)
+    run.tell("\n".join(without_advice(solution.lines()) if follows else solution.lines()))
     return {
         "solution": solution.summary(),
         "engine": {"name": solution.engine, "reason": solution.reason},
@@ -55,20 +58,34 @@ def trained(
     run: StudyRun,
     references: Mapping[str, float | None] | None = None,
     leads: Iterable[Lead] = (),
+    exact: float | None = None,
 ) -> dict[str, Any]:
     """What result.json says of a study that trains; empty while it has not yet.
 
-    `leads` over classical rules, on the same paths: of one that does better the notes tell, and
-    the "verdict" on the terminal.
+    How much can still be gained is the "verdict" on the terminal and the first note, where the run
+    has a bound from above or an `exact` value. `leads` over classical rules, on the same paths: of
+    one that does better the notes tell, and the verdict in the place of the other.
     """
     found = dict(run.get("solution", {}))
     if not found:
         return {}
     head = ("value", "standard_error", "smooth_value", "smoothing_gap", "policy_gradient_norm")
     first = {key: found.pop(key) for key in head}
+    if left := room(first["value"], first["standard_error"], run.get("bound"), exact):
+        found |= _with_room(found, left)
     if beaten := _beaten(leads):
         found |= {"notes": [*found.get("notes", ()), beaten], "verdict": beaten}
     return first | {"references": dict(references or {})} | found
+
+
+def _with_room(found: Mapping[str, Any], left: Room) -> dict[str, Any]:
+    """Word and notes where it is known how much can be gained; next to a bound none asks for
+    more steps."""
+    notes, word = found.get("notes", ()), found.get("convergence", "")
+    if left.near:
+        notes = without_advice(notes)
+        word = CONVERGED if word in UNDECIDED else word
+    return {"notes": [left.words, *notes], "convergence": word, "verdict": left.words}
 
 
 def _beaten(leads: Iterable[Lead]) -> str:

@@ -154,7 +154,8 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "dynamic_programming": run.get("dynamic_programming"),
         "upper_bound": run.get("bound.upper.value"),
     }
-    return trained(run, references) | {"bound": run.get("bound")}
+    exact = references["dynamic_programming"]
+    return trained(run, references, exact=exact) | {"bound": run.get("bound")}
 
 
 def _expired(case: StorageCase):

@@ -5,6 +5,7 @@ with that of halfway and with constant decisions on the same paths, in kernels t
 already. "converged" has to be earned: where nothing tells, the word is "too short to tell".
 """
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -33,6 +34,7 @@ from .settings import Training
 CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
 SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
+UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # words that a bound may make CONVERGED
 DRAWN = (MLP, GRU, Recent, Plain)  # policies that begin as networks drawn at random
 SURE = 2.0  # standard errors of a gain
 OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
@@ -41,6 +43,9 @@ TRY_OTHERS = (
     "try starts=4, features of mean 0 and deviation 1, wider starting states, or a higher "
     "temperature_start"
 )
+
+
+STILL, TELLS_NOT, NOTHING = "Still improving: ", "Too short to tell ", "Training gained nothing "
 
 
 class Ending(NamedTuple):
@@ -132,14 +137,19 @@ def ending(
             word = CONSTANT
         elif short := _short(progress, training, more, gradient):
             word = SHORT
-            notes.append(f"Too short to tell whether more steps would bring more: {short}.")
+            notes.append(f"{TELLS_NOT}whether more steps would bring more: {short}.")
         else:
             word = CONVERGED
     return Ending(word, tuple(notes))
 
 
+def without_advice(notes: Iterable[str]) -> list[str]:
+    """The sentences that do not say to train for longer."""
+    return [note for note in notes if not note.startswith((STILL, TELLS_NOT, NOTHING))]
+
+
 UNMOVED_ADVICE = (
-    "Training gained nothing over the network that was drawn at random: try more steps, another "
+    f"{NOTHING}over the network that was drawn at random: try more steps, another "
     "learning_rate, wider starting states or features that tell states apart."
 )
 
@@ -168,7 +178,7 @@ def _further(
 
 def _improving(progress: Progress, training: Training, more: Further) -> str:
     return (
-        f"Still improving: the steps after {further.compared_step(progress, training)} of "
+        f"{STILL}the steps after {further.compared_step(progress, training)} of "
         f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
         f"bring about {more.more:,.2g}; try steps={2 * progress.step}."
     )
