@@ -51,9 +51,10 @@ class Solution:
       note says where); of the others "ruined" where the value is minus infinity, "not finite" where
       it is no number.
     - `roles`: {training, validation, evaluation, sensitivities}: which paths each was done on.
-    - `convergence`: "converged", "still improving", "saturated" (the decision stays at a limit),
-      "constant" (a constant decision does as well), "barely moved" (an untrained rule does as well)
-      or "start kept" (training did not surely improve on it); empty where the value is no number.
+    - `convergence`: "converged", "still improving", "too short to tell", "saturated" (the decision
+      stays at a limit), "constant" (a constant decision does as well), "barely moved" (the network
+      as it was drawn does as well) or "as good as its start" (a rule that training began with
+      does), or "start kept" (that rule is reported); empty where the value is no number.
     - `growth`: adjoints by step and by part of the state, where training measured them; `window`,
       `clip` and `keep`: the length of the windows that it went back through at its end, the bound
       on each path's own adjoint (None: none of them), and the share that went on at each step.

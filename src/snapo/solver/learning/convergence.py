@@ -162,14 +162,18 @@ def _further(
     over_start: "Gain",
     engine: Engine,
 ) -> Further:
-    """The gain over the policy of halfway, on more paths until they tell, and what it means."""
+    """The gain over the policy of halfway, on more paths until they tell, and what it means.
+
+    Within limits it counts at their prices: a policy that breaks one is no worse a measure.
+    """
+    rated = problem.priced(progress.dual.prices or [0.0] * len(problem.limits))
     known = exact[problem.objective.outputs[0]]
     best, spread = worth(problem.objective, exact), float(np.nanstd(known))
     size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
     times = further.times(progress, training)
     paths, most = ENOUGH, len(known)
     while True:
-        late = _over(problem, progress.halfway, exact, engine, paths)
+        late = _over(rated, progress.halfway, exact, engine, paths)
         found = Further(late.value, late.error, times, size)
         if found.improving or found.known or paths >= most:
             return found
