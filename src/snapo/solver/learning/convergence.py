@@ -128,7 +128,8 @@ def ending(
     else:
         more = _further(problem, progress, training, exact, over_start, engine)
         as_good = over_constant is not None and not over_constant.sure
-        if all_still or (as_good and not over_constant.surely_below):
+        below = over_constant is not None and over_constant.surely_below
+        if all_still or (as_good and not below):
             word = CONSTANT
         elif more.improving:
             word = IMPROVING

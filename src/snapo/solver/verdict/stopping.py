@@ -1,6 +1,7 @@
 """Whether a decision acts as one of when to stop, although it is not written with `Stop`."""
 
 import jax
+import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.actions import Actions, Box, Choice, Stop, Whole
@@ -18,13 +19,13 @@ def ends_for_good(problem: Problem) -> bool:
     if extremes is None:
         return False
     simulator, schedule = problem.simulator, problem.schedule
-    noise = np.zeros(simulator.noise_size)
+    noise = jnp.zeros(simulator.noise_size)
     now = at(schedule.steps, 0)
 
     def after(state, action):
         return simulator.step(schedule.constants, now, state, action, noise, Exact())[0]
 
-    first = simulator.initial(schedule.constants, np.zeros(simulator.initial_noise_size))
+    first = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
     for stop, go in (extremes, extremes[::-1]):
         stopped = after(first, stop)
         later = [after(stopped, action) for action in extremes]
