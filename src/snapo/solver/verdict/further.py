@@ -76,8 +76,11 @@ def too_short(training: Training, step: int) -> bool:
 
 
 def restless(norm: float, noise: float, way: float, size: float) -> bool:
-    """Whether the policy's gradient is surely not zero, and could still bring something."""
-    known = np.isfinite([norm, noise]).all()
+    """Whether the policy's gradient is surely not zero, and could still bring something.
+
+    Without noise nothing says so: at a bend of the smooth value it is not zero either.
+    """
+    known = np.isfinite([norm, noise]).all() and noise > 0
     return bool(known and norm > SETTLED * noise and norm * way > MATTERS * size)
 
 
