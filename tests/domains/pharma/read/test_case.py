@@ -1,11 +1,13 @@
 """Units of measure, and what a case file becomes."""
 
 import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.read.case import read_case
-from snapo.domains.pharma.read.quantities import UnitError, conversion, split
+from snapo.domains.pharma.read.quantities import UnitError, conversion, prefactor_unit, split
 from snapo.domains.pharma.results.statement import statement
 
 
@@ -81,3 +83,29 @@ def _units():
 
 def _parameters(of):
     return [{"name": "W", "of": of, "range": [1, 4], "normal": [1.5, 2.5], "source": "made up"}]
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    st.one_of(
+        st.integers(0, 400).map(lambda n: n / 100),
+        st.tuples(st.integers(0, 12), st.integers(1, 12)).map(lambda pair: pair[0] / pair[1]),
+    ),
+    st.sampled_from(["cm3^{0}/mol^{0}/min", "(cm3/mol)^{0}/min", "cm3^{0}*mol^-{0}/min"]),
+    st.sampled_from(["{!r}", "{:.3f}"]),
+)
+def test_a_rate_constant_of_every_order_has_its_own_unit(order, spelling, digits):
+    """k c^n is mol per volume and time, so k is (volume/mol)^(n - 1) per time, whatever n is; a
+    fraction may be written to three digits, and the factor is still that of the order itself."""
+    power = order - 1
+    if power < 0:  # 1/4 is written mol^.. / cm3^..
+        spelling = spelling.replace("cm3", "?").replace("mol", "cm3").replace("?", "mol")
+    unit = spelling.format(digits.format(abs(power)))
+    scale = conversion(unit, prefactor_unit(order)).scale
+    assert scale == pytest.approx(1e-3**power / 60, rel=1e-10)  # its name has twelve digits
+
+
+def test_another_order_is_another_unit():
+    for order, unit in ((1.5, "L/mol/s"), (1.3, "L^0.31/mol^0.31/s"), (2.3, "L^1.3/mol^1.2/s")):
+        with pytest.raises(UnitError, match="and this is"):
+            conversion(unit, prefactor_unit(order))

@@ -9,6 +9,7 @@ from snapo.case.given import Given
 from ..flowsheet.network import Network
 from ..given import Entry
 from .numbers import Place, suggest
+from .quantities import prefactor_unit
 
 TINY = 1e-300  # the smallest number above 0
 ENTRY = re.compile(r"([^\[\]]+)(?:\[([^\[\]]+)\])?")
@@ -24,8 +25,7 @@ class Numbers(NamedTuple):
         """The domain's unit of one entry: those of powers and rate constants differ."""
         unit = self.givens[name].unit
         if unit == "(m3/kmol)^(order-1)/s":
-            order = self.network.order[entry].sum()
-            return f"m^{3 * (order - 1):g}*kmol^{1 - order:g}/s"
+            return prefactor_unit(self.network.order[entry].sum())
         if ", " in unit:
             return unit.split(", ")[entry]
         return unit.replace("K^k", f"K^{entry}").replace("m^k/m3", f"m^{entry}/m^3")

@@ -13,6 +13,7 @@ from ..flowsheet.feed import Feed
 from ..flowsheet.network import Network
 from .names import check_name
 from .numbers import ANY, LIQUID, NOT_NEGATIVE, POSITIVE, Bounds, absent, given, quantity, suggest
+from .quantities import prefactor_unit
 from .reader import Reader
 from .tables import FeedTable, ReactionTable, SpeciesTable
 
@@ -93,7 +94,7 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
         at = _species(section, f"order.{each}", each, species)
         order[at] = quantity(section, f"order.{each}", exponent, "1", NOT_NEGATIVE)
     total = order.sum()
-    unit = _prefactor_unit(total)
+    unit = prefactor_unit(total)
     return {
         "name": name,
         "row": right - left,
@@ -103,13 +104,6 @@ def _reaction(file, raw, i: int, species, molar_mass, notes) -> dict[str, Any]:
         "activation": quantity(section, "activation", table.activation, "J/mol"),
         "heat": quantity(section, "heat", table.heat, "J/mol"),
     }
-
-
-def _prefactor_unit(order: float) -> str:
-    """The domain's unit of a rate constant, by the reaction's total order."""
-    if order == 1:
-        return "1/s"
-    return "m3/kmol/s" if order == 2 else f"m^{3 * (order - 1):g}*kmol^{1 - order:g}/s"
 
 
 def _sides(section: Section, equation: str, species) -> tuple[np.ndarray, np.ndarray]:

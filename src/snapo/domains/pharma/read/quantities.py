@@ -8,16 +8,21 @@ import re
 from functools import cache
 from typing import NamedTuple
 
+import numpy as np
 import pint
+from pint.util import UnitsContainer
 
 NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.ASCII | re.DOTALL)
 UNIT = re.compile(
-    r"[A-Za-zµμ°Ω%_][A-Za-zµμ°Ω%_0-9*/^.() ·-]{0,60}|1(?:/[A-Za-z0-9*/^.() -]{1,60})?"
+    r"\(?[A-Za-zµμ°Ω%_][A-Za-zµμ°Ω%_0-9*/^.() ·-]{0,60}|1(?:/[A-Za-z0-9*/^.() -]{1,60})?"
 )
 # Shares name their basis; as numbers they are all the same.
 BASIS = re.compile(r"\s+(w/w|v/v|m/m|n/n)$")
 PURE = ("", "1")
+# A fraction as an exponent may be written to three digits, of a length three times: (cm^3)^0.333.
+DIGITS = 3 * 5e-4
+EXACT = 1e-9  # exponents of dimensions that differ by round-off alone are the same
 
 
 class UnitError(ValueError):
@@ -53,11 +58,15 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
 
     **Raises:** `UnitError` where the unit is unknown, or measures something else.
     """
-    own, domain = _parse(unit), _parse(target)
-    if own.dimensionality != domain.dimensionality:
+    domain = _parse(target)
+    own = _exact(_parse(unit), domain)
+    if _gaps(own, domain):
         wanted = _dimension(domain) + ("" if target in PURE else f", {target}")
         raise UnitError(f"{shown(unit)} is {_dimension(own)}, and this is {wanted}")
     registry = _registry()
+    if own.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
+        scale = registry.get_base_units(own)[0] / registry.get_base_units(domain)[0]
+        return Conversion(float(f"{scale:.16g}"), 0.0)
     start = registry.Quantity(0.0, own).to(domain).magnitude
     if difference and own == registry.degC:
         own = registry.delta_degC
@@ -67,6 +76,14 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
     scale = registry.Quantity(1.0, own).to(domain).magnitude - zero
     # Factors between units have few digits; the rest is rounding on the way.
     return Conversion(float(f"{scale:.16g}"), 0.0 if difference else float(f"{start:.16g}"))
+
+
+def prefactor_unit(order: float) -> str:
+    """The domain's unit of a rate constant, by the reaction's total order."""
+    power = round(float(order) - 1, 12)
+    if power == 0:
+        return "1/s"
+    return "m3/kmol/s" if power == 1 else f"m^{3 * power:.12g}*kmol^{-power:.12g}/s"
 
 
 def dimension(unit: str) -> str:
@@ -91,13 +108,37 @@ def _parse(unit: str) -> pint.Unit:
         return _registry().Unit("")
     if UNIT.fullmatch(text) is None:
         raise UnitError(f"{unit!r} is not the name of a unit")
-    text = re.sub(r"(?<=[A-Za-zµμ])([23])\b", r"^\1", text.replace("·", "*").replace("°C", "degC"))
+    text = text.replace("·", "*").replace("°C", "degC")
+    text = re.sub(r"([A-Za-zµμ]+)([23])\b", r"(\1^\2)", text)
     if re.search(r"\^\s*\(?-?\d{3}", text):
         raise UnitError(f"{unit!r} is not the name of a unit")
     try:
         return _registry().Unit(text)
     except Exception:  # pint has many ways to say that it does not understand
         raise UnitError(f"there is no unit {unit!r}") from None
+
+
+def _gaps(own: pint.Unit, domain: pint.Unit) -> dict[str, float]:
+    """By which exponent of each dimension two units differ; without those that agree."""
+    one, other = own.dimensionality, domain.dimensionality
+    found = {name: float(other.get(name, 0) - one.get(name, 0)) for name in {*one, *other}}
+    return {name: gap for name, gap in found.items() if abs(gap) > EXACT}
+
+
+def _exact(own: pint.Unit, domain: pint.Unit) -> pint.Unit:
+    """`own` with the exponents that `domain` asks for, where those are the same to three digits."""
+    gaps = _gaps(own, domain)
+    parts = dict(own._units)
+    if not gaps or not parts:
+        return own
+    every = [_registry().get_dimensionality(name) for name in parts]
+    names = sorted({*gaps, *(name for each in every for name in each)})
+    table = np.array([[float(each.get(name, 0)) for each in every] for name in names])
+    moved = np.linalg.lstsq(table, [gaps.get(name, 0.0) for name in names], rcond=None)[0]
+    if np.abs(moved).max() > DIGITS:
+        return own
+    moved = {name: float(power) + step for (name, power), step in zip(parts.items(), moved)}
+    return _registry().Unit(UnitsContainer(moved))
 
 
 def _dimension(unit: pint.Unit) -> str:
