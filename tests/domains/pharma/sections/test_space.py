@@ -11,6 +11,7 @@ from tests.domains.pharma.pharma_cases import CASE, attribute, solve
 from tests.domains.pharma.quality.test_boundary import linear
 
 from snapo.domains.pharma.results.quality import map_tables
+from snapo.domains.pharma.sections import pictures
 from snapo.domains.pharma.sections.together import boundary
 from snapo.report.page import Table, Text
 from snapo.report.quantity import SPACE
@@ -86,3 +87,23 @@ def test_the_report_of_a_run_shows_the_boundary(tmp_path):
     shown = found.details["design_space"]["ends"]
     assert len(shown) == len(rows) and np.isfinite([each["place"] for each in shown]).all()
     assert f"{float(near[0]['boundary']):.4g}" in body[2]
+
+
+@pytest.mark.parametrize(
+    ("levels", "required"), [([0.3, 0.95], 0.9), ([0.5], 0.5), ([0.85], 0.2), ([0.01, 0.99], 0.01)]
+)
+def test_contours_of_every_level_are_drawn(levels, required):
+    """A level is a probability between 0 and 1; the colours part at these and at one half."""
+    from matplotlib.figure import Figure
+
+    grid = np.linspace(0.0, 1.0, 5)
+    probability = np.outer(grid, np.ones(5))
+    found = {
+        "grid": [grid, grid], "levels": levels, "required": required, "units": ["K", "K"],
+        "normal": [[0.4, 0.6], [0.4, 0.6]], "nominal": [0.5, 0.5], "box": None,
+    }  # fmt: skip
+    axes = Figure().add_subplot()
+    pictures.space(axes, found, probability, ["a", "b"], (probability - 0.1, probability + 0.1))
+    shades = next(each for each in axes.collections if getattr(each, "filled", False))
+    inner = sorted({0.5, *levels, required})
+    np.testing.assert_allclose(shades.levels, [-0.001, *inner, 1.001])

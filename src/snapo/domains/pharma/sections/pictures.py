@@ -110,13 +110,13 @@ def space(
     """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
     lower and the upper ends `band` of its interval reach what is required."""
     x, y = (np.asarray(grid) for grid in found["grid"][:2])
-    levels = sorted({*found["levels"], found["required"]})
+    levels = sorted({0.5, *found["levels"], found["required"]})
     shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]
-    fill = [-0.001, 0.5, *levels, 1.001]
+    fill = [-0.001, *levels, 1.001]
     picked = [LIGHT[shades[min(i, len(shades) - 1)]] for i in range(len(fill) - 1)]
     axes.contourf(x, y, probability.T, levels=fill, colors=picked)
     if np.ptp(probability) > 0:
-        inside = [k for k in (0.5, *levels) if probability.min() < k < probability.max()]
+        inside = [k for k in levels if probability.min() < k < probability.max()]
         if inside:
             drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
                                  linewidths=0.9)  # fmt: skip
