@@ -103,7 +103,7 @@ class OpenLoop:
     def sampled(self, run: StudyRun) -> Process:
         """The process for statistics, on the mesh that was found to do for them."""
         if self._sampled is None:
-            steps = int(run.get("sampling.steps", self.case.numerics.steps))
+            steps = int(run.get("sampling.steps", self.process.case.numerics.steps))
             self._sampled = on_steps(self.process, steps)
         return self._sampled
 
@@ -118,7 +118,7 @@ class OpenLoop:
 
     def one_batch(self, run: StudyRun) -> dict[str, Any]:
         found = self.process.run()
-        table = batch.one_batch(self.case, found)
+        table = batch.one_batch(self.process.case, found)
         run.write_csv(SETPOINTS, setpoints.HEADER, setpoints.setpoints(self.case))
         if found.status == "ok":
             header = ("unit", "time_s", "state", "value", "state_unit")

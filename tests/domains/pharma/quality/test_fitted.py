@@ -3,11 +3,13 @@
 import tomllib
 from pathlib import Path
 
+import jax
 import numpy as np
 import pytest
 from tests.domains.pharma.pharma_cases import CASE, data
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality import draws
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.results.quality import fitted_rows
@@ -89,7 +91,7 @@ def test_a_number_is_not_uncertain_twice(tmp_path):
 
 def test_measurements_keep_their_unit_and_may_lie_a_little_below_zero(tmp_path):
     (tmp_path / "case.toml").write_text(CASE)
-    text = data() + "70 min,reactor.concentration.A,-0.2 mmol/L,0.1 mmol/L\n"
+    text = data() + "59 min,reactor.concentration.A,-0.2 mmol/L,0.1 mmol/L\n"
     (tmp_path / "batch.csv").write_text(text)
     found = read_case(tmp_path).estimation
     assert found is not None and found.units == ("L/mol/s", "L/mol/s")
@@ -99,3 +101,31 @@ def test_measurements_keep_their_unit_and_may_lie_a_little_below_zero(tmp_path):
     (tmp_path / "batch.csv").write_text(text.replace("-0.2 mmol/L", "-2 mmol/L"))
     with pytest.raises(CaseError, match="20 of its standard deviations below the least value"):
         read_case(tmp_path)
+
+
+LATE = "70 min,reactor.concentration.A,1 mmol/L,0.1 mmol/L\n"
+
+
+def test_a_measurement_after_the_end_of_its_unit_is_refused(tmp_path):
+    """A batch of an hour says nothing of the 70th minute, unless it was itself a longer one."""
+    (tmp_path / "case.toml").write_text(CASE)
+    (tmp_path / "batch.csv").write_text(data() + LATE)
+    with pytest.raises(CaseError) as caught:
+        read_case(tmp_path)
+    words = str(caught.value)
+    assert "batch.csv, line 14, column time: got '70 min'; reactor ends at 3600 s in" in words
+    assert "reactor.duration" in words
+    longer = 'data = "batch.csv"\nsettings = { "reactor.duration" = "70 min" }'
+    (tmp_path / "case.toml").write_text(CASE.replace('data = "batch.csv"', longer))
+    found = read_case(tmp_path).estimation
+    assert found is not None and found.experiments[0].time[-1] == 4200
+
+
+def test_after_its_end_a_unit_has_no_states(tmp_path):
+    """From Python as well: no number stands for a time at which there was no batch."""
+    (tmp_path / "batch.csv").write_text(data())
+    process = Process(resolve(tmp_path / "case.toml", tomllib.loads(CASE)))
+    state, times = ("concentration.A",) * 3, np.array([1800.0, 3600.0, 4200.0])
+    with jax.enable_x64(True):
+        found = process.observe(process.inputs, "reactor", state, times)
+    assert np.isfinite(found).tolist() == [True, True, False]

@@ -1,4 +1,4 @@
-"""Does the answer depend on the mesh? Values and gradients on twice the mesh and adaptively."""
+"""Does the answer depend on the time steps? Values and gradients on finer ones and adaptively."""
 
 from dataclasses import replace
 from typing import NamedTuple
@@ -16,9 +16,10 @@ VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 class Row(NamedTuple):
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
-    `mesh`, `finer`, `adaptive`: by the case's steps, by twice as many, error-controlled; gaps
-    are relative to the value, for a derivative to the largest in its attribute's row, or where
-    these are smaller to the attribute's margin and a margin in half the normal range.
+    `mesh`, `finer`, `adaptive`: by the case's own method, by twice its steps or a tenth of its
+    tolerance, and error-controlled (where the case is, the tighter one again); gaps are relative
+    to the value, for a derivative to the largest in its attribute's row, or where these are
+    smaller to the attribute's margin and a margin in half the normal range.
     """
 
     attribute: str
@@ -63,7 +64,7 @@ def _differences(process: Process, inputs) -> Matrix:
 
 
 def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Convergence:
-    """Every attribute and its derivative by every parameter, three ways.
+    """Every attribute and its derivative by every parameter, three ways; the case's own is judged.
 
     `tolerance` is that of the adaptive solution, or the case's if that is tighter. Where units hold
     steps its derivatives are differences of its values: through an implicit solver with error
@@ -71,11 +72,9 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
     """
     numerics = process.case.numerics
     tight = min(tolerance, numerics.tolerance)
-    ways = (
-        replace(numerics, method="mesh"),
-        numerics.finer(),
-        replace(numerics, method="adaptive", tolerance=tight),
-    )
+    ways = [numerics, numerics.finer()]
+    if numerics.method == "mesh":
+        ways.append(replace(numerics, method="adaptive", tolerance=tight))
     tables = []
     for way in ways:
         other = Process(replace(process.case, numerics=way))
@@ -94,7 +93,7 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
         # What is next to nothing is compared with a margin, and its slope with one in half a range.
         floors = attribute.margin / np.append(1.0, half)
         for p, parameter in enumerate(("value", *process.parameters)):
-            mesh, finer, adaptive = (float(table[q, p]) for table in tables)
+            mesh, finer, adaptive = (float(tables[i][q, p]) for i in (0, 1, -1))
             scale = max(abs(mesh) if p == 0 else largest, float(floors[p]))
             gaps = [abs(other - mesh) / scale for other in (finer, adaptive)]
             rows.append(Row(attribute.name, parameter, mesh, finer, adaptive, *gaps))

@@ -23,9 +23,10 @@ from .inputs import pharma_inputs
 from .march import Marches
 from .possible import impossible
 from .recycle import Closed
-from .stiffness import with_stiff_steps
+from .stiffness import with_steps
 from .stream import Stream
 
+ROUND_OFF = 1e-9  # of a unit's duration
 _Key = tuple[tuple[Entry, ...], tuple[Entry, ...]]  # entries drawn, and those to derive by
 
 
@@ -61,13 +62,13 @@ class Batch(NamedTuple):
 class Process:
     """A case with its compiled functions: made once, called often without compiling again.
 
-    - `case`: as it was given, with the steps of its stiff units.
+    - `case`: as it was given, with the steps that it needs.
     - `inputs`: {name: nominal values}; `names`: [Q] attributes; `parameters`: [P] names;
       `entries`: [P] where they stand. `traces` counts how often the flowsheet was traced.
     """
 
     def __init__(self, case: PharmaCase):
-        self.case = case = with_stiff_steps(case)
+        self.case = case = with_steps(case)
         self.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
         self.names = tuple(each.name for each in case.attributes)
         self.parameters = tuple(each.name for each in case.parameters)
@@ -276,7 +277,8 @@ class Process:
     def observe(self, inputs, unit: str, states: Sequence[str], times) -> Float[Array, " n"]:
         """[n] the state `states[i]` of `unit` at `times[i]` s; plain JAX, to be traced.
 
-        Between mesh points by cubic Hermite interpolation of the integrated states.
+        Between mesh points by cubic Hermite interpolation of the integrated states; NaN before the
+        unit's start and after its end, where it has no states.
         """
         outcome = self.flow(inputs, record=True).outcomes[unit]
         track, of_row = outcome.track, outcome.states
@@ -291,7 +293,9 @@ class Process:
         controls = jnp.asarray(track.controls)
         control = controls[left] + share[:, None] * (controls[left + 1] - controls[left])
         rows = jax.vmap(lambda y, c: of_row(y, *c))(state, control)
-        return jnp.stack([rows[name][i] for i, name in enumerate(states)])
+        within = (times >= 0) & (times <= grid[-1] * (1 + ROUND_OFF))
+        found = jnp.stack([rows[name][i] for i, name in enumerate(states)])
+        return jnp.where(within, found, jnp.nan)
 
 
 def _finite(found: np.ndarray) -> bool:

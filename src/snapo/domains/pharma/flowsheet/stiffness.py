@@ -5,9 +5,14 @@ below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured 
 of the nominal batch, which Rosenbrock steps with error control find; where it is above the limit,
 those steps are held, and every batch takes them. Units that need error control (a jacket, a dryer's
 tray, a gas that dissolves) hold them in any case.
+
+A unit without such steps takes as many explicit ones as the attributes of the nominal batch need,
+where the case leaves their number open: the steps of every piece are doubled until no attribute
+moves. Where all steps are short without any doubt nothing is computed.
 """
 
 from dataclasses import replace
+from math import inf
 from typing import Any
 
 import jax
@@ -19,10 +24,36 @@ from ..time.mesh import break_up, edges_of, steps_per_piece
 from ..time.step_choice import choose, times_of
 from ..units.operation import Timed, timed
 from .case import PharmaCase
-from .flow import problem_of
+from .flow import flow, problem_of
 from .inputs import pharma_inputs
 
 STABLE = 2.0  # explicit steps times the fastest rate: 2.78, and room for batches that differ
+# Relative, on twice the steps: derivatives move some 15 times as much, and may move by 1e-5.
+STILL = 2e-7
+MOST = 16  # times as many steps as a case begins with
+# Steps times the fastest rate of a reactor, where classical Runge-Kutta is off by about 1e-7; and
+# seconds of a step in which crystals and granules, without such a bound, change next to nothing.
+PRECISE, SHORT = 0.1, 20.0
+
+
+def with_steps(case: PharmaCase) -> PharmaCase:
+    """The case with the steps of its stiff units, and on a mesh that is as fine as it needs."""
+    case = with_stiff_steps(case)
+    numerics = case.numerics
+    if not numerics.open:
+        return case
+    settled = replace(case, numerics=replace(numerics, open=False))
+    doubtful = case.attributes and any(_doubtful(case, unit) for unit in timed(case.units))
+    if numerics.method != "mesh" or not doubtful:
+        return settled
+    steps, here = numerics.steps, _attributes(settled, numerics.steps)
+    floor = np.array([each.margin for each in case.attributes])
+    while steps < MOST * numerics.steps:
+        finer = _attributes(settled, 2 * steps)
+        if (np.abs(finer - here) <= STILL * np.maximum(np.abs(finer), floor)).all():
+            return replace(settled, numerics=replace(settled.numerics, steps=steps))
+        steps, here = 2 * steps, finer
+    return settled
 
 
 def with_stiff_steps(case: PharmaCase) -> PharmaCase:
@@ -47,16 +78,22 @@ def _controlled(unit: Timed) -> bool:
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
     """False where a bound from the numbers alone says that explicit steps are stable."""
-    if not unit.reacts:
-        return False
-    into = {each.source for each in case.connections if each.target == unit.name}
-    feeds = tuple(each for each in case.feeds if each.name in into)
-    if len(feeds) < len(into):
-        return True
+    return unit.reacts and longest_step(case, unit) * fastest(case, unit) > STABLE
+
+
+def longest_step(case: PharmaCase, unit: Timed) -> float:
+    """Seconds of the longest explicit step, by the profiles alone."""
     edges = edges_of(unit.profiles)
     within = steps_per_piece(case.numerics.steps, len(edges) - 1)
-    longest = unit.duration.used() * np.diff(edges).max() / within
-    return bool(longest * unit.fastest(case.network, feeds) > STABLE)
+    return float(unit.duration.used() * np.diff(edges).max() / within)
+
+
+def fastest(case: PharmaCase, unit: Timed) -> float:
+    """1/s: a bound on the rates at which the unit's states answer, from the numbers of the case
+    alone; infinite where another unit feeds it."""
+    into = {each.source for each in case.connections if each.target == unit.name}
+    feeds = tuple(each for each in case.feeds if each.name in into)
+    return inf if len(feeds) < len(into) else unit.fastest(case.network, feeds)
 
 
 def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
@@ -87,3 +124,24 @@ def _longest(problem: Dynamics, steps: int):
     pieces = break_up(edges_of(tuple(profile for profile, _ in problem.controls)), None)
     within = steps_per_piece(steps, len(pieces.source))
     return problem.duration * jnp.max(jnp.diff(pieces.breaks)) / within
+
+
+def _doubtful(case: PharmaCase, unit: Timed) -> bool:
+    """Whether its steps may be too long; those that are held are chosen by error control."""
+    if unit.name in case.numerics.held:
+        return False
+    step = longest_step(case, unit)
+    return step * fastest(case, unit) > PRECISE if unit.reacts else step > SHORT
+
+
+def _attributes(case: PharmaCase, steps: int) -> np.ndarray:
+    """The attributes of the nominal batch on so many steps."""
+    finer = replace(case, numerics=replace(case.numerics, steps=steps))
+
+    def nominal(inputs):
+        found = flow(finer, inputs).measures
+        return jnp.stack([each.scale * found[each.measure] for each in case.attributes])
+
+    inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+    with jax.enable_x64(True):
+        return np.asarray(jax.jit(nominal)(inputs))

@@ -132,7 +132,8 @@ def _read_held(file, raw: list[str], numbers: Numbers, parameters) -> frozenset[
 
 def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
     """ "auto" is a mesh where it may hold the event or steps that are chosen once, and else error
-    control of every batch; on it, units that are measured to be stiff take steps of their own."""
+    control of every batch; on it, units that are measured to be stiff take steps of their own, and
+    all others as many as the nominal batch needs, unless the case says how many."""
     table = parse(NumericsTable, raw, str(file), "numerics")
     controlled = any(unit.error_controlled and not unit.holds for unit in timed(units))
     adaptive = table.method == "adaptive" or (table.method == "auto" and controlled)
@@ -143,6 +144,7 @@ def _read_numerics(file, raw: dict, units: tuple[Unit, ...]) -> Numerics:
         table.max_steps,
         table.refine,
         stiff=STIFF[table.method],
+        open=table.method in ("auto", "stiff") and "steps" not in table.model_fields_set,
         loop_tolerance=table.loop_tolerance,
         loop_rounds=table.loop_rounds,
     )

@@ -10,6 +10,8 @@ from snapo.case.error import CaseError
 from snapo.case.table import Section, parse
 
 from ..flowsheet.possible import least
+from ..flowsheet.process import ROUND_OFF
+from ..given import Entry
 from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
 from .entries import Numbers
@@ -55,8 +57,10 @@ def read_estimation(
         own.append(unit_of(section, "low", fit.low, unit))
         scales.append(_scale(own[-1], unit))
     known = {f"{u.name}.{state}": unit for u in units for state, unit in u.states(species).items()}
+    ends = {u.name: (u.time.name, 0) for u in units if u.time is not None}
+    least_fitted = dict(zip(which, lows))
     experiments = tuple(
-        _experiment(file, each, i, numbers, known, notes)
+        _experiment(file, each, i, numbers, known, ends, least_fitted, notes)
         for i, each in enumerate(table.experiments)
     )
     apart = [bool(each.get("held_out", False)) for each in table.experiments]
@@ -75,7 +79,11 @@ def read_estimation(
     )  # fmt: skip
 
 
-def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment:
+def _experiment(
+    file, raw, i: int, numbers: Numbers, known, ends: dict[str, Entry], fitted, notes
+) -> Experiment:
+    """`known`: {state: unit}; `ends`: where the duration of a unit stands; `fitted`: {number: its
+    lower bound}."""
     section = Section(file, f"estimation.experiments[{i}]", notes)
     table = parse(ExperimentTable, raw, str(file), section.name)
     settings = []
@@ -93,6 +101,16 @@ def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment
             hint = suggest(state, known, "state")
             raise row.error("state", f"there is no such state; {hint}")
         names.append(state)
+    own = {(name, entry): value for name, entry, value in settings}
+    for row, time, state in zip(rows, times, names):
+        unit = state.partition(".")[0]
+        end = fitted.get(ends[unit], own.get(ends[unit], numbers.value(ends[unit])))
+        if time > end * (1 + ROUND_OFF):
+            what = (
+                f"{unit} ends at {end:.10g} s in this experiment, and after that there is nothing "
+                f"to compare with; a longer batch says so by {ends[unit][0]} in its `settings`"
+            )
+            raise row.error("time", what)
     values = np.array([_cell(row, "value", known[row.cells["state"]], ANY) for row in rows])
     errors = np.array([_cell(row, "error", known[row.cells["state"]], POSITIVE) for row in rows])
     for row, value, error in zip(rows, values, errors):
@@ -103,13 +121,13 @@ def _experiment(file, raw, i: int, numbers: Numbers, known, notes) -> Experiment
                 f"that is possible; allowed are {NOISE:g}"
             )
             raise row.error("value", what)
-    own = [
+    said = [
         unit_of(_Cell(row, "value"), "value", row.cells["value"], known[state])
         for row, state in zip(rows, names)
     ]
-    scales = tuple(_scale(unit, known[state]) for unit, state in zip(own, names))
+    scales = tuple(_scale(unit, known[state]) for unit, state in zip(said, names))
     return Experiment(
-        table.name, tuple(settings), times, tuple(names), values, errors, tuple(own), scales
+        table.name, tuple(settings), times, tuple(names), values, errors, tuple(said), scales
     )
 
 

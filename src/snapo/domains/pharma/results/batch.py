@@ -20,6 +20,7 @@ def one_batch(case: PharmaCase, run: Run) -> dict[str, Any]:
     room = limits.distance(values)
     return {
         "status": run.status,
+        "steps": case.numerics.steps,
         "errors": dict(run.errors),
         "loops": [
             {"loop": name, "change": change, "rounds": rounds}

@@ -83,8 +83,9 @@ class Recipe:
 
     def _at(self, case: PharmaCase) -> Process:
         """The process of a case, with the code of the first one where they are one program."""
-        case = with_stiff_steps(case)
         first = self._process
+        numerics = replace(case.numerics, steps=first.case.numerics.steps, open=False)
+        case = with_stiff_steps(replace(case, numerics=numerics))
         return _with(first, case) if alike(first.case, case) else Process(case)
 
     def _sampled(self, process: Process) -> Process:

@@ -30,7 +30,7 @@ def _notes(run: Run) -> list[str]:
         f"{name} failed: {each['note']}" for name, each in run.parts.items() if each.get("note")
     ]
     steps = run.get("sampling.steps")
-    if steps is not None and steps != run.get("numerics.steps"):
+    if steps is not None and steps != run.get("run.steps", run.get("numerics.steps")):
         found.append(
             f"Statistics of many batches use {steps} steps per piece, which moves no attribute by "
             f"more than {run.get('sampling.gap'):.1g} of its margin."
@@ -42,7 +42,8 @@ def _made_with(run: Run) -> Table | Missing:
     rows = [("Seed", number(run.get("seed"), 0))] if run.get("seed") is not None else []
     numerics = run.get("numerics") or {}
     if numerics:
-        rows.append(("Integration", f"{numerics['method']}, {numerics['steps']} steps per piece, "
+        steps = run.get("run.steps", numerics["steps"])
+        rows.append(("Integration", f"{numerics['method']}, {steps} steps per piece, "
                      f"tolerance {numerics['tolerance']:g}"))  # fmt: skip
     for unit, error in (run.get("run.errors") or {}).items():
         text = f"stiff: Rosenbrock steps (Rodas5P), error of a step at most {error:.1g}"

@@ -85,11 +85,14 @@ def _convergence(run: Run) -> list[Block]:
         )
         for row in rows
     ]
-    head = [("Attribute", ""), ("By", ""), ("Mesh", ""), ("Half the mesh", ""),
-            ("Error-controlled", ""), ("Halving gap", ""), ("Adaptive gap", "")]  # fmt: skip
+    controlled = run.get("numerics.method") == "adaptive"
+    finer = "A tenth of the tolerance" if controlled else "Half the mesh"
+    head = [("Attribute", ""), ("By", ""), ("As in this run", ""), (finer, ""),
+            ("Error-controlled", ""), ("Finer gap", ""), ("Adaptive gap", "")]  # fmt: skip
     text = (
-        f"On half the mesh no value or derivative moves by more than {power(worst['halving_gap'])} "
-        "(values relative to themselves, derivatives to the largest in their row); the "
+        f"{'With' if controlled else 'On'} {finer.lower()} no value or derivative moves by more "
+        f"than {power(worst['halving_gap'])} (values relative to themselves, "
+        "derivatives to the largest in their row); the "
         f"error-controlled solution differs by at most {power(other['adaptive_gap'])}."
     )
     table = Table(head, body, "Values and derivatives in three ways", 2, folded="Every number")

@@ -13,7 +13,8 @@ class Numerics:
 
     - `method`: "mesh", fixed steps between the breaks that events and profile nodes set, or
       "adaptive", error-controlled to `tolerance` (relative; absolute is that of scaled states).
-    - `steps`: fixed steps per unit and break interval; `refine`: whether the run repeats value and
+    - `steps`: fixed steps per unit and break interval; `open`: whether as many more are taken as
+      the nominal batch needs. `refine`: whether the run repeats value and
       gradient with twice as many and reports the difference.
     - `max_steps`: of the adaptive solver, after which the unit's status says where it stopped.
     - `along`: whether derivatives on the mesh are taken along with every step, as suits many
@@ -39,12 +40,15 @@ class Numerics:
     stiff_tolerance: float = 1e-8
     loop_tolerance: float = 1e-10
     loop_rounds: int = 50
+    open: bool = False
     held: Mapping[str, np.ndarray] = field(default_factory=dict, hash=False)
 
     def finer(self) -> "Numerics":
-        """Twice as many steps on the mesh."""
+        """Twice as many steps on the mesh; with error control, a tenth of the tolerance."""
+        if self.method == "adaptive":
+            return replace(self, tolerance=self.tolerance / 10, max_steps=2 * self.max_steps)
         held = {
             name: np.union1d(times, (times[:-1] + times[1:]) / 2)
             for name, times in self.held.items()
         }
-        return replace(self, method="mesh", steps=2 * self.steps, held=held)
+        return replace(self, steps=2 * self.steps, held=held)
