@@ -17,6 +17,10 @@ from snapo.domains.pharma.results.quality import fitted_rows
 FIT = {
     "converged": True,
     "unidentified": [],
+    "at_bound": ["", ""],
+    "minima": [],
+    "minima_chi2": [],
+    "message": "",
     "names": ["kinetics.prefactor[product]", "kinetics.prefactor[impurity]"],
     "values": [2.654e4, 5.3e2],
     "covariance": [[0.01**2, 0.0001], [0.0001, 0.02**2]],
@@ -127,5 +131,5 @@ def test_after_its_end_a_unit_has_no_states(tmp_path):
     process = Process(resolve(tmp_path / "case.toml", tomllib.loads(CASE)))
     state, times = ("concentration.A",) * 3, np.array([1800.0, 3600.0, 4200.0])
     with jax.enable_x64(True):
-        found = process.observe(process.inputs, "reactor", state, times)
+        found = jax.jit(lambda x: process.observe(x, "reactor", state, times))(process.inputs)
     assert np.isfinite(found).tolist() == [True, True, False]

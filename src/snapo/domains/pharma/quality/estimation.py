@@ -1,8 +1,13 @@
-"""Fits kinetic numbers to measured batches by weighted least squares, with intervals.
+"""Fits kinetic numbers to measured batches by weighted least squares, and judges the fit.
 
 Residuals are (model - measured) / error, their derivatives the model's own. With errors known as
 standard deviations the covariance is (J^T J)^-1 (Bard, Nonlinear Parameter Estimation, 1974);
-intervals take Student's t with n - p degrees of freedom, which is a little wide.
+intervals take Student's t with n - p degrees of freedom, which is a little wide. Where chi^2 is
+larger than chance explains, or the errors are known up to a factor alone, the covariance is
+multiplied by chi^2 / (n - p), as large as the residuals say.
+
+The search begins at the case's own numbers and at points of a Halton sequence within the bounds. Of
+all minima whose chi^2 is as good as the best one's, those that are not joined to it are named.
 """
 
 from collections.abc import Sequence
@@ -11,7 +16,9 @@ from typing import TYPE_CHECKING, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from scipy.optimize import least_squares
+from scipy.optimize import OptimizeResult, least_squares
+from scipy.stats import chi2 as chi_squared
+from scipy.stats import qmc
 from scipy.stats import t as student
 
 from ..derivatives.sensitivities import entry_name
@@ -21,42 +28,57 @@ if TYPE_CHECKING:
     from ..flowsheet.process import Process
 
 NOTABLE = 0.3  # of a direction's length: a number that belongs to it
+DOUBT = 1e-3  # tail of chi^2 below which the model does not describe the data
+SAME = 1e-9  # of half of chi^2: minima that differ by less are equally good
+AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of them
 
 
 class Fit(NamedTuple):
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
-    - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted).
+    - `at_bound`: [P] "low" or "high" where a number is at that bound, else ""; its interval is then
+      one-sided, and the others' are those with it held there.
+    - `covariance`, `correlation`: [P, P] of the fitted variables (a logarithm where so fitted);
+      0 for numbers at a bound. `scale`: what (J^T J)^-1 was multiplied by.
     - `residuals`: [n], in standard deviations of the measurement; `chi2`: their sum of squares,
-      of `freedom` = n - P degrees of freedom. `measured`, `fitted`: [n].
+      of `freedom` = n - P degrees of freedom; `tail`: the chance of more, NaN where only the ratios
+      of errors are known. `measured`, `fitted`: [n].
     - `condition`: largest over smallest singular value, variables scaled by their bounds.
     - `unidentified`: directions that the data do not narrow, in words; `converged` says why.
+    - `minima`: [M, P] other numbers that fit as well, with their `minima_chi2`, [M]; `starts`: from
+      how many points the search began.
     """
 
     names: tuple[str, ...]
     values: np.ndarray
     low: np.ndarray
     high: np.ndarray
+    at_bound: tuple[str, ...]
     covariance: np.ndarray
     correlation: np.ndarray
+    scale: float
     residuals: np.ndarray
     measured: np.ndarray
     fitted: np.ndarray
     chi2: float
     freedom: int
+    tail: float
     condition: float
     unidentified: tuple[str, ...]
     converged: bool
     message: str
+    minima: np.ndarray
+    minima_chi2: np.ndarray
+    starts: int
 
 
 def fit(process: "Process", estimation: Estimation) -> Fit:
-    """Least squares from the case's own numbers, within the bounds."""
+    """Least squares within the bounds, from the case's own numbers and from others."""
     model = model_of(process, estimation, estimation.experiments)
     log = np.array(estimation.logarithm)
     low, high = (variables_of(np.array(x), log) for x in (estimation.low, estimation.high))
-    start = np.array([
+    own = np.array([
         process.inputs[name][entry] for name, entry in zip(estimation.inputs, estimation.entries)
     ])  # fmt: skip
     error = np.concatenate([each.error for each in estimation.experiments])
@@ -64,24 +86,67 @@ def fit(process: "Process", estimation: Estimation) -> Fit:
 
     residual = jax.jit(lambda x: (model(numbers_of(x, log)) - measured) / error)
     slope = jax.jit(jax.jacfwd(residual))
+    shares = qmc.Halton(len(own), scramble=False).random(estimation.starts)[1:]
+    begins = [variables_of(own, log), *(low + shares * (high - low))]
+    searched = []
     with jax.enable_x64(True):
-        found = least_squares(
-            lambda x: np.asarray(residual(x)),
-            variables_of(start, log),
-            jac=lambda x: np.asarray(slope(x)),  # pyright: ignore[reportArgumentType]
-            bounds=(low, high),
-            x_scale=high - low,
-            xtol=1e-13,
-            ftol=1e-13,
-            gtol=1e-12,
-            max_nfev=200,
-        )
+        for begin in begins:
+            first = np.asarray(residual(begin))
+            if np.isfinite(first).all():
+                searched.append(_searched(residual, slope, begin, low, high))
+            elif not searched:
+                at = int(np.argmin(np.isfinite(first)))
+                raise ArithmeticError(
+                    f"the model has no value for measurement {at + 1} at the case's own numbers"
+                )
+    lowest = min(each.cost for each in searched)
+    # Of equal ones the first: that of the case's own numbers, where it is among them.
+    found = next(each for each in searched if each.cost <= lowest + SAME * max(lowest, 1.0))
     names = tuple(
         entry_name(process.case, *each) for each in zip(estimation.inputs, estimation.entries)
     )
-    values = np.where(log, np.exp(np.where(log, found.x, 0.0)), found.x)
     fitted = found.fun * error + measured
-    return _with_intervals(found, values, measured, fitted, log, high - low, names, estimation)
+    others = _others(found, searched, estimation)
+    return _judged(found, others, measured, fitted, low, high, names, estimation)._replace(
+        starts=len(searched)
+    )
+
+
+def _searched(residual, slope, begin, low, high) -> OptimizeResult:
+    """The minimum to which a search from one point comes."""
+    return least_squares(
+        lambda x: np.asarray(residual(x)),
+        begin,
+        jac=lambda x: np.asarray(slope(x)),  # pyright: ignore[reportArgumentType]
+        bounds=(low, high),
+        x_scale=high - low,
+        xtol=1e-13,
+        ftol=1e-13,
+        gtol=1e-12,
+        max_nfev=200,
+    )
+
+
+def _others(found, searched, estimation: Estimation) -> list[OptimizeResult]:
+    """Minima that fit as well as the best, and that its own quadratic does not reach: one that the
+    quadratic joins to it is the same, or lies along a direction that the data leave free."""
+    count, size = found.jac.shape
+    scale = _scale(2 * found.cost, count - size, estimation.errors)
+    room = chi_squared.ppf(estimation.level, size) * scale
+    kept = [found]
+    for each in sorted(searched, key=lambda one: one.cost):
+        good = each.status > 0 and 2 * (each.cost - found.cost) <= room
+        if good and all(np.sum((one.jac @ (each.x - one.x)) ** 2) > room for one in kept):
+            kept.append(each)
+    return kept[1:]
+
+
+def _scale(chi2: float, freedom: int, errors: str) -> float:
+    """By what the covariance of known errors is multiplied."""
+    freedom = max(freedom, 1)
+    if errors == "relative" or chi_squared.sf(chi2, freedom) < DOUBT:
+        return chi2 / freedom
+    return 1.0
 
 
 def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
@@ -92,6 +157,11 @@ def variables_of(values: np.ndarray, log: np.ndarray) -> np.ndarray:
 def numbers_of(variables, log: np.ndarray):
     """[P] the numbers of fitted variables; plain JAX."""
     return jnp.where(log, jnp.exp(jnp.where(log, variables, 0.0)), variables)
+
+
+def _numbers(variables: np.ndarray, log: np.ndarray) -> np.ndarray:
+    """The same of plain numbers."""
+    return np.where(log, np.exp(np.where(log, variables, 0.0)), variables)
 
 
 def model_of(process: "Process", estimation: Estimation, experiments: Sequence[Experiment]):
@@ -124,39 +194,74 @@ def _observed(process: "Process", inputs, experiment):
     return found
 
 
-def _with_intervals(found, values, measured, fitted, log, width, names, estimation) -> Fit:
+def _judged(found, others, measured, fitted, low, high, names, estimation) -> Fit:
     """The covariance where the data identify all numbers, and words where they do not."""
+    log, width = np.array(estimation.logarithm), high - low
     count, size = found.jac.shape
+    chi2, freedom = 2 * float(found.cost), count - size
+    scale = _scale(chi2, freedom, estimation.errors)
     _, singular, right = np.linalg.svd(found.jac * width, full_matrices=False)
     # One standard deviation along a direction as a share of the bounds: beyond 1 it says nothing.
     loose = singular < 1
     unidentified = tuple(_direction(right[i], names) for i in np.flatnonzero(loose))
-    known = np.where(loose, 0.0, 1 / np.where(loose, 1.0, singular) ** 2)
-    covariance = (right.T * known) @ right * np.outer(width, width)
     free = (np.abs(right[loose]) > NOTABLE).any(0) if loose.any() else np.zeros(size, bool)
+    at_low, at_high = (found.x - low) / width < AT_BOUND, (high - found.x) / width < AT_BOUND
+    inside = ~(at_low | at_high)
+    whole = _covariance(found.jac, width)
+    covariance = np.zeros((size, size))
+    if inside.any():
+        covariance[np.ix_(inside, inside)] = scale * _covariance(
+            found.jac[:, inside], width[inside]
+        )
     deviation = np.sqrt(np.diag(covariance))
-    half = student.ppf((1 + estimation.level) / 2, max(count - size, 1)) * deviation
+    half = student.ppf((1 + estimation.level) / 2, max(freedom, 1)) * deviation
     ends = [found.x - half, found.x + half]
-    low, high = (np.where(log, np.exp(np.where(log, x, 0.0)), x) for x in ends)
-    with np.errstate(invalid="ignore", divide="ignore"):
-        correlation = covariance / np.outer(deviation, deviation)
+    # At a bound chi^2 rises from the start: to where it is larger by t^2, one-sided.
+    gradient = np.abs(found.jac.T @ found.fun)
+    most = scale * student.ppf(estimation.level, max(freedom, 1)) ** 2
+    variance = np.maximum(np.diag(whole), 1e-300)
+    reach = variance * (np.sqrt(gradient**2 + most / variance) - gradient)
+    ends[0] = np.where(at_low, low, np.where(at_high, np.maximum(high - reach, low), ends[0]))
+    ends[1] = np.where(at_high, high, np.where(at_low, np.minimum(low + reach, high), ends[1]))
+    lowest, highest = (_numbers(x, log) for x in ends)
+    known = deviation > 0
+    sizes = np.where(known, deviation, 1.0)
+    correlation = np.where(
+        np.outer(known, known), covariance / np.outer(sizes, sizes), np.eye(size)
+    )
+    tail = np.nan if estimation.errors == "relative" else chi_squared.sf(chi2, max(freedom, 1))
     return Fit(
         names=names,
-        values=values,
-        low=np.where(free, np.nan, low),
-        high=np.where(free, np.nan, high),
+        values=_numbers(found.x, log),
+        low=np.where(free, np.nan, lowest),
+        high=np.where(free, np.nan, highest),
+        at_bound=tuple(
+            "low" if one else "high" if other else "" for one, other in zip(at_low, at_high)
+        ),
         covariance=covariance,
         correlation=correlation,
+        scale=scale,
         residuals=found.fun,
         measured=measured,
         fitted=fitted,
-        chi2=float(found.fun @ found.fun),
-        freedom=count - size,
+        chi2=chi2,
+        freedom=freedom,
+        tail=float(tail),
         condition=float(singular[0] / singular[-1]) if singular[-1] > 0 else float("inf"),
         unidentified=unidentified,
         converged=found.status > 0,
         message=str(found.message),
+        minima=np.array([_numbers(each.x, log) for each in others]).reshape(-1, size),
+        minima_chi2=np.array([2 * float(each.cost) for each in others]),
+        starts=1,
     )
+
+
+def _covariance(jacobian: np.ndarray, width: np.ndarray) -> np.ndarray:
+    """(J^T J)^-1 along the directions that the data narrow."""
+    _, singular, right = np.linalg.svd(jacobian * width, full_matrices=False)
+    known = np.where(singular < 1, 0.0, 1 / np.maximum(singular, 1.0) ** 2)
+    return (right.T * known) @ right * np.outer(width, width)
 
 
 def _direction(row: np.ndarray, names: tuple[str, ...]) -> str:

@@ -136,6 +136,8 @@ class Estimation:
     - `low`, `high`: [P] bounds in the domain's unit.
     - `level`: of the confidence intervals. `units`, `scales`: [P] the owner's, as of a `Parameter`.
     - `held_out`: experiments that are predicted, and not fitted to.
+    - `errors`: "known" as standard deviations, or "relative", up to a common factor.
+    - `starts`: points from which the search begins, the case's own first.
     """
 
     inputs: tuple[str, ...]
@@ -148,3 +150,5 @@ class Estimation:
     units: tuple[str, ...] = ()
     scales: tuple[tuple[float, float], ...] = ()
     held_out: tuple[Experiment, ...] = ()
+    errors: Literal["known", "relative"] = "known"
+    starts: int = 8

@@ -67,6 +67,8 @@ def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation
     slope, predicted = np.asarray(slope), np.asarray(found)
     measured = np.concatenate([each.value for each in estimation.held_out])
     error = np.concatenate([each.error for each in estimation.held_out])
+    if estimation.errors == "relative":
+        error = error * np.sqrt(fit.scale)
     spread = slope @ fit.covariance @ slope.T
     deviation = np.sqrt(np.diag(spread))
     factor = student.ppf((1 + estimation.level) / 2, max(fit.freedom, 1))

@@ -76,6 +76,7 @@ def read_estimation(
     return Estimation(
         tuple(name for name, _ in which), tuple(entry for _, entry in which), tuple(logarithms),
         tuple(lows), tuple(highs), fitted, table.level, tuple(own), tuple(scales), held_out,
+        table.errors, table.starts,
     )  # fmt: skip
 
 

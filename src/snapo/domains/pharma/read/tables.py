@@ -203,6 +203,10 @@ class EstimationTable(Table):
         description="tables [[estimation.experiments]]"
     )
     level: Annotated[float, Field(gt=0, lt=1)] = Field(0.95, description="between 0 and 1")
+    errors: Literal["known", "relative"] = word("known", "relative", default="known")
+    starts: Annotated[int, Field(ge=1, le=1000)] = Field(
+        8, description="a whole number from 1 to 1000, of points from which the search begins"
+    )
 
 
 class NumericsTable(Table):

@@ -3,6 +3,8 @@
 import math
 from typing import Any, Protocol
 
+from ..quality.estimation import DOUBT
+
 CLOSED, AGREED = 1e-10, 1e-10  # relative gaps of balances, and of paths against the matrix
 LOST = 1e-3  # share of batches without a finite result from which a run is not in order
 
@@ -46,6 +48,13 @@ def status(run: Tables) -> str:
         return f"{missing[0]} is not a number"
     if run.get("estimation") and not run.get("estimation.converged"):
         return f"the fit did not converge: {run.get('estimation.message')}"
+    tail = run.get("estimation.tail")
+    if tail is not None and tail < DOUBT:
+        return (
+            f"the fit does not describe its data: chi² {run.get('estimation.chi2'):.4g} at "
+            f"{run.get('estimation.freedom')} degrees of freedom, which chance exceeds in "
+            f"{tail:.1g} of all cases"
+        )
     if run.get("optimise") and not run.get("optimise.converged"):
         return f"the best recipe did not converge: {run.get('optimise.message')}"
     failed = [name for name, good in checks(run) if not good]

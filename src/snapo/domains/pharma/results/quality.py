@@ -4,7 +4,6 @@ from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import chi2
 
 from ..derivatives import sensitivities
 from ..flowsheet.case import PharmaCase
@@ -128,7 +127,7 @@ def estimation_rows(process: Process) -> dict[str, Any]:
         seen = checked._asdict() | {"batches": [each._asdict() for each in checked.batches]}
     return {
         **found._asdict(), **own, "start": start, "level": given.level,
-        "validation": seen, "tail": float(chi2.sf(found.chi2, max(found.freedom, 1))),
+        "validation": seen, "errors": given.errors,
         "units": list(given.units), "scales": [list(each) for each in given.scales],
         "state": [state for each in given.experiments for state in each.state],
         "state_unit": [unit for each in given.experiments for unit in each.units],
@@ -137,10 +136,30 @@ def estimation_rows(process: Process) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def not_handed_on(found: dict[str, Any]) -> list[str]:
+    """Why the numbers of a fit are not handed on with their covariance, in sentences."""
+    said = [] if found["converged"] else [f"The fit did not converge: {found['message']}."]
+    said += [f"{each[:1].upper()}{each[1:]}." for each in found["unidentified"]]
+    for name, bound in zip(found["names"], found["at_bound"]):
+        if bound:
+            end = "lower" if bound == "low" else "upper"
+            said.append(
+                f"{name} is at its {end} bound, and chi² would fall beyond it; its interval is "
+                "one-sided, and those of the others hold it there."
+            )
+    for numbers, size in zip(found["minima"], found["minima_chi2"]):
+        each = ", ".join(f"{name} {x:.6g}" for name, x in zip(found["names"], numbers))
+        said.append(
+            f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {each}, in "
+            "the units of the domain; bounds that leave one of them out, or data that differ, decide."
+        )
+    return said
+
+
 def fitted_rows(case: PharmaCase, found: dict[str, Any]) -> list[tuple]:
     """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
     given = case.estimation
-    if given is None or not found["converged"] or found["unidentified"]:
+    if given is None or not_handed_on(found):
         return []
     known = every_given((case.network, case.feeds, case.units))
     numbers = Numbers({each.name: each for each in known}, case.network)

@@ -9,6 +9,7 @@ from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
 from snapo.report.quantity import finite, number, percent, power, with_unit
 from snapo.report.theme import LIGHT
 
+from ..results.quality import not_handed_on
 from . import pictures
 from .run import Run
 
@@ -40,11 +41,12 @@ def estimation(run: Run) -> Section:
         Text(
             f"Weighted least squares, {'converged' if found['converged'] else found['message']}: "
             f"chi² {number(found['chi2'])} at {number(found['freedom'], 0)} degrees of freedom, "
-            f"condition {power(found['condition'])}."
+            f"condition {power(found['condition'])}; the best of {number(found['starts'], 0)} "
+            f"starts. {_weighed(found)}"
         ),
         Table(head, rows, "Fitted numbers", 2),
     ]
-    blocks += [Text(text) for text in found["unidentified"]]
+    blocks += [Text(text) for text in not_handed_on(found)]
     names = found["names"]
     if len(names) > 1:
         body = [
@@ -77,9 +79,26 @@ def _agreement(found) -> Chart:
     return Chart(svg, caption)
 
 
+def _weighed(found: dict[str, Any]) -> str:
+    """How the covariance follows from the errors of the measurements."""
+    scale, tail = number(found["scale"]), finite(found["tail"])
+    if tail is None:
+        return (
+            "Errors are known up to a factor alone, so the covariance is chi² per degree of "
+            f"freedom, {scale}, times that of the errors as they stand."
+        )
+    text = f"Chi² is exceeded by chance in {percent(tail)} of all cases"
+    if found["scale"] == 1:
+        return f"{text}; the covariance is that of the errors as they stand."
+    return (
+        f"{text}: the model does not describe the data, or their errors are too small. The "
+        f"covariance was multiplied by chi² per degree of freedom, {scale}."
+    )
+
+
 def _use(found: dict[str, Any]) -> str:
     """How the fit is used from here on."""
-    if not found["converged"] or found["unidentified"]:
+    if not_handed_on(found):
         return "As not all numbers are identified, there is no fitted.csv to go on with."
     return (
         "The other parts of this run take the numbers of the case as they stand. fitted.csv of "
