@@ -27,6 +27,8 @@ class Stream(eqx.Module):
       which are then what moments, density and shape speak of; 0 where crystals are not granulated.
     - `numbers`: [N] crystals in each cell of the `grid`; [0] where there is none.
     - `grid`: `NO_CRYSTALS` of a clear liquid; None where the moments alone are known.
+    - `inner_numbers`, `inner_grid`: the same of the crystals inside granules; None where they are
+      not counted.
     """
 
     species: Float[Array, " S"]
@@ -44,6 +46,8 @@ class Stream(eqx.Module):
     inner_density: Float[Array, ""]
     numbers: Float[Array, " N"]
     grid: Sizes = eqx.field(static=True)
+    inner_numbers: Float[Array, " M"] = eqx.field(default_factory=lambda: jnp.zeros(0))
+    inner_grid: Sizes = eqx.field(static=True, default=None)
 
     def concentration(self) -> Float[Array, " S"]:
         """kmol/m3 of the dissolved species."""

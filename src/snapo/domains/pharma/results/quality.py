@@ -151,7 +151,7 @@ def not_handed_on(found: dict[str, Any]) -> list[str]:
         each = ", ".join(f"{name} {x:.6g}" for name, x in zip(found["names"], numbers))
         said.append(
             f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {each}, in "
-            "the units of the domain; bounds that leave one of them out, or data that differ, decide."
+            "the units of the domain; bounds that leave one of them out, or data that differ, tell."
         )
     return said
 

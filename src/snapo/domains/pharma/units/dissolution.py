@@ -1,4 +1,4 @@
-"""The product's dissolution test: spheres of the surface-mean size that shrink in a film."""
+"""The product's dissolution test: spheres that shrink in a film, of all sizes that were counted."""
 
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -14,7 +14,7 @@ from ..given import use
 from ..read.fields import quantity
 from ..read.numbers import POSITIVE
 from .operation import Inlet, Instant
-from .solids.release import gone, lasting
+from .solids.release import BY_MEAN, gone, lasting, over_sizes
 
 
 class DissolutionTable(Table):
@@ -29,9 +29,9 @@ class DissolutionTable(Table):
 
 @dataclass(frozen=True, eq=False)
 class Dissolution(Instant):
-    """Dissolution test of the product, shrinking spheres of d32.
+    """Dissolution test of the product, shrinking spheres of the sizes that are counted, or of d32.
 
-    Dissolved share at `test_time` s: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once the sphere is gone;
+    Dissolved share at `test_time` s: 1 - (1 - D Cs t / (rho_s h r))^3, 1 once a sphere is gone;
     the crystals' density comes with the stream. `diffusivity`: m2/s; `solubility`: kg/m3; `film`:
     m; each index [].
     """
@@ -53,7 +53,7 @@ class Dissolution(Instant):
         ("ρₛ", "density of crystals"),
         ("d₃₂", "mean size by surface"),
     )
-    assumptions = ()
+    assumptions = (BY_MEAN,)
 
     @classmethod
     def read(cls, read, species):
@@ -80,13 +80,17 @@ class Dissolution(Instant):
         return {"dissolved": "1"}
 
     def equations(self):
-        return ["dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, r = d₃₂/2, 1 once dissolved"]
+        return [
+            "dissolved share 1 − (1 − D Cₛ t/(ρₛ h r))³, 1 once dissolved, summed over the "
+            "sizes 2 r that are counted; else r = d₃₂/2"
+        ]
 
     def deliver(self, network, inlets, inputs):
         measures = {"dissolved": self.dissolved(inlets[0], inputs)}
         return Finish((), measures, ledger(len(network.species)))
 
     def dissolved(self, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
-        """1 - (1 - D Cs t / (rho h r))^3 with r = d32 / 2 of the crystals, 1 once they are gone;
+        """1 - (1 - D Cs t / (rho h r))^3, 1 once they are gone, over all sizes 2 r of the crystals;
         they fall out of granules at once."""
-        return gone(use(inputs, self.test_time), lasting(self, product, inputs))
+        time = use(inputs, self.test_time)
+        return over_sizes(lambda whole: gone(time, whole), lasting(self, product, inputs))

@@ -16,7 +16,10 @@ from ..read.fields import Text
 from ..read.numbers import SHARE, several
 from .operation import Inlet, Instant
 
-EXTENSIVE = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "moments", "numbers")
+EXTENSIVE = (
+    "species", "solid", "seed", "solvent", "antisolvent", "volume", "moments", "numbers",
+    "inner_numbers",
+)  # fmt: skip
 
 
 class SplitterTable(Table):

@@ -1,7 +1,7 @@
 """Tank: streams put together."""
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 from jaxtyping import Array
@@ -82,10 +82,15 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     times = jnp.stack([each.duration for each in streams])
     duration = jnp.where(jnp.all(times > 0), jnp.max(times), 0.0)
     warmth = sum(each.volume * each.temperature for each in streams)
-    grid = together(tuple(each.grid for each in streams))
-    numbers = jnp.zeros(grid.cells if grid else 0)
-    for each in streams:
-        numbers = numbers + each.numbers if grid and each.grid == grid else numbers
+
+    def counted(name: str, of: str) -> dict[str, Any]:
+        """The `of` grid on which crystals of all streams are counted, and their numbers there."""
+        grid = together(tuple(getattr(each, of) for each in streams))
+        numbers = jnp.zeros(grid.cells if grid else 0)
+        for each in streams:
+            if grid and getattr(each, of) == grid:
+                numbers = numbers + getattr(each, name)
+        return {name: numbers, of: grid}
 
     def of_crystals(name: str) -> Array:
         found = jnp.zeros(())
@@ -102,6 +107,6 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
         shape=of_crystals("shape"),
         inner_size=of_crystals("inner_size"),
         inner_density=of_crystals("inner_density"),
-        numbers=numbers,
-        grid=grid,
+        **counted("numbers", "grid"),
+        **counted("inner_numbers", "inner_grid"),
     )

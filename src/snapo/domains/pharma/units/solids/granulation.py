@@ -13,7 +13,7 @@ its least value (for both see the review of Iveson, Litster, Hapgood and Ennis, 
 117, 3, 2001). How the two rates depend on speed and moisture is an empirical power law.
 
 A granule goes on as a particle of its own density: the stream's moments are those of granules, with
-the size of the crystals inside kept beside them.
+the sizes of the crystals inside kept beside them.
 """
 
 from dataclasses import dataclass
@@ -226,6 +226,8 @@ class Granulation(Timed):
                 shape=jnp.asarray(SPHERE),
                 inner_size=jnp.where(inside, fed.inner_size, mean_sizes(fed.moments)["d32"]),
                 inner_density=jnp.where(inside, fed.inner_density, fed.density),
+                inner_numbers=fed.inner_numbers if fed.inner_grid else fed.numbers,
+                inner_grid=fed.inner_grid or fed.grid,
                 numbers=jnp.zeros(0),
                 grid=None,
             )

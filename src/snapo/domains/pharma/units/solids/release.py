@@ -1,29 +1,68 @@
 """The drug that a tablet, or loose crystals, have dissolved by a time."""
 
-from typing import Any
+from collections.abc import Callable
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
+from ...flowsheet.grid import NO_CRYSTALS
 from ...flowsheet.stream import Stream
-from ...given import use
+from ...given import fixed, use
 from ..crystals.population import mean_sizes
 
+# Points within a cell, from 0 to 1, and their weights: exact for polynomials to degree 5.
+POINTS, WEIGHTS = (np.polynomial.legendre.leggauss(3)[i] / 2 + (0.5, 0.0)[i] for i in (0, 1))
 
-def inside(product: Stream) -> tuple[Float[Array, ""], Float[Array, ""]]:
-    """d32 in m and density in kg/m3 of the drug's crystals, loose or in granules."""
+
+BY_MEAN = (
+    "Crystals that are followed by their moments dissolve as spheres of one size, d₃₂: where their "
+    "sizes differ the share that is dissolved is too good."
+)
+
+
+class Lasting(NamedTuple):
+    """`whole`: [K] s that crystals of K sizes last; `share`: [K] of the volume that they have."""
+
+    whole: Float[Array, " K"]
+    share: Float[Array, " K"]
+
+
+def inside(product: Stream) -> tuple[Float[Array, " K"], Float[Array, " K"], Float[Array, ""]]:
+    """Sizes in m of the drug's crystals, loose or in granules, with their shares of the volume, and
+    their density in kg/m3.
+
+    Where crystals are counted on a grid these are points within its cells, in each of which the
+    density by number is constant; else one size, d32.
+    """
     granules = product.inner_size > 0
-    size = jnp.where(granules, product.inner_size, mean_sizes(product.moments)["d32"])
-    return size, jnp.where(granules, product.inner_density, product.density)
+    density = jnp.where(granules, product.inner_density, product.density)
+    counted = product.inner_grid or product.grid
+    if counted is None or counted == NO_CRYSTALS:
+        size = jnp.where(granules, product.inner_size, mean_sizes(product.moments)["d32"])
+        return size[None], jnp.ones(1), density
+    numbers = product.inner_numbers if product.inner_grid else product.numbers
+    low, width = counted.array[:-1, None], np.diff(counted.array)[:, None]
+    sizes = low + POINTS * width
+    volume = numbers[:, None] * fixed(WEIGHTS * sizes**3)
+    total = jnp.sum(volume)
+    empty = total <= 0
+    return fixed(sizes.ravel()), volume.ravel() / jnp.where(empty, 1.0, total), density
 
 
-def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Float[Array, ""]:
-    """The seconds that the drug's crystals last: rho h r / (D Cs), r = d32 / 2.
+def lasting(unit: Any, product: Stream, inputs: dict[str, Any]) -> Lasting:
+    """The seconds that the drug's crystals last: rho h r / (D Cs), r half of their size.
 
     `unit` has `diffusivity`, `solubility` and `film`."""
-    size, density = inside(product)
+    sizes, share, density = inside(product)
     reach = use(inputs, unit.diffusivity) * use(inputs, unit.solubility)
-    return density * use(inputs, unit.film) * size / 2 / reach
+    return Lasting(density * use(inputs, unit.film) * sizes / 2 / reach, share)
+
+
+def over_sizes(dissolved: Callable[[Array], Array], crystals: Lasting) -> Float[Array, ""]:
+    """The mean by volume of a share that is `dissolved`, by the seconds that a crystal lasts."""
+    return jnp.sum(crystals.share * dissolved(crystals.whole))
 
 
 def gone(time, whole) -> Float[Array, ""]:

@@ -32,7 +32,7 @@ from ...given import use
 from ...read.fields import Text, number, quantity, word
 from ...read.numbers import DENSITY, INSIDE, NOT_NEGATIVE, POSITIVE, SHARE, Bounds
 from ..operation import Inlet, Instant
-from .release import lasting, released
+from .release import BY_MEAN, lasting, over_sizes, released
 
 ACCEPTED = (0.985, 1.015)  # of the label: a mean within them adds nothing to the acceptance value
 TEN = 2.4  # acceptability constant of ten tablets
@@ -120,6 +120,7 @@ class TabletPress(Instant):
         ("r", "radius of the drug's crystals"),
     )
     assumptions = (
+        BY_MEAN,
         "Tablets are flat and do not expand after compaction; the dissolution test is at sink "
         "conditions, and crystals of the drug keep their size in granulation and compaction.",
     )
@@ -224,7 +225,8 @@ class TabletPress(Instant):
 
     def dissolved(self, fed: Stream, mean, inputs: dict[str, Any]) -> Float[Array, ""]:
         """The share of the drug in solution at the end of the test."""
-        return released(use(inputs, self.test_time), lasting(self, fed, inputs), mean)
+        time = use(inputs, self.test_time)
+        return over_sizes(lambda whole: released(time, whole, mean), lasting(self, fed, inputs))
 
 
 def acceptance(mean, deviation) -> Float[Array, ""]:
