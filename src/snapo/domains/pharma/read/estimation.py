@@ -16,7 +16,7 @@ from ..quality.records import Estimation, Experiment
 from ..units.operation import Unit
 from .entries import Numbers
 from .numbers import ANY, NOT_NEGATIVE, POSITIVE, Bounds, quantity, suggest, unit_of
-from .quantities import conversion
+from .quantities import conversion, own_basis
 from .tables import EstimationTable, ExperimentTable, FitTable
 
 NOISE = 5.0  # standard deviations that the noise of a measurement may take it below 0
@@ -38,8 +38,10 @@ def read_estimation(
         if entry in which:
             raise section.error("of", fit.of, "this number stands there twice")
         unit = numbers.unit(*entry)
-        low = quantity(section, "low", fit.low, unit)
-        high = quantity(section, "high", fit.high, unit)
+        low, high = (
+            quantity(section, key, raw, unit, basis=own_basis(entry[0]))
+            for key, raw in (("low", fit.low), ("high", fit.high))
+        )
         if not low < high:
             raise section.error("high", fit.high, "high must lie above low")
         numbers.check(section, "low", fit.low, entry, low)
@@ -90,7 +92,8 @@ def _experiment(
     settings = []
     for text, given in table.settings.items():
         entry = numbers.one(section, f"settings.{text}", text)
-        value = quantity(section, f"settings.{text}", given, numbers.unit(*entry))
+        unit, key = numbers.unit(*entry), f"settings.{text}"
+        value = quantity(section, key, given, unit, basis=own_basis(entry[0]))
         numbers.check(section, f"settings.{text}", given, entry, value)
         settings.append((*entry, value))
     rows = read_rows(Mention(section, "data", table.data), COLUMNS)
@@ -139,8 +142,8 @@ def _scale(own: str, unit: str) -> tuple[float, float]:
 
 def _cell(row: Row, column: str, unit: str, bounds: Bounds = NOT_NEGATIVE) -> float:
     """A quantity in a cell, "600 s"; mistakes name the line."""
-    place, error = _Cell(row, column), column == "error"
-    return quantity(place, column, row.cells[column], unit, bounds, difference=error)
+    place, error, own = _Cell(row, column), column == "error", own_basis(row.cells["state"])
+    return quantity(place, column, row.cells[column], unit, bounds, error, own)
 
 
 class _Cell(NamedTuple):

@@ -13,7 +13,7 @@ from snapo.case.table import LARGEST, TOO_LARGE, Section, nearest, parse
 
 from ..time.profile import Profile
 from .fields import ProfileTable
-from .quantities import PURE, UnitError, conversion, split
+from .quantities import PURE, UnitError, check_basis, conversion, own_basis, split
 
 ZERO_CELSIUS = 273.15
 EXAMPLES = {"K": "313.15 K", "s": "3600 s", "m": "20 um", "kmol/m3": "0.33 mol/L", "m3": "60 L"}
@@ -64,10 +64,14 @@ def quantity(
     unit: str,
     bounds: Bounds = ANY,
     difference: bool = False,
+    basis: str | None = None,
 ) -> float:
-    """The number under `key` in the domain's `unit`; see `conversion` for a `difference`."""
+    """The number under `key` in the domain's `unit`; see `conversion` for a `difference`. `basis`:
+    of a share, by default that of the key's name."""
     number, name = _split(section, key, raw, unit)
     try:
+        if unit in PURE:
+            check_basis(name, own_basis(key) if basis is None else basis)
         value = conversion(name, unit, difference)(number)
     except UnitError as error:
         raise section.error(key, raw, str(error)) from None

@@ -12,7 +12,7 @@ from .entries import Numbers
 from .fields import Text, word
 from .fields import quantity as quantity_field
 from .numbers import quantity, suggest, unit_of
-from .quantities import UnitError, conversion
+from .quantities import UnitError, check_basis, conversion, own_basis
 
 
 class TermTable(Table):
@@ -90,6 +90,8 @@ def _term(section: Section, raw: dict, numbers: Numbers, measures: Mapping[str, 
         domain = numbers.unit(name, entry)
     try:
         change = conversion(table.unit, domain)
+        if domain == "1":
+            check_basis(table.unit, own_basis(name))
     except UnitError as error:
         raise section.error("unit", table.unit, str(error)) from None
     if change.offset:
@@ -103,7 +105,10 @@ def _decisions(section: Section, raw: dict, numbers: Numbers) -> list[Decision]:
     found = []
     for name, entry in numbers.all(section, "of", table.of):
         unit, start = numbers.unit(name, entry), numbers.value((name, entry))
-        low, high = (quantity(section, key, getattr(table, key), unit) for key in ("low", "high"))
+        low, high = (
+            quantity(section, key, getattr(table, key), unit, basis=own_basis(name))
+            for key in ("low", "high")
+        )
         if not low < high:
             raise section.error("high", table.high, "high must lie above low")
         numbers.check(section, "low", table.low, (name, entry), low)

@@ -16,7 +16,7 @@ from .entries import Numbers
 from .fitted import Fitted
 from .numbers import ANY, POSITIVE, quantity, suggest, unit_of
 from .plausible.drawn import check_drawn
-from .quantities import UnitError, conversion
+from .quantities import UnitError, basis, check_basis, conversion, own_basis
 from .tables import (
     AttributeTable,
     CorrelationTable,
@@ -58,8 +58,8 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
     name, entry = numbers.one(section, "of", table.of)
     unit, nominal = numbers.unit(name, entry), numbers.value((name, entry))
     own = unit_of(section, "range[0]", table.range[0], unit)
-    low, high = _pair(section, "range", table.range, unit)
-    inner = _pair(section, "normal", table.normal, unit)
+    low, high = _pair(section, "range", table.range, unit, own_basis(name))
+    inner = _pair(section, "normal", table.normal, unit, own_basis(name))
     for end in (low, high):
         numbers.check(section, "range", table.range, (name, entry), end)
     change = conversion(own, unit)
@@ -86,8 +86,10 @@ def _parameter(section: Section, table: ParameterTable, numbers: Numbers) -> Par
     )  # fmt: skip
 
 
-def _pair(section: Section, key: str, raw: list, unit: str) -> tuple[float, float]:
-    low, high = (quantity(section, f"{key}[{i}]", each, unit, ANY) for i, each in enumerate(raw))
+def _pair(section: Section, key: str, raw: list, unit: str, basis: str) -> tuple[float, float]:
+    low, high = (
+        quantity(section, f"{key}[{i}]", each, unit, ANY, basis=basis) for i, each in enumerate(raw)
+    )
     if not low < high:
         raise section.error(key, raw, "the first number must lie below the second")
     return low, high
@@ -102,7 +104,7 @@ def read_attributes(
     for i, each in enumerate(raw):
         section = Section(file, f"attributes[{i}]", notes)
         table = parse(AttributeTable, each, str(file), section.name)
-        attribute = _attribute(section, table, known)
+        attribute = _attribute(section, table, known, network, units)
         if attribute.name in [other.name for other in found]:
             raise section.error("name", table.name, "another attribute has this name")
         found.append(attribute)
@@ -123,20 +125,45 @@ def every_measure(network: Network, units: Sequence[Unit]) -> dict[str, str]:
     return found | {f"process.product.{made}": "kg" for made in species}
 
 
-def _attribute(section: Section, table: AttributeTable, known: dict[str, str]) -> Attribute:
+def share_of(measure: str, unit: str, network: Network, units: Sequence[Unit]) -> float:
+    """By what a measure is multiplied to be a share on the basis that `unit` names: that of a yield
+    or of an impurity follows from molar masses.
+
+    **Raises:** `UnitError` where it is not known.
+    """
+    said, own = basis(unit), own_basis(measure)
+    mass = dict(zip(network.species, network.molar_mass))
+    *_, kind, one, other = ("", "", *measure.split("."))
+    if kind == "yield" and said == "w/w":
+        return float(mass[one] / mass[other])
+    solutes = {each.solute for each in units if hasattr(each, "solute")}
+    if one == "impurity" and said == "n/n" and len(solutes) == 1:
+        return float(mass[_name(solutes.pop(), network)] / mass[other])
+    check_basis(unit, own)
+    return 1.0
+
+
+def _name(species: str | int, network: Network) -> str:
+    return species if isinstance(species, str) else network.species[species]
+
+
+def _attribute(
+    section: Section, table: AttributeTable, known: dict[str, str], network: Network, units
+) -> Attribute:
     if table.measure not in known:
         hint = suggest(table.measure, known, "measure")
         raise section.error("measure", table.measure, f"there is no such measure; {hint}")
+    domain = known[table.measure]
     try:
-        change = conversion(table.unit, known[table.measure])
+        change = conversion(table.unit, domain)
+        factor = share_of(table.measure, table.unit, network, units) if domain == "1" else 1.0
     except UnitError as error:
         raise section.error("unit", table.unit, str(error)) from None
     if change.offset:
         raise section.error("unit", table.unit, "a quality attribute needs a unit with a true zero")
+    own = basis(table.unit) or own_basis(table.measure)
     limits = {
-        key: None
-        if raw is None
-        else quantity(section, key, raw, known[table.measure]) / change.scale
+        key: None if raw is None else quantity(section, key, raw, domain, basis=own) / change.scale
         for key, raw in (("low", table.low), ("high", table.high))
     }
     # A limit written in the attribute's unit keeps its digits through both conversions.
@@ -149,11 +176,12 @@ def _attribute(section: Section, table: AttributeTable, known: dict[str, str]) -
     if table.margin is None:
         margin = _margin(low, high)
     else:
-        margin = quantity(section, "margin", table.margin, known[table.measure], POSITIVE)
+        margin = quantity(section, "margin", table.margin, domain, POSITIVE, basis=own)
         margin /= change.scale
     return Attribute(
-        table.name, table.measure, table.unit, 1 / change.scale, low, high, table.citation, margin
-    )
+        table.name, table.measure, table.unit, factor / change.scale, low, high, table.citation,
+        margin,
+    )  # fmt: skip
 
 
 def _margin(low: float | None, high: float | None) -> float:

@@ -17,8 +17,24 @@ QUANTITY = re.compile(rf"\s*({NUMBER})\s*(.*?)\s*", re.ASCII | re.DOTALL)
 UNIT = re.compile(
     r"\(?[A-Za-zµμ°Ω%_][A-Za-zµμ°Ω%_0-9*/^.() ·-]{0,60}|1(?:/[A-Za-z0-9*/^.() -]{1,60})?"
 )
-# Shares name their basis; as numbers they are all the same.
-BASIS = re.compile(r"\s+(w/w|v/v|m/m|n/n)$")
+# Shares may name their basis; quantities of one dimension say it by their ratio, "mg/kg".
+BASIS = re.compile(r"\s*(?<![A-Za-z])\(?(w/w|v/v|m/m|n/n|a/a)\)?$")
+BASES = {
+    "w/w": "mass per mass", "v/v": "volume per volume", "n/n": "moles per mole",
+    "a/a": "area per area of a chromatogram",
+}  # fmt: skip
+RATIOS = {"[mass]": "w/w", "[length] ** 3": "v/v", "[substance]": "n/n"}
+OWN = {
+    "w/w": (
+        "impurity", "solvent", "loss_on_drying", "assay", "dissolved", "critical",
+        "excipient_ratio", "liquid_ratio",
+    ),
+    "v/v": (
+        "porosity", "least_porosity", "reference_porosity", "saturation", "packing", "wash_ratio",
+        "rearrangement", "at_largest",
+    ),
+    "n/n": ("yield", "composition"),
+}  # fmt: skip
 PURE = ("", "1")
 # A fraction as an exponent may be written to three digits, of a length three times: (cm^3)^0.333.
 DIGITS = 3 * 5e-4
@@ -84,6 +100,39 @@ def prefactor_unit(order: float) -> str:
     if power == 0:
         return "1/s"
     return "m3/kmol/s" if power == 1 else f"m^{3 * power:.12g}*kmol^{-power:.12g}/s"
+
+
+def basis(unit: str) -> str:
+    """What a share is of, "w/w", "v/v", "n/n" or "a/a"; "" where its unit does not say."""
+    said = BASIS.search(unit.strip())
+    if said is not None:
+        return "w/w" if said[1] == "m/m" else said[1]
+    above, _, below = unit.replace("%", "").strip().partition("/")
+    try:
+        one, other = dimension(above), dimension(below)
+    except UnitError:
+        return ""
+    return RATIOS.get(one, "") if one == other else ""
+
+
+def own_basis(name: str) -> str:
+    """The basis of a number or a measure by its name, "filter.impurity.D"; "" where it has none."""
+    parts = name.partition("[")[0].split(".")
+    return next((each for each, names in OWN.items() if set(parts) & {*names}), "")
+
+
+def check_basis(unit: str, own: str) -> None:
+    """**Raises:** `UnitError` where a unit names another basis than the `own` of its number."""
+    said = basis(unit)
+    if not said or said == own:
+        return
+    if not own:
+        raise UnitError(f"this number has no basis: write it without {said}")
+    more = ", which needs response factors" if said == "a/a" else ""
+    raise UnitError(
+        f"{unit} is {BASES[said]}{more}, and this is {BASES[own]}; write it by {BASES[own]}, as in "
+        f"% {own}"
+    )
 
 
 def dimension(unit: str) -> str:

@@ -20,6 +20,8 @@ from ...read.numbers import quantity as read_quantity
 from ...read.reader import Reader
 from .population import NUMBER, SIZE, cell_powers
 
+ROUNDED = 0.01  # moments of crystals of one size, each rounded to three digits, miss 0 by less
+
 
 @dataclass(frozen=True, eq=False)
 class Seed:
@@ -99,8 +101,26 @@ def read_seed(read: Reader) -> Seed:
         read_quantity(read.section, f"moments[{k}]", raw, f"m^{k}/m3" if k else "1/m3", POSITIVE)
         for k, raw in enumerate(table.moments)
     ]
+    if not _possible(np.array(values)):
+        what = (
+            "no crystals have these moments: the mean square of a size is at least the square of "
+            "its mean, mu0 mu2 >= mu1^2, and so on up to mu5"
+        )
+        raise read.section.error("moments", table.moments, what)
     labels = tuple(f"mu{k}" for k in range(6))
     name = f"{read.name}.moments"
     return Seed(
         None, None, given(name, np.array(values), labels, "m^k/m3", words="moment of the seed")
     )
+
+
+def _possible(moments: np.ndarray) -> bool:
+    """Whether some distribution of sizes has them: the Hankel matrices of mu_0 to mu_4 and of mu_1
+    to mu_5 have no eigenvalue below 0 (Stieltjes), scaled to a diagonal of 1."""
+    k = np.arange(3)
+    for first in (0, 1):
+        matrix = moments[first + k[:, None] + k]
+        size = np.sqrt(np.diag(matrix))
+        if np.linalg.eigvalsh(matrix / np.outer(size, size)).min() < -ROUNDED:
+            return False
+    return True
