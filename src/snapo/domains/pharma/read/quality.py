@@ -1,6 +1,7 @@
 """Reads parameters, attributes with limits, and uncertain numbers."""
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 
@@ -136,15 +137,11 @@ def share_of(measure: str, unit: str, network: Network, units: Sequence[Unit]) -
     *_, kind, one, other = ("", "", *measure.split("."))
     if kind == "yield" and said == "w/w":
         return float(mass[one] / mass[other])
-    solutes = {each.solute for each in units if hasattr(each, "solute")}
+    solutes: set[Any] = {getattr(each, "solute", None) for each in units} - {None}
     if one == "impurity" and said == "n/n" and len(solutes) == 1:
-        return float(mass[_name(solutes.pop(), network)] / mass[other])
+        return float(mass[solutes.pop()] / mass[other])
     check_basis(unit, own)
     return 1.0
-
-
-def _name(species: str | int, network: Network) -> str:
-    return species if isinstance(species, str) else network.species[species]
 
 
 def _attribute(

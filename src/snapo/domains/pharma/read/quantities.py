@@ -6,7 +6,7 @@ case is ever evaluated. The domain's own units are written as in `records`: "kmo
 
 import re
 from functools import cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 import pint
@@ -81,8 +81,8 @@ def conversion(unit: str, target: str, difference: bool = False) -> Conversion:
         raise UnitError(f"{shown(unit)} is {_dimension(own)}, and this is {wanted}")
     registry = _registry()
     if own.dimensionality != domain.dimensionality:  # by round-off: pint compares it bit by bit
-        scale = registry.get_base_units(own)[0] / registry.get_base_units(domain)[0]
-        return Conversion(float(f"{scale:.16g}"), 0.0)
+        factors: list[Any] = [registry.get_base_units(each)[0] for each in (own, domain)]
+        return Conversion(float(f"{factors[0] / factors[1]:.16g}"), 0.0)
     start = registry.Quantity(0.0, own).to(domain).magnitude
     if difference and own == registry.degC:
         own = registry.delta_degC
@@ -169,24 +169,29 @@ def _parse(unit: str) -> pint.Unit:
 
 def _gaps(own: pint.Unit, domain: pint.Unit) -> dict[str, float]:
     """By which exponent of each dimension two units differ; without those that agree."""
-    one, other = own.dimensionality, domain.dimensionality
-    found = {name: float(other.get(name, 0) - one.get(name, 0)) for name in {*one, *other}}
+    one, other = _powers(own.dimensionality), _powers(domain.dimensionality)
+    found = {name: other.get(name, 0.0) - one.get(name, 0.0) for name in {*one, *other}}
     return {name: gap for name, gap in found.items() if abs(gap) > EXACT}
+
+
+def _powers(found: Any) -> dict[str, float]:
+    """The exponents of units or dimensions, which pint holds as any kind of number."""
+    return {str(name): float(power) for name, power in found.items()}
 
 
 def _exact(own: pint.Unit, domain: pint.Unit) -> pint.Unit:
     """`own` with the exponents that `domain` asks for, where those are the same to three digits."""
     gaps = _gaps(own, domain)
-    parts = dict(own._units)
+    parts = _powers(own._units)
     if not gaps or not parts:
         return own
-    every = [_registry().get_dimensionality(name) for name in parts]
+    every = [_powers(_registry().get_dimensionality(name)) for name in parts]
     names = sorted({*gaps, *(name for each in every for name in each)})
-    table = np.array([[float(each.get(name, 0)) for each in every] for name in names])
+    table = np.array([[each.get(name, 0.0) for each in every] for name in names])
     moved = np.linalg.lstsq(table, [gaps.get(name, 0.0) for name in names], rcond=None)[0]
     if np.abs(moved).max() > DIGITS:
         return own
-    moved = {name: float(power) + step for (name, power), step in zip(parts.items(), moved)}
+    moved = {name: power + step for (name, power), step in zip(parts.items(), moved)}
     return _registry().Unit(UnitsContainer(moved))
 
 
