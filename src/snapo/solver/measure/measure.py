@@ -19,7 +19,7 @@ from ..derivatives.margin import floor_of, margin_of, with_margin
 from ..derivatives.surface import Surface, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
-from ..learning.convergence import ending
+from ..learning.convergence import AS_BEGUN, ending
 from ..learning.told import chosen
 from ..limits.found import limits_found, notes_of
 from ..provenance.broken import why_broken
@@ -86,6 +86,7 @@ def measure(run: Run) -> dict[str, Any]:
         "evaluate": value.dropped,
         "sensitivities": table.dropped if table else 0,
     }
+    kept = selection.kind == START
     broken = why_broken(problem, progress, training, run.engines.train)
     notes = (
         *_notes(value, dropped, ruined(objective, exact)),
@@ -119,7 +120,7 @@ def measure(run: Run) -> dict[str, Any]:
         "window": progress.window,
         "clip": progress.clip,
         "keep": progress.keep,
-        "convergence": KEPT if selection.kind == START and ended.word else ended.word,
+        "convergence": KEPT if kept and ended.word == AS_BEGUN else ended.word,
         "status": _status(value.value, progress.status),
     }
 
@@ -192,10 +193,8 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 def _spread(progress: Progress) -> float:
     """Between the last two of several starts, one of which may have ended in another optimum."""
-    if not progress.raced:
-        return 0.0
-    values = [value for _, value in progress.raced[-1].values]
-    return float(np.ptp(values)) if np.isfinite(values).all() else 0.0
+    values = progress.last_two
+    return float(np.ptp(values)) if values and np.isfinite(values).all() else 0.0
 
 
 def _smoothing_gap(
