@@ -52,7 +52,8 @@ def adjoint_norms(
     for chosen in parts:
         own = {name: jnp.asarray(weight, jnp.float32)[chosen] for name, weight in weights.items()}
         call = engine.call(problem.simulator, policy, problem.schedule, only(draws, chosen), smooth)
-        found.append(_norms(engine, call, own, jnp.asarray(memory or call.length)))
+        with call.following():
+            found.append(_norms(engine, call, own, jnp.asarray(memory or call.length)))
     whole, leaves = jax.tree.map(lambda *each: np.concatenate(each).T, *found)
     return Norms(whole, leaves)
 

@@ -13,6 +13,7 @@ from jaxtyping import PyTree
 
 from snapo.lanes.machine.threads import cores
 from snapo.problem import inputs as inputs_
+from snapo.problem.code.version import following, of_preparation
 from snapo.problem.quickly import compiled_sooner
 from snapo.problem.simulator import Simulator
 
@@ -26,10 +27,11 @@ def pull_back(
 
     The transpose of `prepare`.
     """
-    given = inputs_.values(inputs)
+    given, version = inputs_.values(inputs), of_preparation(simulator, inputs)
 
     def one(schedule: PyTree) -> PyTree:
-        with jax.enable_x64(True):  # the switch is each thread's own
+        # Both are each thread's own.
+        with jax.enable_x64(True), following(version):
             cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
             return jax.tree.map(np.asarray, _pull_back(simulator, inputs, given, cotangent))
 

@@ -18,6 +18,7 @@ from jax.sharding import PartitionSpec as P
 from jax.typing import ArrayLike
 from jaxtyping import Array, PyTree
 
+from snapo.problem.code.version import following, of_rollout
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -69,7 +70,8 @@ class Xla(Engine):
     ) -> Rollout:
         with self.numbers():
             call = self.call(simulator, policy, schedule, draws, smooth, actions, window, start)
-            found = self.leave(_values(self, call, record))
+            with call.following():
+                found = self.leave(_values(self, call, record))
             return values_without(simulator, call.simulator, found)
 
     def adjoint(
@@ -92,7 +94,8 @@ class Xla(Engine):
             given = {name: cast(weight, self.dtype) for name, weight in weights.items()}
             # The bounds are an array: other ones compile nothing.
             bounds = None if clip is None else jnp.asarray(clip.bounds(given))
-            found = self.leave(_adjoint(self, call, given, bounds, wrt))
+            with call.following():
+                found = self.leave(_adjoint(self, call, given, bounds, wrt))
             return adjoint_without(simulator, call.simulator, found)
 
     def call(
@@ -131,6 +134,10 @@ class Call(eqx.Module):
     first: Array
     length: int = eqx.field(static=True)
     ends: bool = eqx.field(static=True)
+
+    def following(self) -> AbstractContextManager:
+        """The context of every compiled call: it follows what the user's code reads now."""
+        return following(of_rollout(self.simulator, self.policy, self.schedule, self.smooth))
 
     def axes(self) -> "Call":
         """The axis of paths of every array, None where it has none."""

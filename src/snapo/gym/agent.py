@@ -8,6 +8,7 @@ import jax
 import numpy as np
 
 from snapo.problem.actions import Actions
+from snapo.problem.code.version import following, of_policy
 from snapo.problem.policies.memory import Recent, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
@@ -67,7 +68,9 @@ class Agent:
                 f"Agent: it remembers {len(memory)} episodes, and here are {len(seen)} "
                 "observations; call reset() where other episodes begin."
             )
-        decided = np.asarray(_decided(self.policy, np.concatenate([seen, memory], 1)))
+        given = np.concatenate([seen, memory], 1)
+        with following(of_policy(self.policy, given)):
+            decided = np.asarray(_decided(self.policy, given))
         self.memory = decided[:, decided.shape[1] - size :] if size else None
         return decided[:, : decided.shape[1] - size]
 

@@ -7,6 +7,7 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array, Bool, Float, PyTree
 
+from snapo.problem.code.version import followed
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -134,13 +135,14 @@ class Compiled(NamedTuple):
     step: Any
 
 
-_known: "WeakKeyDictionary[Problem, dict[bool, Compiled]]" = WeakKeyDictionary()
+_known: "WeakKeyDictionary[Problem, dict[Any, Compiled]]" = WeakKeyDictionary()
 
 
 def compiled(problem: Problem, endless: bool) -> Compiled:
     """Compiled once for all environments of a problem: `play` makes one for every start."""
-    made = _known.setdefault(problem, {})
-    if endless not in made:
+    made, key = _known.setdefault(problem, {}), (endless, problem.version)
+    if key not in made:
         dynamics = Dynamics(problem, endless)
-        made[endless] = Compiled(dynamics, jax.jit(dynamics.first), jax.jit(dynamics.step))
-    return made[endless]
+        both = (followed(jax.jit(f), problem.version) for f in (dynamics.first, dynamics.step))
+        made[key] = Compiled(dynamics, *both)
+    return made[key]

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.problem.code.version import followed
 from snapo.problem.problem import Problem
 
 from .dynamics import Dynamics, Moved
@@ -34,8 +35,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         self.observation_space = batch(self.single_observation_space, num_envs)
         self.action_space = batch(self.single_action_space, num_envs)
         self._only_last = self.dynamics.only_last()
-        self._first = jax.jit(jax.vmap(self.dynamics.first))
-        self._step = jax.jit(self._moved)
+        self._first = followed(jax.jit(jax.vmap(self.dynamics.first)), problem.version)
+        self._step = followed(jax.jit(self._moved), problem.version)
         self._t = np.zeros(num_envs, np.int32)
         self._done = np.zeros(num_envs, bool)
         self._state = None

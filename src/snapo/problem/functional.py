@@ -12,21 +12,24 @@ import jax.extend.core as jex
 import jax.numpy as jnp
 import numpy as np
 
+from .code.version import Version, followed, following, of_formula
+
 Formula = Callable[[Mapping[str, jax.Array]], jax.Array]
 REFERENCE = 512  # paths of the sample by which a sensitivity curve is measured
 AGREEMENT = 1e-9  # relative: a formula under weights against itself on repeated paths
 
 
 @lru_cache(maxsize=64)
-def compiled(objective) -> tuple[Callable, Callable]:
+def compiled(objective, version: Version) -> tuple[Callable, Callable]:
     """The compiled formula of an objective, and the derivative by every path total."""
-    return jax.jit(objective.formula), jax.jit(jax.grad(objective.formula))
+    both = jax.jit(objective.formula), jax.jit(jax.grad(objective.formula))
+    return followed(both[0], version), followed(both[1], version)
 
 
 def value(objective, totals: Mapping[str, np.ndarray]) -> float:
     """The formula on these paths."""
     with jax.enable_x64(True):
-        found = np.asarray(_known(objective)[0](dict(totals)))
+        found = np.asarray(_known(objective, totals)[0](dict(totals)))
     if found.shape != ():
         raise TypeError(
             f"{type(objective).__name__}: the formula gives shape {found.shape}; an objective is "
@@ -38,7 +41,7 @@ def value(objective, totals: Mapping[str, np.ndarray]) -> float:
 def weights(objective, totals: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
     """d formula / d path total: {name: [N]}."""
     with jax.enable_x64(True):
-        found = _known(objective)[1](dict(totals))
+        found = _known(objective, totals)[1](dict(totals))
         return {name: np.asarray(weight) for name, weight in found.items()}
 
 
@@ -69,7 +72,8 @@ def influence(objective, totals: Mapping[str, np.ndarray]) -> np.ndarray:
 
 def _by_mass(objective, totals, size: int) -> np.ndarray | None:
     """Derivatives by the paths' masses, times N; None where masses do not stand for paths."""
-    weighted, slopes = _massed_formula(objective, tuple(totals), size)
+    version = of_formula(objective, totals)
+    weighted, slopes = _massed_formula(objective, tuple(totals), size, version)
     # A mass of two must be the same as a path twice.
     chosen = np.random.default_rng(0).integers(0, size, size)
     mass = np.bincount(chosen, minlength=size).astype(np.float64)
@@ -80,10 +84,13 @@ def _by_mass(objective, totals, size: int) -> np.ndarray | None:
 
 
 @lru_cache(maxsize=64)
-def _massed_formula(objective, names: tuple[str, ...], size: int) -> tuple[Callable, Callable]:
+def _massed_formula(
+    objective, names: tuple[str, ...], size: int, version: Version
+) -> tuple[Callable, Callable]:
     """The compiled formula of masses and totals, and its derivative by the masses."""
     shape = jax.ShapeDtypeStruct((size,), np.float64)
-    closed = jax.make_jaxpr(objective.formula)(dict.fromkeys(names, shape))
+    with following(version):
+        closed = jax.make_jaxpr(objective.formula)(dict.fromkeys(names, shape))
 
     def weighted(mass, totals):
         leaves = jax.tree.leaves(totals)
@@ -147,13 +154,14 @@ def _by_curve(objective, totals, size: int) -> np.ndarray:
         joined = {name: jnp.append(sample[name], path[name]) for name in sample}
         return objective.formula(joined)
 
-    many = jax.jit(lambda paths: jax.lax.map(with_one_more, paths, batch_size=1024))(totals)
+    with following(of_formula(objective, totals)):
+        many = jax.jit(lambda paths: jax.lax.map(with_one_more, paths, batch_size=1024))(totals)
     return (len(chosen) + 1) * (np.asarray(many) - value(objective, sample))
 
 
-def _known(objective) -> tuple[Callable, Callable]:
+def _known(objective, totals: Mapping[str, np.ndarray]) -> tuple[Callable, Callable]:
     try:
-        return compiled(objective)
+        return compiled(objective, of_formula(objective, dict(totals)))
     except TypeError as error:
         if "unhashable" not in str(error):
             raise

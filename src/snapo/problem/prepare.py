@@ -5,13 +5,14 @@ import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
+from .code.version import following, of_preparation
 from .quickly import compiled_sooner
 from .simulator import Schedule, Simulator
 
 
 def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
     """The schedule in float64 NumPy."""
-    with jax.enable_x64(True):
+    with jax.enable_x64(True), following(of_preparation(simulator, inputs)):
         schedule = _prepare(simulator, inputs, inputs_.values(inputs))
         return jax.tree.map(np.asarray, schedule)
 

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from html import escape
 from typing import Any
 
@@ -12,6 +11,7 @@ from jaxtyping import PyTree
 
 from . import inputs as inputs_
 from .actions import Actions
+from .code.version import Version, following, of_preparation, of_rollout
 from .limits import Limit, priced
 from .noise import base as noise
 from .objective import Objective
@@ -45,15 +45,30 @@ class Problem:
     def __post_init__(self):
         object.__setattr__(self, "sources", self.sources.of_equal_paths(not self.is_random))
 
-    @cached_property
+    @property
     def schedule(self) -> Schedule:
         """The numbers that all paths share."""
-        return prepare(self.simulator, self.inputs)
+        version = of_preparation(self.simulator, self.inputs)
+        return self._kept("schedule", version, lambda: prepare(self.simulator, self.inputs))
 
-    @cached_property
+    @property
     def interface(self) -> Interface:
         """All that a policy has to fit."""
-        return self.simulator.interface(self.schedule)
+        schedule, version = self.schedule, self.version
+        with following(version):
+            return self._kept("interface", version, lambda: self.simulator.interface(schedule))
+
+    @property
+    def version(self) -> Version:
+        """The version of the simulator's code, from the first state on."""
+        return of_rollout(self.simulator, None, self.schedule)
+
+    def _kept(self, name: str, version: Version, make: Callable[[], Any]) -> Any:
+        """What was made before, as long as the code that makes it reads the same."""
+        known = self.__dict__.get(name)
+        if known is None or known[0] != version:
+            known = self.__dict__[name] = version, make()
+        return known[1]
 
     @property
     def is_random(self) -> bool:
@@ -85,7 +100,8 @@ class Problem:
     def prepared(self, schedule: Schedule) -> "Problem":
         """The same problem with the schedule that its simulator would prepare, known already."""
         other = replace(self)
-        other.__dict__["schedule"] = schedule
+        version = of_preparation(self.simulator, self.inputs)
+        other.__dict__["schedule"] = version, schedule
         return other
 
     @property

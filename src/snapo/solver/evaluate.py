@@ -5,6 +5,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.engine import Engine, Xla
+from snapo.problem.code.version import reading_once
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -45,6 +46,7 @@ def evaluate(
     return estimate(problem.objective, totals, problem.sources.evaluation, controls)
 
 
+@reading_once()
 def path_totals(
     problem: Problem,
     policy: Policy,

@@ -18,6 +18,7 @@ import numpy as np
 from snapo.engine import Engine, Xla
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
+from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
@@ -203,6 +204,7 @@ def _half(width: float) -> str:
     return f"{width:,.2g}" if np.isfinite(width) else ""
 
 
+@reading_once()
 def sensitivities(
     problem: Problem,
     policy: Policy,
@@ -288,7 +290,8 @@ def second_order(
             np.broadcast_to(np.asarray(direction.get(n, 0.0), float), v.shape)
             for n, v in zip(names, values)
         ]
-        with engine.numbers():
+        version = of_preparation(simulator, inputs), of_rollout(simulator, policy, problem.schedule)
+        with engine.numbers(), following(version):
             moved = _second(
                 engine, simulator, inputs, policy, draws, smooth, weights, values, along
             )

@@ -16,6 +16,7 @@ from jaxtyping import PyTree
 from snapo.checker.first import first_mistakes
 from snapo.engine import Choice, Engine, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
+from snapo.problem.code.version import reading_once
 from snapo.problem.limits import Limit
 from snapo.problem.objective import Mean, Objective
 from snapo.problem.policies.plain import as_policy
@@ -39,6 +40,7 @@ from .train import Callback, Progress, Training, begin, train
 Given = TypeVar("Given")  # settings of one kind
 
 
+@reading_once()
 def solve(
     problem: Problem | Simulator,
     inputs: PyTree = None,

@@ -16,6 +16,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Bound, Clip, Engine
+from snapo.problem.code.version import reading_once
 from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -61,6 +62,7 @@ class Loop(NamedTuple):
     update_by_windows: Callable
 
 
+@reading_once()
 def train(
     problem: Problem,
     progress: Progress,

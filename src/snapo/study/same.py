@@ -9,9 +9,10 @@ from typing import Any
 import equinox as eqx
 import jax
 import jax.numpy as jnp
-import numpy as np
 
 from snapo.problem import inputs as inputs_
+from snapo.problem.code.program import Text, text
+from snapo.problem.code.version import of_preparation
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator, at
 from snapo.problem.smooth import Exact
@@ -26,14 +27,16 @@ def same_program(problem: Problem, other: Simulator) -> bool:
     a page asks again at every move.
     """
     with jax.enable_x64(True):
+        version = of_preparation(problem.simulator, problem.inputs), problem.version
         known = problem.__dict__.get(PROGRAM)
-        if known is None:
-            known = problem.__dict__[PROGRAM] = _traced(problem, problem.simulator)
-        return known == _traced(problem, other)
+        if known is None or known[0] != version:
+            known = version, _traced(problem, problem.simulator)
+            problem.__dict__[PROGRAM] = known
+        return known[1] == _traced(problem, other)
 
 
-def _traced(problem: Problem, simulator: Simulator) -> tuple[str, tuple[bytes, ...]]:
-    """The program of one path as text, and the constants in it."""
+def _traced(problem: Problem, simulator: Simulator) -> Text:
+    """The program of one path as text, and its constants."""
     values = [jnp.asarray(value) for value in inputs_.values(problem.inputs)]
     noise = jnp.zeros(simulator.noise_size), jnp.zeros(simulator.initial_noise_size)
 
@@ -48,5 +51,4 @@ def _traced(problem: Problem, simulator: Simulator) -> tuple[str, tuple[bytes, .
         return eqx.filter((schedule, seen, after, end), eqx.is_array)
 
     action = jnp.zeros(simulator.action.size)
-    closed = jax.make_jaxpr(path)(values, noise, action)
-    return str(closed.jaxpr), tuple(np.asarray(each).tobytes() for each in closed.consts)
+    return text(path, values, noise, action)

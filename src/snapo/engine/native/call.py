@@ -15,6 +15,7 @@ from snapo.lanes.machine.linked import Linked
 from snapo.lanes.machine.memory import Memory
 from snapo.lanes.machine.processor import host
 from snapo.lanes.unsupported import ACCIDENTS, Unsupported
+from snapo.problem.code.version import following, of_rollout
 from snapo.problem.noise import Counter, Draws
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import Schedule, Simulator
@@ -62,6 +63,7 @@ class Call:
         self.ends = self.window.ends(simulator.horizon)
         self.paths = draws.size
         self.start = jax.tree.map(lambda x: cast(x, engine.dtype), start)
+        self.version = of_rollout(simulator, policy, schedule, smooth)
         shared = (policy, schedule.constants, smooth, simulator)
         self.shared = Given(shared, engine.dtype)
         self.steps = Given(schedule.steps, engine.dtype)
@@ -80,7 +82,8 @@ class Call:
         like = self._state_like()
         leaves, tree = jax.tree.flatten(like)
         starts = tree, tuple((x.shape, x.dtype) for x in leaves)
-        key = setup, self.shared.key(), self.steps.key(1), starts, type(self.simulator)
+        kind = type(self.simulator), self.version
+        key = setup, self.shared.key(), self.steps.key(1), starts, kind
         if key not in _runners:
             started = perf_counter()
             kernel = self.kernel(setup, like)
@@ -99,7 +102,8 @@ class Call:
         simulator = self.simulator
         sizes = (simulator.noise_size, simulator.initial_noise_size)
         given = self.shared.split(), self.steps.split()
-        pieces = traced(*given, like, setup, sizes, simulator.action.size)
+        with following(self.version):
+            pieces = traced(*given, like, setup, sizes, simulator.action.size)
         try:
             return emit(pieces, host(), stages)
         except ACCIDENTS as error:

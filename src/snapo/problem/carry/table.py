@@ -11,6 +11,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
 
+from ..code.version import following, of_policy
 from ..policy import Policy
 from ..smooth import Exact
 
@@ -53,7 +54,8 @@ def decision_table(
     pairs = np.array([(a, b) for a in values for b in others], np.float64).reshape(-1, 2)
     states = np.tile(np.asarray(at, np.float64), (len(pairs), 1))
     states[:, [one, two]] = pairs
-    with jax.enable_x64(True):
+    version = of_policy(policy, states, observe)
+    with jax.enable_x64(True), following(version):
         action = np.asarray(_decided(policy, observe, jnp.asarray(states)), np.float64)
     table = Decisions(pairs, action)
     if file is not None:

@@ -18,6 +18,7 @@ from scipy.stats import qmc
 
 from snapo.engine import Rollout
 from snapo.engine.base import cast
+from snapo.problem.code.version import followed
 from snapo.problem.noise import Draws, Stored
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
@@ -121,7 +122,9 @@ class StopRelaxation:
             given = states, noise, shifts
             return jax.lax.map(lambda x: one(t, *x), given, batch_size=TOGETHER)
 
-        return jax.jit(all_paths), jax.jit(jax.vmap(lambda state: problem.end(schedule, state)))
+        both = jax.jit(all_paths), jax.jit(jax.vmap(lambda state: problem.end(schedule, state)))
+        version = problem.problem.version
+        return followed(both[0], version), followed(both[1], version)
 
 
 def _noise(draws: Draws, t: int, size: int) -> np.ndarray:

@@ -13,6 +13,7 @@ import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from snapo.engine import Xla
+from snapo.problem.code.version import followed
 from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -60,10 +61,12 @@ def fit(decisions: Decisions, source: Scenarios, paths: int, schedule) -> Fitted
     draws = source.draws(np.arange(source.available(paths)), simulator)
     waits = np.zeros((simulator.horizon, draws.size, decisions.rights))
     states = whole(engine.values(None, draws, Exact(), actions=waits, record=("state",)))
-    numbers_of = jax.jit(jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0)))
+    each = jax.vmap(lambda t, state: known(decisions, schedule, t, state), (None, 0))
+    numbers_of = followed(jax.jit(each), problem.version)
     functions_of = jax.jit(jax.vmap(functions, (0, None)))
     better_of = jax.jit(jax.vmap(better))
-    ends = jax.jit(jax.vmap(lambda state: decisions.end(schedule, state)))
+    last = jax.vmap(lambda state: decisions.end(schedule, state))
+    ends = followed(jax.jit(last), problem.version)
     ahead = np.asarray(ends(at(states, simulator.horizon)))
     scales, waiting = [], []
     for t in reversed(range(simulator.horizon)):

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.engine import Xla
+from snapo.problem.code.version import followed, of_rollout
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
@@ -58,7 +59,8 @@ def decisions(
     for axis in reversed(range(len(names))):
         call = jax.vmap(call, tuple(0 if i == axis else None for i in range(len(names))))
     grid = [jnp.asarray(each, jnp.float32) for each in ranges]
-    return np.asarray(jax.jit(call)(*grid), np.float64)
+    version = of_rollout(problem.simulator, policy, schedule)
+    return np.asarray(followed(jax.jit(call), version)(*grid), np.float64)
 
 
 def _put(state: Any, name: str, value: Any) -> Any:

@@ -14,10 +14,11 @@ import optax
 from jaxtyping import Array, Float, PyTree
 
 from snapo.engine import Rollout
+from snapo.problem.code.version import following, of_rollout
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Network
 from snapo.problem.problem import Problem
-from snapo.problem.simulator import Simulator
+from snapo.problem.simulator import Schedule, Simulator
 
 from ..adjoint import flat_weights, float64
 
@@ -119,9 +120,14 @@ def fitted(
     return Learner(Critic(network, critic.shift, critic.scale), optimiser)
 
 
-@eqx.filter_jit
 def observations(simulator: Simulator, constants, nows, states) -> Array:
     """Observations [ends, paths, features]."""
+    with following(of_rollout(simulator, None, Schedule(constants, nows))):
+        return _observations(simulator, constants, nows, states)
+
+
+@eqx.filter_jit
+def _observations(simulator: Simulator, constants, nows, states) -> Array:
 
     def one(now, state):
         return simulator.observe(constants, now, state)

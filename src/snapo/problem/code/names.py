@@ -1,0 +1,80 @@
+"""The names that a function reads beside its arguments, from its bytecode."""
+
+import dis
+from collections import deque
+from collections.abc import Iterator
+from functools import lru_cache
+from types import CodeType
+from typing import NamedTuple
+
+LOADS = ("LOAD_GLOBAL", "LOAD_NAME", "LOAD_FROM_DICT_OR_GLOBALS")
+CELLS = ("LOAD_DEREF", "LOAD_CLASSDEREF", "LOAD_FROM_DICT_OR_DEREF")
+MEMBERS = ("LOAD_ATTR", "LOAD_METHOD", "LOAD_SUPER_ATTR", "IMPORT_FROM")
+# These add to a container, and return nothing of it.
+ADDING = ("append", "appendleft", "add", "extend", "insert")
+CONTAINERS = (list, set, deque)
+# By these a function reads what no name in it shows: names that are made, files, the environment.
+UNSEEN = frozenset(
+    (
+        *("eval", "exec", "globals", "locals", "vars", "getattr", "__import__", "import_module"),
+        *("open", "read_text", "read_bytes", "load", "loads", "loadtxt", "genfromtxt", "fromfile"),
+        *(
+            "memmap",
+            "read_csv",
+            "read_excel",
+            "read_json",
+            "read_parquet",
+            "read_pickle",
+            "urlopen",
+        ),
+    )
+)
+
+
+class Names(NamedTuple):
+    """The names in a function, those of the functions inside it among them.
+
+    - `read`: of globals and of variables around it; `added`: those of them that it only adds to.
+    - `written`: globals that it sets itself.
+    - `members`: of attributes, and every text that may be the name of one.
+    - `modules`: those that it imports, with the level of a relative import.
+    - `unseen`: whether it reads in a way that no name shows.
+    """
+
+    read: frozenset[str]
+    added: frozenset[str]
+    written: frozenset[str]
+    members: frozenset[str]
+    modules: frozenset[tuple[int, str]]
+    unseen: bool
+
+
+@lru_cache(4096)
+def names(code: CodeType) -> Names:
+    """All names in a function's code."""
+    read, added, written, members, modules = set(), set(), set(), set(), set()
+    for each in _codes(code):
+        steps, level = list(dis.get_instructions(each)), 0
+        for step, after in zip(steps, [*steps[1:], None]):
+            name, kind = step.argval, step.opname
+            if kind in LOADS or kind in CELLS:
+                adds = after is not None and after.opname in MEMBERS and after.argval in ADDING
+                (added if adds else read).add(name)
+            elif kind == "STORE_GLOBAL":
+                written.add(name)
+            elif kind in MEMBERS:
+                members.add(name)
+            elif kind == "IMPORT_NAME":
+                modules.add((level, name))
+            elif kind.startswith("LOAD_") and type(name) is int:
+                level = name  # the last whole number before an import is its level
+        members |= {x for x in each.co_consts if isinstance(x, str) and x.isidentifier()}
+    unseen = not UNSEEN.isdisjoint(read | members)
+    return Names(*map(frozenset, (read, added - read, written, members, modules)), unseen)
+
+
+def _codes(code: CodeType) -> Iterator[CodeType]:
+    yield code
+    for each in code.co_consts:
+        if isinstance(each, CodeType):
+            yield from _codes(each)

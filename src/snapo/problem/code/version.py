@@ -1,0 +1,158 @@
+"""The version of a user's code: a number for all that it reads, such as globals and closures.
+
+A program that was compiled for a simulator serves as long as its code reads the same. Every call
+of one therefore stands in `following(version)`: JAX then keeps apart what was traced under other
+versions, in functions that the user compiles too. snapo's own code has no version.
+"""
+
+from collections import OrderedDict
+from collections.abc import Callable, Hashable, Iterator
+from contextlib import AbstractContextManager, contextmanager
+from contextvars import ContextVar
+from functools import wraps
+from hashlib import blake2b
+from itertools import count
+from threading import RLock
+from typing import Any, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+from jaxtyping import PyTree
+
+from ..smooth import Exact
+from . import program
+from .walk import ARRAYS, Walk
+
+KEPT = 512  # versions; one that comes again after so many others is compiled again
+Version = int | None
+P = ParamSpec("P")
+R = TypeVar("R")
+
+following: Callable[[Hashable], AbstractContextManager] = jax.make_user_context(None)
+_held: ContextVar[dict | None] = ContextVar("held", default=None)
+
+
+@contextmanager
+def reading_once() -> Iterator[None]:
+    """All code is read once, when it is first met: nothing changes it within."""
+    if _held.get() is not None:
+        yield
+        return
+    token = _held.set({})
+    try:
+        yield
+    finally:
+        _held.reset(token)
+
+
+def followed(function: Callable[P, R], version: Version) -> Callable[P, R]:
+    """A compiled function, every call of which follows this version."""
+
+    @wraps(function)
+    def call(*args: P.args, **kwargs: P.kwargs) -> R:
+        with following(version):
+            return function(*args, **kwargs)
+
+    return call
+
+
+def of_preparation(simulator: Any, inputs: PyTree) -> Version:
+    """The version of the code that makes schedules."""
+    return of((simulator, inputs), lambda: program.preparation(simulator, inputs))
+
+
+def of_rollout(simulator: Any, policy: Any, schedule: Any, smooth: Any = None) -> Version:
+    """The version of the code that rolls paths."""
+    trees = simulator, policy, schedule, smooth
+    return of(trees, lambda: program.rollout(simulator, policy, schedule))
+
+
+def of_policy(policy: Any, seen: Any, observe: Any = None) -> Version:
+    """The version of the code that decides at [N, k] numbers: `observe`, if any, and a policy."""
+
+    def decided(each: Any) -> Any:
+        return policy(each if observe is None else jnp.asarray(observe(each)), Exact())
+
+    return of((policy, observe), lambda: program.text(decided, seen[0]))
+
+
+def of_formula(objective: Any, totals: Any) -> Version:
+    """The version of the code of an objective."""
+    return of((objective,), lambda: program.text(lambda each: objective.formula(each), totals))
+
+
+def of(trees: tuple[PyTree, ...], trace: Callable[[], Any]) -> Version:
+    """The version of all code in some trees; None where none of it is a user's.
+
+    What may have changed in place, or cannot be seen, is compared by the program that `trace`
+    gives.
+    """
+    leaves, structure = jax.tree.flatten(trees)
+    held, met = _held.get(), (structure, tuple(map(_kind, leaves)))
+    if held is None or not _is_hashable(met):
+        return _read(trees, leaves, trace)
+    if met not in held:
+        held[met] = _read(trees, leaves, trace)
+    return held[met]
+
+
+def _read(trees: tuple[PyTree, ...], leaves: list, trace: Callable[[], Any]) -> Version:
+    walk = Walk(trees)
+    if not walk.own:
+        return None
+    known: Hashable = tuple(walk.fixed)
+    if walk.moving or walk.unseen:
+        shapes = tuple(_kind(each) for each in leaves if _is_array(each))
+        content = known, tuple(walk.moving), shapes
+        known = known, _programs.of(content, lambda: _digest(trace, content), anew=walk.unseen)
+    return _versions.of(known, lambda: next(_next))
+
+
+class _Kept:
+    """What was found last, by what it was found for; safe between threads."""
+
+    def __init__(self):
+        self._found: OrderedDict[Hashable, Any] = OrderedDict()
+        self._lock = RLock()  # a trace may ask for another version
+
+    def of(self, key: Hashable, make: Callable[[], Any], anew: bool = False) -> Any:
+        with self._lock:
+            if anew or key not in self._found:
+                self._found[key] = make()
+            self._found.move_to_end(key)
+            while len(self._found) > KEPT:
+                self._found.popitem(last=False)
+            return self._found[key]
+
+
+_next = count(1)
+_versions, _programs = _Kept(), _Kept()
+
+
+def _digest(trace: Callable[[], Any], content: tuple) -> bytes:
+    """A digest of the program that is traced now."""
+    try:
+        with following(object()), jax.enable_x64(True):
+            made = repr(trace())
+    except Exception as error:  # the call itself will tell of it
+        made = type(error).__name__
+    # The print of a program lacks what derivatives by hand read.
+    read = repr(content) if "custom_" in made else ""
+    return blake2b((made + read).encode()).digest()
+
+
+def _is_array(leaf: Any) -> bool:
+    return isinstance(leaf, ARRAYS)
+
+
+def _kind(leaf: Any) -> Hashable:
+    """An array's shape and type, as it is an argument; anything else as it is."""
+    return (leaf.shape, str(leaf.dtype)) if _is_array(leaf) else (type(leaf), leaf)
+
+
+def _is_hashable(x: Any) -> bool:
+    try:
+        hash(x)
+    except TypeError:
+        return False
+    return True

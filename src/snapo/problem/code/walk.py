@@ -1,0 +1,301 @@
+"""All that a user's code reads: from the classes and functions in a tree on to what they name.
+
+Functions are read by their code, constants by value, what may change in place by its content now.
+Functions of libraries are taken as they are.
+"""
+
+import dataclasses
+import functools
+import importlib.util
+import marshal
+import sys
+from collections import deque
+from collections.abc import Hashable, Iterable, Iterator
+from enum import Enum
+from hashlib import blake2b
+from types import CellType, FunctionType, MethodType, ModuleType
+from typing import Any
+
+import jax
+import numpy as np
+from jax.tree_util import default_registry
+
+from .home import SNAPO, is_known, is_library, is_python, package
+from .names import CONTAINERS, Names, names
+
+PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
+ARRAYS = (np.ndarray, np.generic, jax.Array)
+MOST = 20_000  # things that are looked at; beyond, the rest is not known
+# Entries of a class that no method reads.
+SET_BY_PYTHON = {"_abc_impl", "__annotate__", "__annotate_func__"}
+
+
+class Walk:
+    """What is read.
+
+    - `fixed`: code, and constants: with others it is another program.
+    - `moving`: the content of all that may change in place, such as lists and NumPy arrays, and
+      what the code itself sets, such as a counter: with others it may be another program.
+    - `unseen`: whether there is more that cannot be looked at.
+    - `own`: whether there is any code of a user's.
+    """
+
+    def __init__(self, trees: Iterable[Any]):
+        self.fixed: list[Hashable] = []
+        self.moving: list[Hashable] = []
+        self.unseen, self.own = False, False
+        self._opened: set[str] = set()
+        self._numbers: dict[int, int] = {}
+        self._waiting: deque[Any] = deque()
+        self._alive: list[Any] = []  # so that no other thing gets the identity of one
+        self._modules: dict[int, ModuleType] = {}
+        self._members: set[str] = set()
+        self._asked: set[tuple[int, str]] = set()
+        for each in trees:
+            self._tree(each)
+        while self._waiting:
+            self._look(self._waiting.popleft())
+            if not self._waiting:
+                self._ask_modules()
+            if len(self._numbers) > MOST:
+                self.unseen = True
+                break
+
+    def _tree(self, x: Any) -> None:
+        """A tree of JAX: its arrays are arguments, all else is compiled in."""
+        if isinstance(x, ARRAYS):
+            return
+        parts = default_registry.flatten_one_level(x)
+        if parts is None:
+            self._value(x, self.fixed)
+            return
+        children, rest = parts
+        if not is_known(name := package(type(x))):
+            self._opened.add(name)  # a simulator's own package is read, even if it is installed
+        self._value(type(x), self.fixed)
+        self._value(rest, self.fixed)
+        for each in children:
+            self._tree(each)
+
+    def _closed(self, x: Any) -> bool:
+        name = package(x)
+        return name not in self._opened and is_library(name)
+
+    def _value(self, x: Any, out: list[Hashable]) -> None:
+        """Writes down a value, or the number of something that is looked at later."""
+        if isinstance(x, Enum):
+            out.append((package(type(x)), type(x).__qualname__, x.name))
+        elif isinstance(x, PLAIN):
+            # By their print, for which 0.0 and -0.0 differ, and a number that is none is itself.
+            out.append((type(x), x.tobytes() if isinstance(x, np.generic) else repr(x)))
+        elif isinstance(x, tuple | frozenset):
+            self._several(x, out)
+        elif isinstance(x, jax.Array):
+            self._array(x, out)
+        elif isinstance(x, FunctionType | type) and self._closed(x):
+            out.append(x)
+        elif isinstance(x, ModuleType):
+            self._modules.setdefault(id(x), x)
+            out.append(x)
+        elif isinstance(x, CellType):
+            self._value(_content(x), out)
+        elif isinstance(x, MethodType):
+            self._several((x.__func__, x.__self__), out)
+        elif isinstance(x, functools.partial):
+            self._several((x.func, x.args, tuple(x.keywords.items())), out)
+        elif isinstance(x, property):
+            self._value(x.fget, out)
+        elif package(type(x)) == SNAPO and _is_hashable(x):
+            out.append(x)  # by what its own class calls equal, as in a tree of JAX
+            if _is_frozen(x):  # it may hold a function of a user's
+                self._several((v for v in vars(x).values() if not isinstance(v, PLAIN)), out)
+        else:
+            self._later(x, out)
+
+    def _several(self, x: Iterable[Any], out: list[Hashable]) -> None:
+        items = tuple(x)
+        if len(items) > 64 and (written := _marshalled(items)) is not None:
+            out.append((type(x), written))
+            return
+        out.append((type(x), len(items)))
+        for each in items:
+            self._value(each, out)
+
+    def _array(self, x: Any, out: list[Hashable]) -> None:
+        if getattr(x.dtype, "hasobject", False):
+            self._several(x.ravel().tolist(), out)
+            return
+        try:
+            numbers = np.asarray(x)
+        except Exception:  # a key of random numbers, or one that is being traced
+            out.append(_Same(x))
+            return
+        content = np.ascontiguousarray(numbers).view(np.uint8) if numbers.size else b""
+        out.append((type(x), numbers.shape, str(numbers.dtype), blake2b(content).digest()))
+
+    def _later(self, x: Any, out: list[Hashable]) -> None:
+        if id(x) not in self._numbers:
+            self._numbers[id(x)] = len(self._numbers)
+            self._alive.append(x)
+            self._waiting.append(x)
+        out.append(("number", self._numbers[id(x)]))
+
+    def _look(self, x: Any) -> None:
+        """Something that refers to others, or that may change in place."""
+        if isinstance(x, FunctionType):
+            self._function(x)
+        elif isinstance(x, type):
+            self._class(x)
+        elif isinstance(x, np.ndarray):
+            self._array(x, self.fixed)
+        elif isinstance(x, dict):
+            self._several(x.items(), self.moving)
+        elif isinstance(x, list | set | deque):
+            self._several(x, self.moving)
+        elif isinstance(x, bytearray):
+            self.moving.append(bytes(x))
+        else:
+            self._object(x)
+
+    def _function(self, x: FunctionType) -> None:
+        self.own = True
+        named = names(x.__code__)
+        self.unseen |= named.unseen
+        self._members |= named.members
+        self.fixed.append(x.__code__)
+        self._several((x.__defaults__, tuple((x.__kwdefaults__ or {}).items())), self.fixed)
+        for name, cell in zip(x.__code__.co_freevars, x.__closure__ or ()):
+            self._named(named, name, _content(cell))
+        for name in sorted(named.read | named.added):
+            if name in x.__globals__:
+                self._named(named, name, x.__globals__[name])
+        for level, name in sorted(named.modules):
+            self._imported(x, level, name)
+        if (inner := getattr(x, "__wrapped__", None)) is not None:
+            self._value(inner, self.fixed)
+        if attributes := _attributes(x):
+            self._several(attributes.items(), self.moving)
+
+    def _named(self, named: Names, name: str, x: Any) -> None:
+        if name in named.added and isinstance(x, CONTAINERS):
+            return
+        out = self.moving if name in named.written else self.fixed
+        out.append(name)
+        self._value(x, out)
+
+    def _imported(self, x: FunctionType, level: int, name: str) -> None:
+        try:
+            full = importlib.util.resolve_name("." * level + name, x.__globals__["__package__"])
+        except (ImportError, KeyError, TypeError):
+            self.unseen = True
+            return
+        parts = full.split(".")
+        for end in range(1, len(parts) + 1):
+            if (module := sys.modules.get(".".join(parts[:end]))) is not None:
+                self._value(module, self.fixed)
+
+    def _class(self, x: type) -> None:
+        self.own = True
+        self.fixed.append((x.__module__, x.__qualname__))
+        for each in x.__mro__[1:]:
+            self._value(each, self.fixed)
+        for name, value in vars(x).items():
+            by_python = name.startswith("__") and not isinstance(value, FunctionType)
+            if not by_python and name not in SET_BY_PYTHON:
+                self.fixed.append(name)
+                self._value(value, self.fixed)
+
+    def _object(self, x: Any) -> None:
+        """Any other thing: the function or the object in it, and its attributes."""
+        inside = [getattr(x, name, None) for name in ("__wrapped__", "__func__", "__self__")]
+        attributes = _attributes(x)
+        library = self._closed(type(x))
+        if not library or attributes:
+            self._value(type(x), self.fixed)
+        for each in inside:
+            if not isinstance(each, ModuleType):
+                self._value(each, self.fixed)
+        if attributes:
+            stays = library or _is_frozen(x)
+            self._several(attributes.items(), self.fixed if stays else self.moving)
+        elif library:
+            self.fixed.append(x if _is_hashable(x) else _Same(x))
+            alone = all(each is None for each in inside)
+            self.unseen |= alone and (isinstance(x, Iterator) or not _is_known(x))
+
+    def _ask_modules(self) -> None:
+        """The members of modules that any function names."""
+        for module in list(self._modules.values()):
+            library = self._closed(module)
+            for name in sorted(self._members & vars(module).keys()):
+                if (id(module), name) not in self._asked:
+                    self._asked.add((id(module), name))
+                    self._member(module, name, library)
+
+    def _member(self, module: ModuleType, name: str, library: bool) -> None:
+        x = vars(module)[name]
+        self.fixed.append(name)
+        simple = isinstance(x, (*PLAIN, FunctionType, type, ModuleType))
+        if simple or not library or is_python(package(module)):
+            self._value(x, self.fixed)
+        else:
+            self.fixed.append(_Same(x))
+
+
+class _Same:
+    """A thing that is equal to itself alone."""
+
+    def __init__(self, x: Any):
+        self.x = x
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, _Same) and self.x is other.x
+
+    def __hash__(self) -> int:
+        return id(self.x)
+
+
+def _content(cell: CellType) -> Any:
+    try:
+        return cell.cell_contents
+    except ValueError:  # not set yet
+        return None
+
+
+def _attributes(x: Any) -> dict[str, Any]:
+    """The attributes of an object, without those of Python itself and of functions that JAX
+    compiles, which hold what it needs to call them."""
+    if package(type(x)) == "jaxlib":
+        return {}
+    found = dict(getattr(x, "__dict__", {}))
+    for kind in type(x).__mro__:
+        slots = vars(kind).get("__slots__", ())
+        for name in (slots,) if isinstance(slots, str) else slots:
+            if hasattr(x, name):
+                found[name] = getattr(x, name)
+    return {name: value for name, value in found.items() if not name.startswith("__")}
+
+
+def _is_frozen(x: Any) -> bool:
+    return dataclasses.is_dataclass(x) and type(x).__dataclass_params__.frozen
+
+
+def _is_known(x: Any) -> bool:
+    """Whether nothing that moves is in a thing that is not written in Python."""
+    return is_known(package(type(x))) and (not callable(x) or is_library(package(x)))
+
+
+def _is_hashable(x: Any) -> bool:
+    try:
+        hash(x)
+    except TypeError:
+        return False
+    return True
+
+
+def _marshalled(items: tuple) -> bytes | None:
+    """A digest of plain numbers and texts; None where there is anything else."""
+    try:
+        return blake2b(marshal.dumps(items, 2)).digest()
+    except ValueError:
+        return None
