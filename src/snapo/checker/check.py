@@ -20,6 +20,7 @@ from .bumps import bumped
 from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, Stop
 from .jumps import jumps
+from .loops import loops
 from .precision import both_precisions
 from .program.points import moments
 from .repeatable import repeatable
@@ -50,6 +51,7 @@ def check(
         observation = one_step(notes, simulator, schedule).observation
         short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
+        loops(notes, simulator, inputs, schedule)
         within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
         runs = rolled(

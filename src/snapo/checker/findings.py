@@ -20,6 +20,10 @@ class Finding(NamedTuple):
     what: str
     fix: str
 
+    def sentence(self) -> str:
+        """It in one line, for notes."""
+        return f"{self.where}: {self.what} {self.fix}"
+
     def __str__(self) -> str:
         return f"{self.severity}: {self.where}\n    {self.what}\n    {self.fix}"
 
@@ -44,6 +48,10 @@ class Findings:
     def ok(self) -> bool:
         """Whether the simulator can be trained: there are no errors; warnings are allowed."""
         return not self.errors
+
+    def __add__(self, other: "Findings") -> "Findings":
+        items = sorted(dict.fromkeys(self.items + other.items), key=lambda item: item.severity)
+        return Findings(self.simulator, tuple(items), self.looked_at)
 
     def __iter__(self) -> Iterator[Finding]:
         return iter(self.items)

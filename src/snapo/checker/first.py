@@ -1,35 +1,70 @@
 """The cheap part of `check`, for `solve`: what tracing alone finds, before anything compiles."""
 
+from collections.abc import Callable
+
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import PyTree
 
+from snapo.problem.code.version import of_preparation
 from snapo.problem.policies.memory import remembered
 from snapo.problem.policy import Constant, Policy
 from snapo.problem.problem import Problem
+from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
 
 from .arrays.indices import within
+from .arrays.slices import short_slices
 from .arrays.tables import tables
 from .findings import Findings, Notes, Stop
-from .shapes import declared, one_step
+from .loops import loops
+from .repeatable import repeatable
+from .shapes import declared, one_step, prepared
 from .wanted import wanted
 
 
 def first_mistakes(problem: Problem, policy: Policy) -> Findings:
-    """Mistakes in declarations, shapes, totals, outputs that objective and limits name, indices,
-    tables and actions; it never raises.
+    """Mistakes in declarations, shapes, totals, outputs that objective and limits name, slices,
+    indices, tables, loops, numbers drawn in Python, and actions; it never raises.
 
     It takes tenths of a second; `snapo.check` looks at much more.
     """
-    notes, simulator = Notes(problem.simulator), problem.simulator
-    try:
-        declared(notes, simulator, problem.inputs)
-        schedule = problem.schedule
-        shapes = one_step(notes, simulator, schedule)
-        wanted(notes, problem.objective, problem.limits, shapes.outputs)
-        within(notes, simulator, problem.inputs, schedule)
+    of_simulator = simulator_mistakes(problem.simulator, problem.inputs)
+    return of_simulator if of_simulator.errors else of_simulator + problem_mistakes(problem, policy)
+
+
+def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
+    """Those of a simulator and its inputs."""
+
+    def look(notes: Notes) -> None:
+        declared(notes, simulator, inputs)
+        schedule = prepared(notes, simulator, inputs)
+        one_step(notes, simulator, schedule)
+        if of_preparation(simulator, inputs) is not None:  # what snapo's own code is tested for
+            short_slices(notes, simulator, inputs, schedule)
+            repeatable(notes, simulator, inputs, schedule)
+            loops(notes, simulator, inputs, schedule)
+        within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
+
+    return _looked(simulator, look)
+
+
+def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
+    """Those of an objective, limits and a policy for a simulator that has none."""
+
+    def look(notes: Notes) -> None:
+        shapes = one_step(notes, problem.simulator, problem.schedule)
+        wanted(notes, problem.objective, problem.limits, shapes.outputs)
         _decides(notes, problem, policy, shapes.observation.shape[0])
+
+    return _looked(problem.simulator, look)
+
+
+def _looked(simulator: Simulator, look: Callable[[Notes], None]) -> Findings:
+    notes = Notes(simulator)
+    try:
+        look(notes)
     except Stop:
         pass
     except Exception as error:

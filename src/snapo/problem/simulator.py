@@ -6,7 +6,9 @@ simulator has the way from the inputs to a schedule (`prepare`), the start of a 
 """
 
 import abc
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import FrozenInstanceError, fields
+from functools import wraps
 from typing import Any, ClassVar, Literal, NamedTuple
 
 import equinox as eqx
@@ -64,6 +66,11 @@ class Simulator(eqx.Module):
     noise_size: eqx.AbstractVar[int]
     initial_noise_size: ClassVar[int] = 0
 
+    def __init_subclass__(cls, **options: Any):
+        super().__init_subclass__(**options)
+        if (own := cls.__dict__.get("__init__")) is not None:
+            cls.__init__ = _explained(own)
+
     @abc.abstractmethod
     def prepare(self, inputs: PyTree) -> Schedule:
         """Turns inputs into the schedule. `inputs` holds plain arrays in place of every `Input`."""
@@ -113,6 +120,26 @@ class Simulator(eqx.Module):
     def interface(self, schedule: Schedule) -> Interface:
         """The set of actions and the number of features, for policies that are still to be made."""
         return Interface(self.action, probe(self, schedule)[1].shape[0])
+
+
+def _explained(init: Callable[..., None]) -> Callable[..., None]:
+    """An `__init__` that says what is missing where it sets what is no field."""
+
+    @wraps(init)
+    def explained(self: Any, *given: Any, **named: Any) -> None:
+        try:
+            init(self, *given, **named)
+        except FrozenInstanceError as error:
+            name = str(error).partition("'")[2].rstrip("'")
+            if not name or name in {each.name for each in fields(self)}:
+                raise
+            raise TypeError(
+                f"{type(self).__name__}: __init__ sets {name!r}, which is no field. Declare it in "
+                f"the class, with its type: `{name}: float`; a field has no value of its own "
+                "where __init__ sets it."
+            ) from error
+
+    return explained
 
 
 class Around(Simulator):

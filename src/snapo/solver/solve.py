@@ -13,7 +13,8 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.checker.first import first_mistakes
+from snapo.checker.findings import Findings
+from snapo.checker.first import problem_mistakes, simulator_mistakes
 from snapo.engine import Choice, Engine, Xla, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
@@ -83,11 +84,12 @@ def solve(
     evaluation = _settings("evaluation", evaluation, Evaluation)
     with Clock() as clock:
         given = (inputs, objective, scenarios, limits)
+        found = _refused(_of_simulator(problem, inputs)) if check else ()
         problem = problem_of(problem, *given, evaluation, training.seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
-            _refuse_mistakes(problem, policy)
+            found += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
         training = fitted(training, problem, policy, fresh=drawn)
@@ -102,6 +104,7 @@ def solve(
         start = policy if progress.scale is None else progress.scale.plain(policy)
         run = Run(problem, start, progress, training, evaluation, engines)
         measured = measure(run)
+        measured["notes"] = (*found, *measured["notes"])
         clock.stage("evaluate")
     return Solution(
         **measured,
@@ -199,11 +202,21 @@ def _meanwhile(problem: Problem, evaluation: Evaluation) -> AbstractContextManag
     return compiled_meanwhile(problem.simulator, problem.inputs, problem.schedule)
 
 
-def _refuse_mistakes(problem: Problem, policy: Policy) -> None:
-    """Raises where the cheap part of the checker finds errors."""
-    if errors := first_mistakes(problem, policy).errors:
-        lines = "\n".join(map(str, errors))
+def _of_simulator(problem: Problem | Simulator, inputs: PyTree) -> Findings:
+    """What the cheap part of the checker finds in a simulator, where there is one."""
+    if isinstance(problem, Problem):
+        return simulator_mistakes(problem.simulator, problem.inputs)
+    if isinstance(problem, Simulator):
+        return simulator_mistakes(problem, inputs)
+    return Findings("", (), "")  # `problem_of` says what it is
+
+
+def _refused(found: Findings) -> tuple[str, ...]:
+    """Raises where there are errors; the warnings, as notes."""
+    if found.errors:
+        lines = "\n".join(map(str, found.errors))
         raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
+    return tuple(each.sentence() for each in found.warnings)
 
 
 def _only_output(simulator: Simulator, inputs: PyTree) -> Objective:

@@ -1,0 +1,167 @@
+"""What `solve` asks of a simulator before anything compiles: all that `check` sees by tracing."""
+
+import random
+import time
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import snapo
+from snapo.checker.check import check
+from snapo.checker.first import simulator_mistakes
+from snapo.problem.simulator import Schedule, Simulator
+
+INPUTS = {"rate": snapo.Input(0.5)}
+TINY = {
+    "training": snapo.Training(steps=1, paths=8),
+    "evaluation": snapo.Evaluation(paths=8, sensitivity_paths=0, smooth_paths=0, judge_paths=0),
+}
+
+
+class Plain(Simulator):
+    """A state that stays, and what `moved` makes of it."""
+
+    horizon: int = 3
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    noise_size: int = 2
+
+    def prepare(self, inputs):
+        return Schedule({"rate": inputs["rate"]}, {})
+
+    def initial(self, constants, noise):
+        return jnp.ones(())
+
+    def observe(self, constants, now, state):
+        return state[None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return state, {"cash": action[0] * self.moved(constants["rate"] * state, noise, smooth)}
+
+    def moved(self, x, noise, smooth):
+        return x
+
+
+class Normal(Plain):
+    def moved(self, x, noise, smooth):
+        return x + np.random.normal()
+
+
+class Drawn(Plain):
+    def moved(self, x, noise, smooth):
+        return x + random.random()
+
+
+class Clock(Plain):
+    def moved(self, x, noise, smooth):
+        return x + time.perf_counter()
+
+
+class OnlySmooth(Plain):
+    def moved(self, x, noise, smooth):
+        return x + (np.random.normal() if isinstance(smooth, snapo.Smooth) else 0.0)
+
+
+class Seeded(Plain):
+    """The same numbers every time."""
+
+    def moved(self, x, noise, smooth):
+        return x + np.random.default_rng(0).normal()
+
+
+class While(Plain):
+    def moved(self, x, noise, smooth):
+        return jax.lax.while_loop(lambda v: v < 10.0, lambda v: v + 1.0, x)
+
+
+class Traced(Plain):
+    def moved(self, x, noise, smooth):
+        return jax.lax.fori_loop(0, jnp.int32(x), lambda i, v: v + 1.0, x)
+
+
+class Counted(Plain):
+    """A loop over whole numbers, which no derivative meets."""
+
+    def moved(self, x, noise, smooth):
+        return x + jax.lax.while_loop(lambda v: v < 10, lambda v: v + 1, jnp.int32(x))
+
+
+class Rounds(Plain):
+    def moved(self, x, noise, smooth):
+        return jax.lax.fori_loop(0, 3, lambda i, v: v + 1.0, x)
+
+
+class Dictionary(Plain):
+    def observe(self, constants, now, state):
+        return {"x": state}
+
+
+class Scalar(Plain):
+    def observe(self, constants, now, state):
+        return state
+
+
+class ShortSlice(Plain):
+    def moved(self, x, noise, smooth):
+        return x + jnp.sum(noise[0:5])
+
+
+def refused(kind, **more):
+    with pytest.raises(ValueError) as error:
+        snapo.solve(kind(), INPUTS, **TINY, **more)
+    return str(error.value)
+
+
+@pytest.mark.parametrize("kind", [Normal, Drawn, Clock, OnlySmooth])
+def test_numbers_drawn_in_python_are_refused(kind):
+    text = refused(kind)
+    assert "error: step" in text and "Two calls with the same arguments differ" in text
+    assert "Use the noise that step is given" in text
+
+
+@pytest.mark.parametrize("kind", [While, Traced])
+def test_a_loop_that_nothing_passes_backwards_is_refused_by_its_line(kind):
+    text = refused(kind)
+    assert "error: step, " in text and "test_first.py:" in text
+    assert f"In: return jax.lax.{'while_loop' if kind is While else 'fori_loop'}" in text
+    assert "jax.lax.scan with a fixed number of rounds" in text
+    assert "jax.lax.while_loop" in str(check(kind(), INPUTS))
+
+
+@pytest.mark.parametrize("kind", [Plain, Seeded, Counted, Rounds])
+def test_what_is_right_has_no_finding(kind):
+    assert not len(simulator_mistakes(kind(), INPUTS)), str(simulator_mistakes(kind(), INPUTS))
+
+
+@pytest.mark.parametrize("kind", [Dictionary, Scalar])
+def test_an_observation_that_is_no_vector_is_refused(kind):
+    text = refused(kind)
+    assert text.count("error:") == 1 and "error: observe" in text
+    assert "Return one vector of floating numbers: jnp.stack([…])." in text
+
+
+def test_an_init_that_sets_what_is_no_field_says_what_is_missing():
+    class Sets(Plain):
+        def __init__(self):
+            self.rate = 0.5
+
+    with pytest.raises(TypeError, match="__init__ sets 'rate', which is no field"):
+        Sets()
+
+    class Declared(Plain):
+        rate: float
+
+        def __init__(self):
+            self.rate = 0.5
+
+    assert Declared().rate == 0.5
+
+
+@pytest.mark.prove
+def test_warnings_are_notes_of_the_solution():
+    solution = snapo.solve(ShortSlice(), INPUTS, **TINY)
+    (note,) = [each for each in solution.notes if "slice" in each]
+    assert note.startswith("step, ") and "[0:5] is taken of 2 entries" in note
+    other = snapo.solve(ShortSlice(), INPUTS, **TINY, check=False)
+    assert not [each for each in other.notes if "slice" in each]
