@@ -92,6 +92,11 @@ class Rounds(Plain):
         return jax.lax.fori_loop(0, 3, lambda i, v: v + 1.0, x)
 
 
+class Floor(Plain):
+    def moved(self, x, noise, smooth):
+        return jnp.floor(4.0 * x * snapo.noise.uniform(noise[0]))
+
+
 class Dictionary(Plain):
     def observe(self, constants, now, state):
         return {"x": state}
@@ -132,6 +137,23 @@ def test_a_loop_that_nothing_passes_backwards_is_refused_by_its_line(kind):
 @pytest.mark.parametrize("kind", [Plain, Seeded, Counted, Rounds])
 def test_what_is_right_has_no_finding(kind):
     assert not len(simulator_mistakes(kind(), INPUTS)), str(simulator_mistakes(kind(), INPUTS))
+
+
+def test_a_lost_derivative_is_named_with_its_line():
+    for findings in (simulator_mistakes(Floor(), INPUTS), check(Floor(), INPUTS)):
+        found = [each for each in findings.warnings if "Its derivative is lost" in each.what]
+        assert len(found) == 1 and not findings.errors
+        assert found[0].where.startswith("input 'rate', ") and "test_first.py:" in found[0].where
+        assert "In: return jnp.floor(4.0 * x * snapo.noise.uniform(noise[0]))" in found[0].what
+
+
+@pytest.mark.prove
+def test_a_lost_derivative_is_not_known_in_a_solution():
+    settings = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=64, judge_paths=64)
+    solution = snapo.solve(Floor(), INPUTS, training=TINY["training"], evaluation=settings)
+    (row,) = solution.sensitivities.rows()
+    assert row.believed == "not known" and np.isnan([row.held, row.smooth]).all()
+    assert [note for note in solution.notes if "Its derivative is lost" in note]
 
 
 @pytest.mark.parametrize("kind", [Dictionary, Scalar])

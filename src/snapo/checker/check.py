@@ -21,6 +21,7 @@ from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, Stop
 from .jumps import jumps
 from .loops import loops
+from .lost import lost_derivatives
 from .precision import both_precisions
 from .program.points import moments
 from .repeatable import repeatable
@@ -52,6 +53,7 @@ def check(
         short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
         loops(notes, simulator, inputs, schedule)
+        lost_derivatives(notes, simulator, inputs)
         within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
         runs = rolled(

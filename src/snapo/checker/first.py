@@ -18,6 +18,7 @@ from .arrays.slices import short_slices
 from .arrays.tables import tables
 from .findings import Findings, Notes, Stop
 from .loops import loops
+from .lost import lost_derivatives
 from .repeatable import repeatable
 from .shapes import declared, one_step, prepared
 from .wanted import wanted
@@ -44,6 +45,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
             short_slices(notes, simulator, inputs, schedule)
             repeatable(notes, simulator, inputs, schedule)
             loops(notes, simulator, inputs, schedule)
+            lost_derivatives(notes, simulator, inputs)
         within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
 

@@ -11,6 +11,7 @@ from jaxtyping import PyTree
 
 from . import inputs as inputs_
 from .actions import Actions
+from .code.lost import lost
 from .code.version import Version, following, of_preparation, of_rollout
 from .limits import Limit, priced
 from .noise import base as noise
@@ -123,6 +124,15 @@ class Problem:
     def in_mean(self) -> tuple[str, ...]:
         """The inputs whose derivative is right in the mean of many paths alone."""
         return in_mean(self.simulator, self.inputs)
+
+    @property
+    def lost(self) -> tuple[str, ...]:
+        """The inputs that a user's code rounds or compares on their only way to the outputs: their
+        derivative is 0 on every path, and that of the value is not known."""
+        if self.version is None:
+            return ()
+        names = self._kept("lost", self.version, lambda: tuple(lost(self.simulator, self.inputs)))
+        return tuple(name for name in names if name not in self.in_mean)
 
     def at(self, values: dict[str, Any]) -> "Problem":
         """The same problem where the inputs named have other values.

@@ -237,11 +237,25 @@ def sensitivities(
         moved = {name: Estimate(held.inputs[name].blocks - before[name].blocks) for name in before}
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if smooth is None:
-        return result
+        return _without(result, problem.lost)
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
     soft = Way(problem, bound, policy, smooth, held=False).derivatives(blocks)
     dropped = held.dropped + soft.dropped
-    return result._replace(smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped)
+    result = result._replace(
+        smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped
+    )
+    return _without(result, problem.lost)
+
+
+def _without(found: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:
+    """A table without adjoint derivatives of the inputs that lose theirs (`Problem.lost`)."""
+
+    def known(table: dict[str, Estimate]) -> dict[str, Estimate]:
+        unknown = {name: Estimate(np.full_like(table[name].blocks, np.nan)) for name in lost}
+        return table | unknown
+
+    smooth = None if found.smooth is None else known(found.smooth)
+    return found._replace(held=known(found.held), smooth=smooth)
 
 
 def held_of_several(

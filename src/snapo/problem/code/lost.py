@@ -1,0 +1,162 @@
+"""Inputs whose derivative is lost: outputs depend on them, and every way there is cut.
+
+A rounded number does not move with what was rounded, and a comparison has no slope: of
+`floor(size * uniform)` the derivative with respect to `size` is 0 on every path, and that of its
+mean is not. Where another way stays open, as in `x - floor(x)`, nothing is said here.
+"""
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.extend.core as jex
+import jax.numpy as jnp
+from jaxtyping import PyTree
+
+from snapo.lanes import jax_private
+
+from .. import inputs as inputs_
+from ..simulator import Simulator
+from ..smooth import Exact, Smooth
+from .version import following
+
+ROUNDING = ("floor", "ceil", "round", "sign", "nextafter")
+COMPARING = ("lt", "gt", "le", "ge", "eq", "ne")
+
+
+class Reach(NamedTuple):
+    """Of a number: the inputs that move it and those it has a slope in, as sets of bits, and
+    whether it differs by path."""
+
+    moved: int = 0
+    slope: int = 0
+    by_path: bool = False
+
+    def __or__(self, other: Any) -> "Reach":
+        moved, slope = self.moved | other.moved, self.slope | other.slope
+        return Reach(moved, slope, self.by_path or other.by_path)
+
+
+DRAWN = Reach(by_path=True)
+
+
+def lost(simulator: Simulator, inputs: PyTree) -> dict[str, list[Any]]:
+    """The inputs that move an output, exact or smooth, and have no derivative, by name, each with
+    the equations that cut it off.
+
+    Decisions are held: what moves them alone has rightly none. What `jax.lax.stop_gradient` takes
+    is left out, as its author wants no derivative there.
+    """
+    names = [entry.name for entry in inputs_.named(inputs)]
+    values = inputs_.values(inputs)
+    if len(names) != len(values):
+        return {}
+    total, cuts = Reach(), []
+    for smooth in (Exact(), Smooth(0.1)):
+        with jax.enable_x64(True), following(object()):
+            total |= _reach(simulator, inputs, values, smooth, cuts)
+    cut = total.moved & ~total.slope
+    return {
+        name: [eqn for eqn, inputs in cuts if inputs >> i & 1]
+        for i, name in enumerate(names)
+        if cut >> i & 1
+    }
+
+
+def _reach(
+    simulator: Simulator, inputs: PyTree, values: list, smooth: Any, cuts: list[tuple[Any, int]]
+) -> Reach:
+    """What all outputs of a path depend on; `cuts` takes the equations that end a slope."""
+
+    def first(values, noise):
+        schedule = simulator.prepare(inputs_.replace(inputs, values))
+        schedule = jax.tree.map(jnp.asarray, schedule)
+        now = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
+        return schedule.constants, now, simulator.initial(schedule.constants, noise)
+
+    def step(given, action, noise):
+        constants, now, state = given
+        after, outputs = simulator.step(constants, now, state, action, noise, smooth)
+        after = jax.tree.map(lambda new, old: jnp.asarray(new, old.dtype), after, state)
+        return after, outputs, simulator.terminal(constants, after, smooth)
+
+    sizes = simulator.initial_noise_size, simulator.action.size, simulator.noise_size
+    initial, *other = (jnp.zeros(size) for size in sizes)
+    begun, shapes = jax.make_jaxpr(first, return_shape=True)(values, initial)
+    stepped, ends = jax.make_jaxpr(step, return_shape=True)(shapes, *other)
+    # One bit for each input; after them come the noise, and the action.
+    marks = [Reach(1 << i, 1 << i) for i in range(len(values))]
+    known = _results(begun.jaxpr, [*marks, DRAWN], cuts)
+    states, rest = len(jax.tree.leaves(ends[0])), [DRAWN] * len(other)
+    while True:
+        made = _results(stepped.jaxpr, [*known, *rest], cuts)
+        after = [a | b for a, b in zip(known[len(known) - states :], made)]
+        if after == known[len(known) - states :]:
+            return _union(made[states:])
+        known = [*known[: len(known) - states], *after]
+
+
+def _results(
+    jaxpr: Any, given: Sequence[Reach], cuts: list[tuple[Any, int]] | None = None
+) -> list[Reach]:
+    """What every result of a program depends on."""
+    reach = dict(zip(jaxpr.invars, given))
+
+    def of(atom: Any) -> Reach:
+        return Reach() if isinstance(atom, jex.Literal) else reach.get(atom, Reach())
+
+    for eqn in jaxpr.eqns:
+        before = [of(x) for x in eqn.invars]
+        after = _through(eqn, before)
+        reach.update(zip(eqn.outvars, after))
+        ended = _union(before).slope & _union(after).moved & ~_union(after).slope
+        if ended and cuts is not None:
+            cuts.append((eqn, ended))
+    return [of(x) for x in jaxpr.outvars]
+
+
+def _through(eqn: Any, given: list[Reach]) -> list[Reach]:
+    """What an equation's results depend on."""
+    name, params = eqn.primitive.name, eqn.params
+    by_hand = name.startswith("custom_")  # it says its own derivative, whatever is inside
+    inner = None if by_hand else jax_private.called(eqn)
+    if inner is not None:
+        return _results(getattr(inner, "jaxpr", inner), given)
+    if name == "cond":
+        chosen, *arguments = given
+        ways = [_results(each.jaxpr, arguments) for each in params["branches"]]
+        switched = chosen._replace(slope=0)
+        return [_union([*each, switched]) for each in zip(*ways)]
+    if name == "scan":
+        return _rounds(params, given)
+    if name == "stop_gradient":
+        return [Reach()] * len(eqn.outvars)
+    both = _union(given)
+    if name in COMPARING and not both.by_path:
+        return [Reach()]  # a switch, which a small move of an input does not turn
+    slope = _union([each for each, x in zip(given, eqn.invars) if _is_real(x)]).slope
+    return [
+        both._replace(slope=slope * (_is_real(x) and name not in ROUNDING)) for x in eqn.outvars
+    ]
+
+
+def _rounds(params: Any, given: list[Reach]) -> list[Reach]:
+    """Of a scan: its body until what is carried depends on no more."""
+    fixed, carried = jax_private.arguments_of_scan(params)
+    while True:
+        made = _results(params["jaxpr"].jaxpr, given)
+        after = [a | b for a, b in zip(given[fixed : fixed + carried], made)]
+        if after == given[fixed : fixed + carried]:
+            return made
+        given = [*given[:fixed], *after, *given[fixed + carried :]]
+
+
+def _is_real(variable: Any) -> bool:
+    return bool(jnp.issubdtype(variable.aval.dtype, jnp.inexact))
+
+
+def _union(several: Sequence[Reach]) -> Reach:
+    total = Reach()
+    for each in several:
+        total |= each
+    return total
