@@ -53,6 +53,16 @@ class Drawn(Plain):
         return x + random.random()
 
 
+def drawing(total, x):
+    """The body of a loop, whose program JAX keeps."""
+    return total + np.random.normal() * x, None
+
+
+class InALoop(Plain):
+    def moved(self, x, noise, smooth):
+        return jax.lax.scan(drawing, x, noise)[0]
+
+
 class Clock(Plain):
     def moved(self, x, noise, smooth):
         return x + time.perf_counter()
@@ -97,6 +107,19 @@ class Floor(Plain):
         return jnp.floor(4.0 * x * snapo.noise.uniform(noise[0]))
 
 
+PLACE = 0
+
+
+def body(total, x):
+    """JAX keeps its program by the function."""
+    return total + jnp.arange(3.0)[PLACE] * x, None
+
+
+class Placed(Plain):
+    def moved(self, x, noise, smooth):
+        return jax.lax.scan(body, x, noise)[0]
+
+
 class Dictionary(Plain):
     def observe(self, constants, now, state):
         return {"x": state}
@@ -118,7 +141,7 @@ def refused(kind, **more):
     return str(error.value)
 
 
-@pytest.mark.parametrize("kind", [Normal, Drawn, Clock, OnlySmooth])
+@pytest.mark.parametrize("kind", [Normal, Drawn, InALoop, Clock, OnlySmooth])
 def test_numbers_drawn_in_python_are_refused(kind):
     text = refused(kind)
     assert "error: step" in text and "Two calls with the same arguments differ" in text
@@ -151,9 +174,19 @@ def test_a_lost_derivative_is_named_with_its_line():
 def test_a_lost_derivative_is_not_known_in_a_solution():
     settings = snapo.Evaluation(paths=64, sensitivity_paths=64, smooth_paths=64, judge_paths=64)
     solution = snapo.solve(Floor(), INPUTS, training=TINY["training"], evaluation=settings)
+    assert solution.sensitivities is not None
     (row,) = solution.sensitivities.rows()
     assert row.believed == "not known" and np.isnan([row.held, row.smooth]).all()
     assert [note for note in solution.notes if "Its derivative is lost" in note]
+
+
+def test_a_global_that_changed_is_checked_as_it_is_now(monkeypatch):
+    assert not len(simulator_mistakes(Placed(), INPUTS))
+    monkeypatch.setitem(globals(), "PLACE", 7)
+    for found in (simulator_mistakes(Placed(), INPUTS), check(Placed(), INPUTS)):
+        assert "It has 3 entries" in str(found), str(found)
+    monkeypatch.undo()
+    assert not len(simulator_mistakes(Placed(), INPUTS))
 
 
 @pytest.mark.parametrize("kind", [Dictionary, Scalar])
@@ -172,7 +205,7 @@ def test_an_init_that_sets_what_is_no_field_says_what_is_missing():
         Sets()
 
     class Declared(Plain):
-        rate: float
+        rate: float = 0.0
 
         def __init__(self):
             self.rate = 0.5

@@ -8,6 +8,8 @@ and normals without effect, and every input's adjoint against central bumps, dec
 import jax
 from jaxtyping import PyTree
 
+from snapo.problem.code.version import following
+from snapo.problem.prepare import all_versions
 from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
@@ -45,6 +47,18 @@ def check(
     - `scenarios`: standard normals when not given; `Supplied` where noise is something else.
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
+    with following(all_versions(simulator, inputs)):
+        return _checked(simulator, inputs, scenarios, paths, temperature, seed)
+
+
+def _checked(
+    simulator: Simulator,
+    inputs: PyTree,
+    scenarios: Scenarios | None,
+    paths: int,
+    temperature: float,
+    seed: int,
+) -> Findings:
     notes = Notes(simulator)
     try:
         declared(notes, simulator, inputs)

@@ -6,9 +6,10 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.problem.code.version import of_preparation
+from snapo.problem.code.version import following, of_preparation
 from snapo.problem.policies.memory import remembered
 from snapo.problem.policy import Constant, Policy
+from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Exact
@@ -49,7 +50,7 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
         within(notes, simulator, inputs, schedule)
         tables(notes, simulator, schedule)
 
-    return _looked(simulator, look)
+    return _looked(simulator, inputs, look)
 
 
 def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
@@ -60,13 +61,14 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
         wanted(notes, problem.objective, problem.limits, shapes.outputs)
         _decides(notes, problem, policy, shapes.observation.shape[0])
 
-    return _looked(problem.simulator, look)
+    return _looked(problem.simulator, problem.inputs, look)
 
 
-def _looked(simulator: Simulator, look: Callable[[Notes], None]) -> Findings:
+def _looked(simulator: Simulator, inputs: PyTree, look: Callable[[Notes], None]) -> Findings:
     notes = Notes(simulator)
     try:
-        look(notes)
+        with following(all_versions(simulator, inputs)):
+            look(notes)
     except Stop:
         pass
     except Exception as error:

@@ -10,6 +10,7 @@ from jaxtyping import PyTree
 
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.program import text
+from snapo.problem.code.version import following
 from snapo.problem.simulator import Schedule, Simulator, at
 from snapo.problem.smooth import Exact, Smooth
 
@@ -37,7 +38,8 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
             "observe": lambda: (lambda s: simulator.observe(constants, now, s), start),
             "step": lambda: (
                 lambda x: [
-                    simulator.step(constants, now, *x, smooth) for smooth in (Exact(), Smooth(0.1))
+                    simulator.step(constants, now, x[0], x[1], x[2], smooth)
+                    for smooth in (Exact(), Smooth(0.1))
                 ],
                 (start, action, noise),
             ),
@@ -45,11 +47,11 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
         }
         for name, fresh in calls.items():
             with notes.during(name):
-                if text(*fresh()) == text(*fresh()):
+                if _anew(text, *fresh()) == _anew(text, *fresh()):
                     continue
                 # Programs may differ in print alone; numbers decide.
-                (f, x), (g, y) = (_filled(*fresh()) for _ in range(2))
-                first, second = jax.tree.leaves(jax.jit(f)(x)), jax.tree.leaves(jax.jit(g)(y))
+                both = [_filled(*fresh()) for _ in range(2)]
+                first, second = (jax.tree.leaves(_anew(jax.jit(each), z)) for each, z in both)
             if not all(np.array_equal(a, b, equal_nan=True) for a, b in zip(first, second)):
                 notes.error(
                     notes.method(name),
@@ -58,6 +60,12 @@ def repeatable(notes: Notes, simulator: Simulator, inputs: PyTree, schedule: Sch
                     "Use the noise that step is given, and carry what changes in the state.",
                 )
     notes.stop_on_errors()
+
+
+def _anew(function: Callable, *given: Any) -> Any:
+    """A call for which JAX traces everything again, functions inside it that it has met too."""
+    with following(object()):
+        return function(*given)
 
 
 def _filled(function: Callable, argument: PyTree) -> tuple[Callable, PyTree]:

@@ -1,11 +1,13 @@
 """From inputs to the schedule, in float64: done once per problem, before anything per path."""
 
+from collections.abc import Hashable
+
 import jax
 import numpy as np
 from jaxtyping import PyTree
 
 from . import inputs as inputs_
-from .code.version import following, of_preparation
+from .code.version import following, of_preparation, of_rollout
 from .quickly import compiled_sooner
 from .simulator import Schedule, Simulator
 
@@ -15,6 +17,16 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
     with jax.enable_x64(True), following(of_preparation(simulator, inputs)):
         schedule = _prepare(simulator, inputs, inputs_.values(inputs))
         return jax.tree.map(np.asarray, schedule)
+
+
+def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
+    """The versions of all of a simulator's code; one of its own where it cannot be run."""
+    try:
+        schedule = prepare(simulator, inputs)
+        versions = of_preparation(simulator, inputs), of_rollout(simulator, None, schedule)
+    except Exception:  # who runs it says why
+        return object()
+    return None if versions == (None, None) else versions
 
 
 @compiled_sooner

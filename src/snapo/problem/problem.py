@@ -64,7 +64,7 @@ class Problem:
         """The version of the simulator's code, from the first state on."""
         return of_rollout(self.simulator, None, self.schedule)
 
-    def _kept(self, name: str, version: Version, make: Callable[[], Any]) -> Any:
+    def _kept(self, name: str, version: Any, make: Callable[[], Any]) -> Any:
         """What was made before, as long as the code that makes it reads the same."""
         known = self.__dict__.get(name)
         if known is None or known[0] != version:
@@ -129,9 +129,10 @@ class Problem:
     def lost(self) -> tuple[str, ...]:
         """The inputs that a user's code rounds or compares on their only way to the outputs: their
         derivative is 0 on every path, and that of the value is not known."""
-        if self.version is None:
+        version = of_preparation(self.simulator, self.inputs), self.version
+        if version == (None, None):
             return ()
-        names = self._kept("lost", self.version, lambda: tuple(lost(self.simulator, self.inputs)))
+        names = self._kept("lost", version, lambda: tuple(lost(self.simulator, self.inputs)))
         return tuple(name for name in names if name not in self.in_mean)
 
     def at(self, values: dict[str, Any]) -> "Problem":

@@ -145,7 +145,7 @@ def test_a_schedule_follows_the_file_that_it_is_read_from(tmp_path, monkeypatch)
 def test_an_objective_follows_what_its_formula_reads(monkeypatch):
     @dataclass(frozen=True)
     class Scaled(snapo.Objective):
-        outputs = ("cash",)
+        outputs = ("cash",)  # pyright: ignore[reportAssignmentType]
 
         def formula(self, totals):
             return SETTINGS * jnp.mean(totals["cash"])

@@ -70,7 +70,9 @@ def names(code: CodeType) -> Names:
                 level = name  # the last whole number before an import is its level
         members |= {x for x in each.co_consts if isinstance(x, str) and x.isidentifier()}
     unseen = not UNSEEN.isdisjoint(read | members)
-    return Names(*map(frozenset, (read, added - read, written, members, modules)), unseen)
+    only_added = frozenset(added - read)
+    sets = frozenset(written), frozenset(members), frozenset(modules)
+    return Names(frozenset(read), only_added, *sets, unseen)
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:

@@ -4,7 +4,6 @@ Functions are read by their code, constants by value, what may change in place b
 Functions of libraries are taken as they are.
 """
 
-import dataclasses
 import functools
 import importlib.util
 import marshal
@@ -130,8 +129,8 @@ class Walk:
         except Exception:  # a key of random numbers, or one that is being traced
             out.append(_Same(x))
             return
-        content = np.ascontiguousarray(numbers).view(np.uint8) if numbers.size else b""
-        out.append((type(x), numbers.shape, str(numbers.dtype), blake2b(content).digest()))
+        content = blake2b(numbers.tobytes()).digest()
+        out.append((type(x), numbers.shape, str(numbers.dtype), content))
 
     def _later(self, x: Any, out: list[Hashable]) -> None:
         if id(x) not in self._numbers:
@@ -277,7 +276,8 @@ def _attributes(x: Any) -> dict[str, Any]:
 
 
 def _is_frozen(x: Any) -> bool:
-    return dataclasses.is_dataclass(x) and type(x).__dataclass_params__.frozen
+    parameters = getattr(type(x), "__dataclass_params__", None)
+    return parameters is not None and parameters.frozen
 
 
 def _is_known(x: Any) -> bool:
