@@ -4,6 +4,15 @@ import tomllib
 
 import pytest
 from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small, template
+from tests.domains.pharma.process_cases import (
+    Connection,
+    attribute,
+    batch_reactor,
+    case,
+    chain,
+    feed,
+    linear,
+)
 
 from snapo.domains.pharma.read.case import resolve
 from snapo.domains.pharma.results.setpoints import HEADER, decided, optimal, setpoints
@@ -44,3 +53,17 @@ def test_the_best_recipe_and_the_closed_loop():
         ("reactor", "reactor.temperature", "linear", 600.0, 310.0, "K"),
         ("reactor", "reactor.temperature", "linear", 1200.0, 305.0, "K"),
     ]
+
+
+def test_a_dose_is_a_setpoint_as_the_flow_that_adds_up_to_its_feed():
+    """0.5 L of which the recipe asks for twice as much, in half the time: 1 L over 1800 s."""
+    unit = batch_reactor(
+        3600.0, kind="semi-batch", dosing=linear("reactor.dosing", [0.0, 2.5e-4 / 900], "m3/s")
+    )
+    feeds = feed(volume=0.001), feed(volume=0.0005, name="drops")
+    ports = (*chain("charge", "reactor"), Connection("drops", "", "reactor", "dose"))
+    wanted = (attribute("T", "reactor.temperature", "K"),)
+    changed = {("reactor.duration", 0): 1800.0, ("drops.volume", 0): 0.001}
+    rows = setpoints(case(feeds, (unit,), ports, wanted), changed)
+    found = [(row[3], row[4]) for row in rows if row[1] == "reactor.dosing"]
+    assert found == [(0.0, 0.0), (1800.0, pytest.approx(2 * 0.001 / 1800))]

@@ -25,6 +25,7 @@ from ..flowsheet.ledger import Finish
 from ..flowsheet.order import groups
 from ..flowsheet.possible import least
 from ..flowsheet.stream import Stream, blank, flat, unflat
+from ..given import fixed
 from ..time.dynamics import Dynamics
 from ..time.profile import values_at
 from ..time.runge_kutta import runge_kutta
@@ -301,16 +302,26 @@ class Stage(Simulator):
                 jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
                 first = control[i] if jumps else state["control"][i]
                 course = first + (control[i] - first) * part
-                course = course + values_at(profile, value - nominal[profile.value.name], share)
+                name = profile.value.name
+                course = course + values_at(profile, inputs[name] - nominal[name], share)
             else:
                 course = values_at(profile, value, share)
             courses.append(course)
             ends.append(course[-1, 2])
+        if problem.to_dose is not None:
+            courses[-1] = courses[-1] * self._dosed(problem, state, courses[-1], seconds)
         y, worst = self._advance(problem, state, courses, seconds / count, smooth)
         after = state | {"y": y, "control": control, "worst": worst}
         values = self.sensed(problem, y, ends)
         past = moved(values, state["past"])
         return after | {"seen": self.read(problem, values, past, after), "past": past}, {}
+
+    def _dosed(self, problem: Dynamics, state: State, flow, seconds) -> Float[Array, ""]:
+        """The share of a `flow` over this decision that what waits to be dosed is enough for."""
+        assert problem.to_dose is not None
+        wanted = seconds * jnp.mean(flow @ fixed(np.array([1, 4, 1]) / 6))
+        waits = jnp.maximum(problem.to_dose(state["y"]), 0.0)
+        return jnp.where(wanted > waits, waits / jnp.where(wanted > 0, wanted, 1.0), 1.0)
 
     def _advance(self, problem: Dynamics, state: State, courses, step, smooth):
         """y after the substeps, and the largest supersaturation on the way."""

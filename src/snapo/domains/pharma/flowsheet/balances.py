@@ -14,6 +14,9 @@ from .stream import Stream
 class Balance(NamedTuple):
     """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
 
+    What a unit has not taken in counts as accumulation. It cannot be less than nothing, so the
+    balance of a unit that takes more than there is stays open.
+
     Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
     where they use it (of mass: what molar masses of few digits leave over); "solvent": kg with
     anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
@@ -49,19 +52,20 @@ def balances(process: Process, inputs=None) -> list[Balance]:
         out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
         if out:
             into = [streams[name] for name in fed[unit.name]]
-            found += _unit(process, unit.name, into, out, [ledgers[unit.name]])
+            found += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
     into = [streams[each.name] for each in case.feeds]
     out = [streams[name] for name in leaving(case)]
-    return found + _unit(process, "process", into, out, list(ledgers.values()))
+    return found + unit_balances(process, "process", into, out, list(ledgers.values()))
 
 
-def _unit(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
+def unit_balances(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
+    """The balances of the units with these `ledgers`, between the streams into and out of them."""
     network = process.case.network
     made = np.sum([each.made for each in ledgers], axis=0)
     added = np.sum([each.added for each in ledgers], axis=0)
-    held = np.sum([each.held for each in ledgers], axis=0)
+    held = np.sum([each.held + np.maximum(each.left, 0.0) for each in ledgers], axis=0)
     liquid = sum(each.solvent_added for each in ledgers)
-    kept = sum(each.solvent_held for each in ledgers)
+    kept = sum(max(float(each.solvent_left), 0.0) for each in ledgers)
     fed, left = _species(into) + added, _species(out)
     solvent_in, solvent_out = _solvent(into) + liquid, _solvent(out)
     found = [

@@ -12,22 +12,24 @@ class Ledger(NamedTuple):
     """The terms of a unit's balance beside its streams, all of one batch.
 
     - `made`: [S] kmol by reactions; `added`: [S] kmol, such as seed; `held`: [S] kmol more at
-      the end than at the start, or not taken in. `solvent_added`, `solvent_held`: kg.
+      the end than at the start; `left`: [S] kmol of its inlets that it has not taken in.
+    - `solvent_added`, `solvent_left`: kg.
     - `energy`: (into, out of, accumulated) J where a heat balance is part of the unit.
     """
 
     made: Float[Array, " S"]
     added: Float[Array, " S"]
     held: Float[Array, " S"]
+    left: Float[Array, " S"]
     solvent_added: Float[Array, ""]
-    solvent_held: Float[Array, ""]
+    solvent_left: Float[Array, ""]
     energy: tuple[Array, Array, Array] | None = None
 
 
 def ledger(species: int, **entries: Any) -> Ledger:
     """A ledger in which all is zero but these entries."""
     none, zero = jnp.zeros(species), jnp.zeros(())
-    return Ledger(none, none, none, zero, zero)._replace(**entries)
+    return Ledger(none, none, none, none, zero, zero)._replace(**entries)
 
 
 class Finish(NamedTuple):

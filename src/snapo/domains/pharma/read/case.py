@@ -22,7 +22,13 @@ from .goal import read_design_space, read_goal
 from .loops.control import read_control
 from .network import read_feeds, read_network
 from .optimise import read_optimise
-from .plausible.checks import check_amounts, check_decided, check_moved, check_varied_once
+from .plausible.checks import (
+    check_amounts,
+    check_decided,
+    check_moved,
+    check_spans,
+    check_varied_once,
+)
 from .plausible.physics import check_moved_solubility, check_physics
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
 from .tables import NumericsTable, PharmaTable, ReportTable
@@ -105,9 +111,18 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
     more = dict.fromkeys(check_moved_solubility(units, spans, numbers))
     case = replace(case, notes=(*case.notes, *more))
     check_moved(case)
+    check_spans(case, _highest(case))
     check_decided(case)
     check_varied_once(case)
     return case
+
+
+def _highest(case: PharmaCase) -> list[tuple[str, str, float]]:
+    """Where a number is studied, decided or uncertain, its name, and its highest value."""
+    found = [(f"parameters.{each.name}", each.input, each.high) for each in case.parameters]
+    decisions = case.optimise.decisions if case.optimise else ()
+    found += [(f"optimise.decisions.{each.name}", each.input, each.high) for each in decisions]
+    return found + [("uncertainty", name, 0.0) for name in case.uncertainty.inputs]
 
 
 def _read_pairs(file, raw: list[list[str]], names: list[str]) -> tuple[tuple[str, str], ...]:

@@ -6,6 +6,8 @@ from typing import Any
 from ..flowsheet.case import PharmaCase
 from ..given import Entry, every_given
 from ..recipe.records import Optimise
+from ..time.profile import Profile, weights
+from ..units.operation import Unit
 
 HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
 
@@ -30,12 +32,25 @@ def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) ->
             values = [
                 changed.get((given.name, int(i)), float(given.values[i])) for i in given.index
             ]
+            values = _flow(case, unit, profile, values, seconds, changed)
             for share, value in zip(profile.share, values):
                 row = unit.name, given.name, profile.kind
                 yield *row, float(share) * seconds, value, given.unit
         yield from _once(unit, inside, chosen, changed)
     for feed in case.feeds:
         yield from _once(feed, set(), chosen, changed)
+
+
+def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, changed) -> list[float]:
+    """The values of a dose that a feed brings, as the flow that adds up to the feed's volume."""
+    inlet = next((each.name for each in unit.inlets if each.dosed is profile), None)
+    source = [c.source for c in case.connections if (c.target, c.inlet) == (unit.name, inlet)]
+    feed = next((each for each in case.feeds if each.name in source), None)
+    mean = float(weights(profile) @ values)
+    if feed is None or mean <= 0:
+        return values
+    volume = changed.get((feed.volume.name, 0), float(feed.volume.used()))
+    return [value * volume / (seconds * mean) for value in values]
 
 
 def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tuple]:

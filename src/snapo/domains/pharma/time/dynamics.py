@@ -19,6 +19,7 @@ class Dynamics(NamedTuple):
     - `states`: from y and the control values at one time to {state: value}.
     - `finish`: from y and the control values at the end.
     - `stiff`: whether an implicit solver is due.
+    - `to_dose`: from y to m3 that wait to be dosed, at the flow that is the last of the controls.
     """
 
     start: Float[Array, " m"]
@@ -30,6 +31,7 @@ class Dynamics(NamedTuple):
     states: Callable[..., dict[str, Array]]
     finish: Callable[..., Finish]
     stiff: bool
+    to_dose: Callable[[Array], Array] | None = None
 
 
 class Track(NamedTuple):

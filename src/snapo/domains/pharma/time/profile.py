@@ -1,7 +1,8 @@
 """Profiles: a control over a unit's time, and its value anywhere."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import jax.numpy as jnp
 import numpy as np
@@ -9,7 +10,7 @@ from jaxtyping import Array, Float, Int
 
 from snapo.case.given import Given
 
-from ..given import fixed
+from ..given import fixed, use
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,9 +50,25 @@ def values_at(profile: Profile, value: Float[Array, " N"], share) -> Float[Array
     return values_in(profile, value, jnp.searchsorted(inner, share, side="right"), share)
 
 
-def mean_value(profile: Profile, value: Float[Array, " N"]) -> Float[Array, ""]:
-    """The mean over the duration."""
+def weights(profile: Profile) -> Float[np.ndarray, " N"]:
+    """Shares with which the nodes enter the mean over the duration."""
     width = np.diff(profile.share)
     if profile.kind == "constant":
-        return jnp.sum(width * value)
-    return jnp.sum(width * (value[1:] + value[:-1])) / 2
+        return width
+    return (np.append(0.0, width) + np.append(width, 0.0)) / 2
+
+
+def mean_value(profile: Profile, value: Float[Array, " N"]) -> Float[Array, ""]:
+    """The mean over the duration."""
+    return jnp.sum(weights(profile) * value)
+
+
+def flow_of(
+    profile: Profile, inputs: Mapping[str, Any], duration, volume
+) -> tuple[Profile, Float[Array, " N"]]:
+    """The profile and its values as a flow in m3/s that adds up to `volume` over `duration`: the
+    profile's own values are its shape. All zero, nothing flows."""
+    shape = use(inputs, profile.value)
+    mean = mean_value(profile, shape)
+    some = mean > 0
+    return profile, jnp.where(some, volume / (duration * jnp.where(some, mean, 1.0)), 0.0) * shape

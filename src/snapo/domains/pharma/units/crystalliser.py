@@ -25,7 +25,7 @@ from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.event import saturation_share
-from ..time.profile import Profile
+from ..time.profile import Profile, flow_of
 from .crystals.finite_volumes import by_finite_volumes
 from .crystals.kinetics import Kinetics, KineticsTable, kinetics, read_kinetics
 from .crystals.moments import by_moments
@@ -71,7 +71,7 @@ class CrystalliserTable(Table):
 
 @dataclass(frozen=True, eq=False)
 class Crystalliser(Timed):
-    """Batch crystalliser; anti-solvent is dosed at `dosing` m3/s.
+    """Batch crystalliser; anti-solvent is dosed in proportion to the flow `dosing`.
 
     - `solute`: species; `initial_concentration`: kg/m3, [], where it replaces the feed's (a
       crystalliser alone); None otherwise.
@@ -219,8 +219,10 @@ class Crystalliser(Timed):
         units, count = fixed(UNITS), len(crystals.start)
         first = crystals.moments(crystals.start)[3]
         controls = [(self.temperature, temperature)]
-        if self.dosing is not None:
-            controls.append((self.dosing, use(inputs, self.dosing.value)))
+        to_dose = None
+        if dose is not None and self.dosing is not None:
+            controls.append(flow_of(self.dosing, inputs, duration, dose.volume))
+            to_dose = lambda y: dose.volume - volume * y[-1]  # noqa: E731
 
         def scaled(y) -> tuple[Array, Array]:
             """Scaled moments of all crystals per first volume, and the volume per first volume."""
@@ -305,7 +307,7 @@ class Crystalliser(Timed):
                 grid=self.sizes(tuple(each.grid for each in inlets))[0],
             )
             added = seeded + (charge - feed.concentration()) * volume
-            book = ledger(len(mass), added=added, held=left, solvent_held=solvent_left)
+            book = ledger(len(mass), added=added, left=left, solvent_left=solvent_left)
             return Finish((slurry_out,), measures, book)
 
         def excess(control):
@@ -315,7 +317,8 @@ class Crystalliser(Timed):
 
         start = jnp.append(crystals.start, 0.0) if dosed else crystals.start
         event = saturation_share(excess, self.temperature, temperature)
-        return Dynamics(start, rate, drive, tuple(controls), duration, event, states, finish, False)
+        ways = drive, tuple(controls), duration, event, states, finish, False, to_dose
+        return Dynamics(start, rate, *ways)
 
 
 def _edges(read: Reader, seed: Seed) -> np.ndarray | None:

@@ -147,7 +147,7 @@ class Msmpr(Instant):
         return (None if self.edges is None else Grid.of(self.edges),)
 
     def lasts(self, inlets):
-        return (True,)
+        return inlets
 
     def measures(self, species):
         found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}

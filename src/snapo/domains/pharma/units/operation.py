@@ -37,7 +37,8 @@ class Inlet(NamedTuple):
 
     - `crystals`: "refused" where the unit takes liquids alone; "needed"; "counted" where they are
       needed with their numbers on a grid; else "allowed". `grid`: crystals must be counted on it.
-    - `dosed`: m3/s at which the unit takes its inlet in, None for all at the start or evenly.
+    - `dosed`: the shape over time in which the unit takes its inlet in; None for all at the start
+      or evenly.
     - `lasting`: whether the unit runs continuously, over its feed's duration.
     """
 
@@ -106,9 +107,9 @@ class Unit(ABC):
     def sizes(self, inlets: tuple[Sizes, ...]) -> tuple[Sizes, ...]:
         """On which grid crystals are counted at each outlet, from those at the inlets."""
 
-    def lasts(self, inlets: tuple[bool, ...]) -> tuple[bool, ...]:
-        """Whether each outlet is a flow over a time, from whether the inlets are; else a batch."""
-        return (False,) * len(self.outlets)
+    def lasts(self, inlets: tuple[float, ...]) -> tuple[float, ...]:
+        """s over which every outlet flows, from those of the inlets; 0 of a batch. Nominal."""
+        return (0.0,) * len(self.outlets)
 
     @abstractmethod
     def measures(self, species: tuple[str, ...]) -> dict[str, str]:

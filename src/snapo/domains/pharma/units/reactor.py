@@ -26,7 +26,7 @@ from ..read.fields import profile, quantity, word
 from ..read.numbers import NOT_NEGATIVE, POSITIVE
 from ..read.reader import Reader
 from ..time.dynamics import Dynamics
-from ..time.profile import Profile, mean_value
+from ..time.profile import Profile, flow_of, mean_value
 from .operation import Inlet, Timed
 
 
@@ -80,9 +80,9 @@ class ReactorTable(Table):
 class Reactor(Timed):
     """Reactor of the case's network.
 
-    - `kind`: "batch"; "semi-batch" (the stream at `dose` enters at `dosing` m3/s; what of the
-      stream is not dosed by the end is an error in the case); "stirred" (continuous, `volume` m3);
-      "plug-flow" (`cells` in series, upwind; residence time V / flow).
+    - `kind`: "batch"; "semi-batch" (the stream at `dose` enters over the duration, in proportion to
+      the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (`cells` in series,
+      upwind; residence time V / flow). A continuous reactor ends with its feed at the latest.
     - `filled`: the content of a continuous reactor at the start: its feed, or the solvent alone.
     - Continuous kinds deliver what left the outlet, mixed, over the duration.
     - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
@@ -158,7 +158,8 @@ class Reactor(Timed):
         return (NO_CRYSTALS,)
 
     def lasts(self, inlets):
-        return (self.kind in ("stirred", "plug-flow"),)
+        continuous = self.kind in ("stirred", "plug-flow")
+        return (min(float(self.duration.used()), inlets[0]) if continuous else 0.0,)
 
     def measures(self, species):
         return self.states(species)
@@ -209,12 +210,9 @@ def _heat(jacket: Jacket | None, network: Network, inputs) -> _Heat | None:
 
 
 def _controls(unit: Reactor, inputs):
-    """Temperature (of the jacket, where there is one), then dosing."""
+    """Temperature, of the jacket where there is one."""
     profile = unit.jacket.temperature if unit.jacket else unit.temperature
-    found = [(profile, use(inputs, profile.value))]
-    if unit.dosing is not None:
-        found.append((unit.dosing, use(inputs, unit.dosing.value)))
-    return tuple(found)
+    return ((profile, use(inputs, profile.value)),)
 
 
 def extended(network: Network, base, extents) -> list[Array]:
@@ -244,9 +242,12 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
     heat held per first volume and heat capacity (K), and heat from the jacket (K)."""
     feed, dose = inlets[0], inlets[1] if len(inlets) > 1 else None
     count, heat = len(network.reactions), _heat(unit.jacket, network, inputs)
-    controls = _controls(unit, inputs)
+    duration, controls = use(inputs, unit.duration), _controls(unit, inputs)
     charge, volume = feed.concentration(), feed.volume
-    dosed = dose is not None
+    dosed, to_dose = dose is not None, None
+    if dose is not None and unit.dosing is not None:
+        controls = (*controls, flow_of(unit.dosing, inputs, duration, dose.volume))
+        to_dose = lambda y: dose.volume - volume * y[count]  # noqa: E731
     more = dose.concentration() if dose is not None else jnp.zeros_like(charge)
     first = use(inputs, unit.temperature.value)[0]
 
@@ -286,14 +287,14 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
         c, size = composition(y)
         end = jnp.asarray(temperature(y, size, control))
         made = jnp.stack(extended(network, jnp.zeros_like(charge), y)) * volume
-        solvent, held, left = feed.solvent, jnp.zeros_like(charge), jnp.zeros(())
+        solvent, left, solvent_left = feed.solvent, jnp.zeros_like(charge), jnp.zeros(())
         if dose is not None:
             share = y[count] * volume / dose.volume
-            solvent, left = solvent + share * dose.solvent, (1 - share) * dose.solvent
-            held = (1 - share) * dose.species
+            solvent, solvent_left = solvent + share * dose.solvent, (1 - share) * dose.solvent
+            left = (1 - share) * dose.species
         product = clear(jnp.stack(c) * size * volume, solvent, volume * size, end)
         product = product.replace(antisolvent=feed.antisolvent)
-        book = ledger(len(charge), made=made, held=held, solvent_held=left)
+        book = ledger(len(charge), made=made, left=left, solvent_left=solvent_left)
         if heat is not None:
             sensible = heat.capacity * volume
             brought = y[count] * dose.temperature if dose is not None else 0.0
@@ -306,8 +307,7 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
     if heat is not None:
         start = jnp.append(start, jnp.stack([first, jnp.zeros_like(first)]))
     drive = _drive(network, inputs, heat is not None)
-    duration = use(inputs, unit.duration)
-    return Dynamics(start, rate, drive, controls, duration, None, states, finish, True)
+    return Dynamics(start, rate, drive, controls, duration, None, states, finish, True, to_dose)
 
 
 def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dynamics:
@@ -318,6 +318,8 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
     cells = unit.cells if unit.kind == "plug-flow" else 1
     species, count = len(network.species), len(network.reactions)
     heat, duration = _heat(unit.jacket, network, inputs), use(inputs, unit.duration)
+    # At the feed's end itself the derivative is that of a shorter run.
+    duration = jnp.where(duration > feed.duration, feed.duration, duration)
     volume, flow = use(inputs, unit.volume), feed.volume / feed.duration
     entering, first = feed.concentration(), use(inputs, unit.temperature.value)[0]
     inside = entering if unit.filled == "feed" else jnp.zeros(species)
@@ -352,15 +354,15 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         out = y[size : ends[1]] * volume
         extent = list(y[ends[1] : ends[2]] * volume)
         made = jnp.stack(extended(network, jnp.zeros(species), extent))
-        gained = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
+        held = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
         waiting = 1 - ran / feed.volume
-        held = gained + waiting * feed.species
         mean = mean_value(unit.temperature, use(inputs, unit.temperature.value))
         if heat is not None:
             mean = y[ends[3]] / (turnover * duration)
         leaving = feed.solvent * ran / feed.volume
         product = clear(out, leaving, ran, mean, duration)
-        book = ledger(species, made=made, held=held, solvent_held=waiting * feed.solvent)
+        waits = {"left": waiting * feed.species, "solvent_left": waiting * feed.solvent}
+        book = ledger(species, made=made, held=held, **waits)
         if heat is not None:
             sensible = heat.capacity * volume
             released = -sum(h * x for h, x in zip(heat.reaction, extent))

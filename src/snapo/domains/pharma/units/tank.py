@@ -53,7 +53,7 @@ class Tank(Instant):
         return (together(inlets),)
 
     def lasts(self, inlets):
-        return (all(inlets),)
+        return (max(inlets) if all(inlets) else 0.0,)
 
     def measures(self, species):
         return {}

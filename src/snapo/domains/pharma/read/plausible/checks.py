@@ -11,8 +11,10 @@ from ...flowsheet.case import Connection, PharmaCase
 from ...flowsheet.feed import Feed
 from ...flowsheet.order import ancestors, groups, settled
 from ...quality.draws import process_entries
-from ...time.profile import Profile
-from ...units.operation import Unit, timed
+from ...time.profile import Profile, weights
+from ...units.operation import Inlet, Unit, timed
+
+LEAST = 1e-9  # s: of a flow whose duration is not known yet
 
 
 def check_decided(case: PharmaCase) -> None:
@@ -71,7 +73,7 @@ def check_amounts(
     connections: Sequence[Connection],
     notes: list[str],
 ) -> None:
-    """Continuous units need a feed with a duration; a dose adds up to its feed."""
+    """Continuous units need a feed that lasts as long as they; a dose adds up to its feed."""
     by_name = {feed.name: feed for feed in feeds}
     lasting = _lasting(feeds, units, connections)
     for group in groups(units, connections):
@@ -97,16 +99,55 @@ def check_amounts(
                     f"{inlet.name}: every feed of a flow needs a duration"
                 )
                 raise CaseError(str(file), f"units.{unit.name}", None, what)
+            if inlet.lasting and unit.time is not None:
+                runs, flows = float(unit.time.used()), lasting[unit.name, inlet.name]
+                _check_end(file, f"units.{unit.name}.duration", unit, inlet, runs, flows, "runs")
         notes += _uneven(unit, fed.values())
         if unit.time is not None:
             for profile in unit.profiles:
                 notes += _steep(profile, float(unit.time.values[0]))
 
 
-def _lasting(feeds, units, connections) -> dict[tuple[str, str], bool]:
-    """{(unit, inlet): whether what comes is a flow over a time}; units in the order of flow."""
-    fed = {(f.name, ""): f.duration is not None for f in feeds}
-    _, into = settled(units, connections, fed, True, lambda unit, lasting: unit.lasts(lasting))
+def check_spans(case: PharmaCase, spans: Sequence[tuple[str, str, float]]) -> None:
+    """No number is studied, or decided, where a unit would take in more than its feed holds.
+
+    `spans`: where the case says so, name of the number, and its highest value.
+    """
+    flows, file = _lasting(case.feeds, case.units, case.connections), case.file
+    for unit in case.units:
+        for inlet in unit.inlets:
+            for where, name, high in spans:
+                if inlet.lasting and unit.time is not None and name == unit.time.name:
+                    _check_end(
+                        file, where, unit, inlet, high, flows[unit.name, inlet.name], "may run"
+                    )
+                if inlet.dosed is not None and name == inlet.dosed.value.name:
+                    _check_shape(file, where, unit, inlet.dosed)
+
+
+def _check_end(file, where: str, unit: Unit, inlet: Inlet, runs: float, flows: float, verb) -> None:
+    if runs > flows * (1 + 1e-9):
+        what = (
+            f"{unit.name} {verb} {runs:.10g} s, and its inlet {inlet.name} flows for "
+            f"{flows:.10g} s; allowed is up to {flows:.10g} s, or a feed that lasts longer"
+        )
+        raise CaseError(str(file), where, f"{runs:.10g} s", what)
+
+
+def _check_shape(file, where: str, unit: Unit, dosing: Profile) -> None:
+    if dosing.value.values.size == 1:
+        what = (
+            "a flow of one value is set by the volume of its feed and the duration of "
+            f"{unit.name}, which may vary in its place"
+        )
+        raise CaseError(str(file), where, dosing.value.name, what)
+
+
+def _lasting(feeds, units, connections) -> dict[tuple[str, str], float]:
+    """{(unit, inlet): s over which what comes flows, 0 of a batch}; units in the order of flow."""
+    fed = {(f.name, ""): f.duration or 0.0 for f in feeds}
+    # What comes back in a loop flows for as long as what is fed to it.
+    _, into = settled(units, connections, fed, LEAST, lambda unit, flows: unit.lasts(flows))
     return {
         (unit.name, inlet.name): lasts
         for unit in units
@@ -128,9 +169,7 @@ def _uneven(unit: Unit, fed) -> list[str]:
 def _check_dose(file, unit: Unit, feed: Feed, dosing: Profile) -> None:
     assert unit.time is not None
     duration = float(unit.time.values[0])
-    value, share = dosing.value.values, dosing.share
-    mean = (value[1:] + value[:-1]) / 2 if dosing.kind == "linear" else value
-    dosed = duration * float(np.sum(mean * np.diff(share)))
+    dosed = duration * float(weights(dosing) @ dosing.value.used())
     held = float(feed.volume.values[0])
     if abs(dosed - held) > 1e-9 * held:
         what = (
