@@ -91,6 +91,15 @@ def test_an_order_that_needs_newtons_steps():
 
 
 @pytest.mark.prove
+def test_an_order_of_zero_in_the_gas_stops_without_it():
+    """0.01 1/s of the substrate could use fifty times the gas that comes: all of it reacts."""
+    steady = process(order={"N": 1, "H": 0}, prefactor="0.01 1/s", dissolved="pseudo-steady")
+    product, gas, *_ = steady.values()
+    assert product == pytest.approx(TRANSFER * SATURATED * 1800, rel=1e-5)
+    assert 0 <= gas < 1e-6
+
+
+@pytest.mark.prove
 def test_balances_derivatives_and_both_engines():
     """Gas that came in is added; adjoint against central differences; batches on both engines."""
     given = process()

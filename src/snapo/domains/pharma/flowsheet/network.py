@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import reduce
 from typing import Any
 
 import jax.numpy as jnp
@@ -13,6 +14,9 @@ from snapo.case.given import Given
 from ..given import use
 
 GAS_CONSTANT = 8.314  # J/mol/K, as the published kinetics use it
+# kmol/m3 of what a reaction uses by order 0: it goes at its full rate above twenty of them (to the
+# last digit), and has stopped at 0.
+SPENT = 1e-6
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,7 +24,9 @@ class Network:
     """Mass-action reactions: r_i = k_i exp(-E_i / (R T)) prod_s c_s^order_is, in kmol/m3/s.
 
     With a reference temperature the rate constant is k_i exp(-E_i / R (1/T - 1/T_ref)), so that
-    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it.
+    k_i is the constant at T_ref. R = 8.314 J/mol/K, as the published kinetics use it. What a
+    reaction uses by order 0 runs out: its rate then has the factor tanh(c / SPENT), the least one
+    where there are several.
 
     - `species`, `reactions`: [S], [R] names. `molar_mass`: [S] kg/kmol (the same as g/mol).
     - `stoichiometry`: [R, S], negative where used; `molar_mass` times a row adds up to zero.
@@ -41,6 +47,11 @@ class Network:
     heat: Given
     reference: float | None
 
+    @property
+    def runs_out(self) -> np.ndarray:
+        """[R, S] where a reaction uses a species of which its rate would not become less."""
+        return (self.stoichiometry < 0) & (self.order == 0)
+
 
 def rate_constants(network: Network, inputs: dict[str, Any], temperature) -> Float[Array, "... R"]:
     """k_i exp(-E_i / R (1/T - 1/T_ref)), in (m3/kmol)^(n-1)/s; 1/T_ref is 0 for plain Arrhenius."""
@@ -54,7 +65,8 @@ def rate_constants(network: Network, inputs: dict[str, Any], temperature) -> Flo
 def rates(network: Network, constants: Array, concentration: Sequence[Array]) -> list[Array]:
     """[R] rates in kmol/m3/s from `constants` [..., R] and kmol/m3 of each species.
 
-    Written out reaction by reaction: species of order 0 do not appear, so 0^0 never does.
+    Written out reaction by reaction: species of order 0 appear only in what stops the reaction that
+    uses them, so 0^0 never does.
     """
     found = []
     for i in range(len(network.reactions)):
@@ -62,6 +74,9 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
         for s, order in enumerate(network.order[i]):
             if order:
                 rate = rate * _power(concentration[s], float(order))
+        left = [jnp.tanh(concentration[s] / SPENT) for s in np.flatnonzero(network.runs_out[i])]
+        if left:
+            rate = rate * reduce(jnp.minimum, left)
         found.append(rate)
     return found
 
@@ -79,6 +94,7 @@ def fastest_rate(network: Network, temperature: np.ndarray, most: np.ndarray) ->
         for s in np.flatnonzero(order):
             left = order - (np.arange(len(order)) == s)
             slope[i, s] = constants[i] * order[s] * np.prod(most**left)
+        slope[i] += network.runs_out[i] * constants[i] * np.prod(most**order) / SPENT
     size = np.abs(slope) @ np.abs(network.stoichiometry).T
     return float(min(size.sum(0).max(), size.sum(1).max()))
 

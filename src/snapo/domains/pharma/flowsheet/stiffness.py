@@ -4,7 +4,7 @@ Explicit steps of h seconds are stable while h times the fastest rate at which a
 below 2.78 (classical Runge-Kutta, on the negative axis). That rate is measured along the solution
 of the nominal batch, which Rosenbrock steps with error control find; where it is above the limit,
 those steps are held, and every batch takes them. Units that need error control (a jacket, a dryer's
-tray, a gas that dissolves) hold them in any case.
+tray, a gas that dissolves, reactions that may use something up at once) hold them in any case.
 
 A unit without such steps takes as many explicit ones as the attributes of the nominal batch need,
 where the case leaves their number open: the steps of every piece are doubled until no attribute
@@ -62,7 +62,9 @@ def with_stiff_steps(case: PharmaCase) -> PharmaCase:
     if numerics.method != "mesh" or numerics.stiff == "none" or numerics.held:
         return case
     for unit in timed(case.units):
-        if numerics.stiff == "measured" and not (_controlled(unit) or _may_be_stiff(case, unit)):
+        if numerics.stiff == "measured" and not (
+            _controlled(case, unit) or _may_be_stiff(case, unit)
+        ):
             continue
         times = _measured(case, unit)
         if times is not None:
@@ -71,9 +73,10 @@ def with_stiff_steps(case: PharmaCase) -> PharmaCase:
     return case
 
 
-def _controlled(unit: Timed) -> bool:
+def _controlled(case: PharmaCase, unit: Timed) -> bool:
     """Whether steps by error control are held, stiff or not."""
-    return unit.error_controlled and unit.holds
+    sudden = unit.reacts and bool(case.network.runs_out.any())
+    return unit.holds and (unit.error_controlled or sudden)
 
 
 def _may_be_stiff(case: PharmaCase, unit: Timed) -> bool:
@@ -114,7 +117,7 @@ def _measured(case: PharmaCase, unit: Timed) -> np.ndarray | None:
     if found is None:
         return None
     chosen, stiffness = found
-    if case.numerics.stiff == "measured" and stiffness <= STABLE and not _controlled(unit):
+    if case.numerics.stiff == "measured" and stiffness <= STABLE and not _controlled(case, unit):
         return None
     return times_of(chosen)
 

@@ -186,7 +186,8 @@ class Hydrogenation(Timed):
     def _steady(self, network, driven, c: list[Array], transfer) -> Array:
         """The gas at which kL a (c* - c) is what reacts.
 
-        By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1.
+        By Newton's method from c*, which one step solves where the orders in the gas are 0 and 1
+        and it does not run out. Where it does, steps that lead below 0 end there.
         """
         order, most = network.order[:, self.gas], driven[-1]
         taken = network.stoichiometry[:, self.gas]
@@ -196,8 +197,10 @@ class Hydrogenation(Timed):
             used = sum(-float(nu) * r for nu, r in zip(taken, speed) if nu)
             return transfer * (now - most) + used
 
-        found, linear = most, bool(np.isin(order, (0, 1)).all())
+        spent = bool(network.runs_out[:, self.gas].any())
+        found, linear = most, bool(np.isin(order, (0, 1)).all()) and not spent
         for _ in range(1 if linear else NEWTON):
             value, slope = jax.jvp(gap, (found,), (jnp.ones_like(found),))
             found = found - value / slope
+            found = jnp.where(found > 0, found, 0.0) if spent else found
         return found
