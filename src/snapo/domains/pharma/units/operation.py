@@ -135,6 +135,10 @@ class Unit(ABC):
     ) -> Outcome:
         """Runs the unit; with `record`, its track is kept. `end`: its final y, where known."""
 
+    def finer(self) -> Self:
+        """The unit on twice as many cells along its length or over sizes; itself without any."""
+        return self
+
     @property
     def profiles(self) -> tuple[Profile, ...]:
         """All profiles of the unit and of its parts."""

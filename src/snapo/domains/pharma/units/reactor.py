@@ -2,11 +2,11 @@
 
 Batch and semi-batch: the extents of reaction x (kmol per m3 of the first charge) are what is
 integrated, and amounts follow, n = n_0 + nu^T x V_0 + dosed; so species balance by construction.
-Stirred and plug-flow: cells of equal volume with c_j' = nu^T r + (c_(j-1) - c_j) q / V_cell, and
-what left the last one. With a jacket the heat of a cell is a state beside.
+Stirred and plug-flow: c_t = nu^T r - q/V c_z at points along a tube (`length`), of which a stirred
+tank has one, and what left the last. With a jacket the heat at a point is a state beside.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, NamedTuple
 
 import jax.numpy as jnp
@@ -24,40 +24,11 @@ from ..flowsheet.stream import Stream, clear
 from ..given import use
 from ..read.fields import profile, quantity, word
 from ..read.numbers import NOT_NEGATIVE, POSITIVE
-from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.profile import Profile, flow_of, mean_value
 from .operation import Inlet, Timed
-
-
-class JacketTable(Table):
-    """`[units.NAME.jacket]`"""
-
-    heat_capacity: Any = quantity('"1.9e6 J/m^3/K"', words="heat capacity of the mixture")
-    conductance: Any = quantity('"120 W/K"', words="heat conductance to the jacket")
-    temperature: Any = profile(words="temperature of the jacket")
-
-
-@dataclass(frozen=True, eq=False)
-class Jacket:
-    """Heat balance: rho cp V dT/dt = -sum(H_i r_i) V - UA (T - T_jacket) + inflow's sensible heat.
-
-    - `heat_capacity`: J/m3/K of the mixture, []; `conductance`: UA in W/K, []; for a plug-flow
-      reactor of its whole length. `temperature`: of the jacket, a profile in K.
-    """
-
-    heat_capacity: Given
-    conductance: Given
-    temperature: Profile
-
-
-def read_jacket(read: Reader) -> Jacket:
-    """The heat balance, where a reactor has one."""
-    return Jacket(
-        heat_capacity=read.number("heat_capacity", "J/m3/K", POSITIVE),
-        conductance=read.number("conductance", "W/K", NOT_NEGATIVE),
-        temperature=read.profile("temperature", "K"),
-    )
+from .reactors.jacket import Jacket, JacketTable, read_jacket
+from .reactors.length import ELEMENTS, POINTS, Along
 
 
 class ReactorTable(Table):
@@ -72,7 +43,9 @@ class ReactorTable(Table):
     volume: Any = quantity('"10 L"', None, words="volume of the reactor")
     dosing: Any = profile(None, words="flow that is dosed")
     jacket: dict | None = Field(None, description="the table jacket")
-    cells: Annotated[int, Field(ge=1, le=1000)] = Field(50, description="a whole number, 1 or more")
+    cells: Annotated[int, Field(ge=1, le=1000)] | None = Field(
+        None, description="a whole number, 1 or more"
+    )
     filled: Literal["feed", "solvent"] = word("feed", "solvent", default="feed")
 
 
@@ -81,8 +54,9 @@ class Reactor(Timed):
     """Reactor of the case's network.
 
     - `kind`: "batch"; "semi-batch" (the stream at `dose` enters over the duration, in proportion to
-      the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (`cells` in series,
-      upwind; residence time V / flow). A continuous reactor ends with its feed at the latest.
+      the flow `dosing`); "stirred" (continuous, `volume` m3); "plug-flow" (residence time V / flow;
+      `cells` stirred tanks in series, None for a tube without mixing along it, of so many
+      `elements`). A continuous reactor ends with its feed at the latest.
     - `filled`: the content of a continuous reactor at the start: its feed, or the solvent alone.
     - Continuous kinds deliver what left the outlet, mixed, over the duration.
     - `temperature`: profile in K; where there is a `jacket`, its first value is where it starts.
@@ -93,8 +67,9 @@ class Reactor(Timed):
     volume: Given | None
     dosing: Profile | None
     jacket: Jacket | None
-    cells: int
+    cells: int | None
     filled: Literal["feed", "solvent"] = "feed"
+    elements: int = ELEMENTS
 
     type = "reactor"
     variant = ""
@@ -117,7 +92,7 @@ class Reactor(Timed):
         read.only(("stirred", "plug-flow"), ("volume",), needed=True)
         read.only(("semi-batch",), ("dosing",), needed=True)
         table = read.table
-        if table.kind != "plug-flow" and "cells" in table.model_fields_set:
+        if table.kind != "plug-flow" and table.cells is not None:
             what = f'kind "{table.kind}" has no such key; it belongs to "plug-flow"'
             raise read.section.error("cells", table.cells, what)
         if table.kind not in ("stirred", "plug-flow") and "filled" in table.model_fields_set:
@@ -172,8 +147,11 @@ class Reactor(Timed):
             "batch": "c' = νᵀ r",
             "semi-batch": "n' = V νᵀ r + q c_dose, V' = q",
             "stirred": "c' = νᵀ r + (c_in − c) q/V",
-            "plug-flow": f"c_j' = νᵀ r + (c_(j−1) − c_j) q/V_cell, {self.cells} cells",
+            "plug-flow": "c_t = νᵀ r − (q/V) c_z, z from 0 to 1 along the tube",
         }
+        if self.kind == "plug-flow" and self.cells is not None:
+            tanks = f"c_j' = νᵀ r + (c_(j−1) − c_j) q/V_cell, {self.cells} stirred cells in series"
+            flows["plug-flow"] = tanks
         heat = "ρcₚV T' = −Σ Hᵢ rᵢ V − UA (T − T_jacket)" if self.jacket else "temperature as given"
         return [flows[self.kind], "rᵢ = kᵢ exp(−Eᵢ/(R T)) Π c^order, R = 8.314 J/mol/K", heat]
 
@@ -185,8 +163,18 @@ class Reactor(Timed):
         found = fastest_rate(network, self.temperature.value.used(), mass / network.molar_mass)
         if self.volume is not None:
             flow = max(each.volume.used() / (each.duration or 1.0) for each in feeds)
-            found += 2 * self.cells * flow / self.volume.used()
+            found += self.along().fastest * flow / self.volume.used()
         return float(found)
+
+    def along(self) -> Along:
+        """The points along the reactor."""
+        if self.kind == "stirred":
+            return Along.of(1, 1)
+        return Along.of(self.elements, POINTS) if self.cells is None else Along.of(self.cells, 1)
+
+    def finer(self):
+        plain = self.kind == "plug-flow" and self.cells is None
+        return replace(self, elements=2 * self.elements) if plain else self
 
     def dynamics(self, network, inlets, inputs):
         if self.kind in ("batch", "semi-batch"):
@@ -311,11 +299,12 @@ def _filled(unit: Reactor, network: Network, inlets, inputs) -> Dynamics:
 
 
 def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dynamics:
-    """Stirred and plug-flow, N cells. y: [N S] concentrations, [S] left per volume of all cells,
-    [R] extents over the volume, then with a jacket [N] temperatures, heat left and heat from the
-    jacket (both K)."""
+    """Stirred and plug-flow, N points. y: [N S] concentrations, [S] left per volume of all, [R]
+    extents over the volume, then with a jacket [N] temperatures, heat left and heat from the jacket
+    (both K)."""
     assert unit.volume is not None
-    cells = unit.cells if unit.kind == "plug-flow" else 1
+    along = unit.along()
+    points = len(along.positions)
     species, count = len(network.species), len(network.reactions)
     heat, duration = _heat(unit.jacket, network, inputs), use(inputs, unit.duration)
     # At the feed's end itself the derivative is that of a shorter run.
@@ -323,26 +312,25 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
     volume, flow = use(inputs, unit.volume), feed.volume / feed.duration
     entering, first = feed.concentration(), use(inputs, unit.temperature.value)[0]
     inside = entering if unit.filled == "feed" else jnp.zeros(species)
-    turnover, size = flow / volume, cells * species
-    ends = [size, size + species, size + species + count, size + species + count + cells]
+    turnover, size = flow / volume, points * species
+    ends = [size, size + species, size + species + count, size + species + count + points]
 
     def rate(y, drive):
-        c = y[:size].reshape(cells, species)
+        c = y[:size].reshape(points, species)
         warm = y[ends[2] : ends[3]]
         constants = drive if heat is None else rate_constants(network, inputs, warm)
         speed = rates(network, constants, [c[:, s] for s in range(species)])
-        before = jnp.concatenate([entering[None], c[:-1]])
-        made = jnp.stack(extended(network, jnp.zeros((cells, species)), speed), -1)
-        slope = (made + (before - c) * (turnover * cells)).ravel()
-        extent = jnp.stack([jnp.mean(each) for each in speed])
+        made = jnp.stack(extended(network, jnp.zeros((points, species)), speed), -1)
+        slope = (made + turnover * along.carried(c, entering)).ravel()
+        extent = jnp.stack([along.mean(each) for each in speed])
         parts = [slope, turnover * c[-1], extent]
         if heat is not None:
             ua = heat.conductance / (heat.capacity * volume)
             from_jacket = ua * (drive[0] - warm)
             released = -sum(h * r for h, r in zip(heat.reaction, speed)) / heat.capacity
-            ahead = jnp.concatenate([feed.temperature[None], warm[:-1]])
-            change = released + from_jacket + (ahead - warm) * (turnover * cells)
-            parts += [change, turnover * warm[-1:], jnp.mean(from_jacket)[None]]
+            carried = along.carried(warm[:, None], feed.temperature[None])[:, 0]
+            change = released + from_jacket + turnover * carried
+            parts += [change, turnover * warm[-1:], along.mean(from_jacket)[None]]
         return jnp.concatenate(parts)
 
     def states(y, control, *_):
@@ -354,7 +342,7 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
         out = y[size : ends[1]] * volume
         extent = list(y[ends[1] : ends[2]] * volume)
         made = jnp.stack(extended(network, jnp.zeros(species), extent))
-        held = (jnp.mean(y[:size].reshape(cells, species), 0) - inside) * volume
+        held = (along.mean(y[:size].reshape(points, species)) - inside) * volume
         waiting = 1 - ran / feed.volume
         mean = mean_value(unit.temperature, use(inputs, unit.temperature.value))
         if heat is not None:
@@ -367,13 +355,13 @@ def _flown_through(unit: Reactor, network: Network, feed: Stream, inputs) -> Dyn
             sensible = heat.capacity * volume
             released = -sum(h * x for h, x in zip(heat.reaction, extent))
             into = sensible * (turnover * duration * feed.temperature + y[-1]) + released
-            kept = sensible * (jnp.mean(y[ends[2] : ends[3]]) - first)
+            kept = sensible * (along.mean(y[ends[2] : ends[3]]) - first)
             book = book._replace(energy=(into, sensible * y[ends[3]], kept))
         return Finish((product,), states(y, control), book)
 
-    start = [jnp.tile(inside, cells), jnp.zeros(species + count)]
+    start = [jnp.tile(inside, points), jnp.zeros(species + count)]
     if heat is not None:
-        start += [jnp.full(cells, first), jnp.zeros(2)]
+        start += [jnp.full(points, first), jnp.zeros(2)]
     drive = _drive(network, inputs, heat is not None)
     controls = _controls(unit, inputs)
     start = jnp.concatenate(start)

@@ -1,0 +1,1 @@
+"""Parts of reactors: their jacket, and what flows along a tube."""
