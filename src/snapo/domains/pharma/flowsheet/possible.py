@@ -4,6 +4,7 @@ import math
 
 from .case import PharmaCase
 
+AT_LARGEST = 0.01  # of the crystals' volume in the largest cell, out of which none can grow
 ROUND_OFF = 1e-9  # in the domain's unit: what round-off may take from a number that is zero
 
 
@@ -34,6 +35,12 @@ def impossible(case: PharmaCase, measures: dict[str, float]) -> str:
             said = f"{value:.6g}" + ("" if own == "1" else f" {own}")
             hint = HINTS.get(name.partition(".")[2], "")
             return f"{name} is {said}, which cannot be{hint}"
+        if name.endswith(".at_largest") and value > AT_LARGEST:
+            return (
+                f"{name} is {value:.3g}: the grid of sizes ends too early, and at most "
+                f"{AT_LARGEST:g} of the crystals' volume may be in its last cell; "
+                "take a greater `largest`"
+            )
     return ""
 
 

@@ -6,6 +6,7 @@ from typing import Any, Protocol
 from ..quality.estimation import DOUBT
 
 CLOSED, AGREED = 1e-10, 1e-10  # relative gaps of balances, and of paths against the matrix
+CELLS = "twice as many cells"
 LOST = 1e-3  # share of batches without a finite result from which a run is not in order
 
 
@@ -23,6 +24,9 @@ def checks(run: Tables) -> list[tuple[str, bool]]:
         found.append(("balances", all(closed(each) for each in balances)))
     if run.get("convergence") is not None:
         found.append(("convergence in time", bool(run.get("convergence.passed"))))
+    cells = run.get("convergence.cells")
+    if cells:
+        found.append((CELLS, all(each.get("passed") for each in cells)))
     if run.get("certificate"):
         good = all(each.get("passed") for each in run.get("certificate"))
         found.append(("adjoint against differences", good))
@@ -79,6 +83,9 @@ def _where(run: Tables, name: str) -> str:
         rows = run.get("convergence.rows", [])
         row = max(rows, key=_gap, default={})
         keys = ("attribute", "parameter")
+    elif name == CELLS:
+        row = max(run.get("convergence.cells"), key=lambda each: each.get("margins") or math.inf)
+        keys = ("attribute",)
     else:
         return ""
     said = ", ".join(str(row[key]) for key in keys if row.get(key))

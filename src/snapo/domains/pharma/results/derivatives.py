@@ -8,6 +8,7 @@ import numpy as np
 from ..derivatives import attribution, sensitivities
 from ..derivatives.certify import certify
 from ..derivatives.convergence import convergence
+from ..derivatives.grids import on_finer_cells
 from ..derivatives.jacobian import matrix, second
 from ..derivatives.local import local
 from ..derivatives.nodes import with_nodes
@@ -22,8 +23,14 @@ NODES = 61  # of a profile whose sensitivity over time is shown
 
 
 def convergence_rows(process: Process) -> dict[str, Any]:
+    """In time, and on cells along a length and over sizes where there are any."""
     found = convergence(process)
-    return {"passed": found.passed, "rows": [row._asdict() for row in found.rows]}
+    cells = [each._asdict() | {"passed": each.passed} for each in on_finer_cells(process)]
+    return {
+        "passed": found.passed,
+        "rows": [row._asdict() for row in found.rows],
+        "cells": cells,
+    }
 
 
 def matrix_tables(process: Process) -> dict[str, Any]:

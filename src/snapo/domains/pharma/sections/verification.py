@@ -1,4 +1,4 @@
-"""Why to believe the numbers: balances, convergence in time, adjoint against differences."""
+"""Why to believe the numbers: balances, convergence, adjoint against differences."""
 
 from typing import Any
 
@@ -11,7 +11,8 @@ from .run import Run
 
 def verification(run: Run) -> Section:
     """Every check that this very run was put to."""
-    blocks: list[Block] = [_balances(run), *_loops(run), *_convergence(run), _certificate(run)]
+    blocks: list[Block] = [_balances(run), *_loops(run), *_convergence(run), *_cells(run)]
+    blocks.append(_certificate(run))
     closure = finite(run.get("attribution.closure"))
     if closure is not None:
         blocks.append(
@@ -97,6 +98,26 @@ def _convergence(run: Run) -> list[Block]:
     )
     table = Table(head, body, "Values and derivatives in three ways", 2, folded="Every number")
     return [Text(text), table]
+
+
+def _cells(run: Run) -> list[Block]:
+    rows = run.get("convergence.cells")
+    if not rows:
+        return []
+    body = [
+        (
+            row["attribute"],
+            Mark(bool(row["passed"]), "within its margin" if row["passed"] else "moves"),
+            number(row["value"]),
+            number(row["finer"]),
+            number(row["margins"]),
+        )
+        for row in rows
+    ]
+    head = [("Attribute", ""), ("", ""), ("Value", ""), ("Twice the cells", ""),
+            ("Change in margins", "")]  # fmt: skip
+    caption = "Attributes on twice as many cells along tubes and over the sizes of crystals"
+    return [Table(head, body, caption, 2)]
 
 
 def _certificate(run: Run) -> Table | Missing:

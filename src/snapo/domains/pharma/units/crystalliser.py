@@ -5,7 +5,7 @@ them, c = c_0 + rho kv (mu3_0 - mu3), so that mass closes by construction; with 
 in amounts per m3 of the first charge.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import jax.numpy as jnp
@@ -32,7 +32,7 @@ from .crystals.moments import by_moments
 from .crystals.population import NUMBER, SIZE, UNITS, Population, mean_sizes
 from .crystals.quantiles import QUANTILES
 from .crystals.seed import Seed, SeedTable, read_seed, seed_moments, seed_numbers
-from .crystals.sizes import SizesTable, check_seed, read_edges
+from .crystals.sizes import SizesTable, check_seed, halved, read_edges
 from .crystals.solubility import (
     Solubility,
     SolubilityTable,
@@ -153,6 +153,9 @@ class Crystalliser(Timed):
 
     def sizes(self, inlets):
         return (None if self.edges is None else Grid.of(self.edges),)
+
+    def finer(self):
+        return self if self.edges is None else replace(self, edges=halved(self.edges))
 
     def measures(self, species):
         sizes = {"d32": "m", "d43": "m"}

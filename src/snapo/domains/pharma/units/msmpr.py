@@ -15,7 +15,7 @@ outlet is then the feed. Crystals in a feed below saturation would dissolve, whi
 follow: the outlet is then no number.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import jax
@@ -34,7 +34,7 @@ from ..given import fixed, use
 from ..read.fields import Text, number, quantity
 from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
 from .crystals.population import SIZE, cell_powers, mean_sizes
-from .crystals.sizes import SizesTable, read_edges
+from .crystals.sizes import SizesTable, halved, read_edges
 from .crystals.solubility import Solubility, SolubilityTable, read_solubility, solubility
 from .operation import Inlet, Instant
 
@@ -148,6 +148,9 @@ class Msmpr(Instant):
 
     def lasts(self, inlets):
         return inlets
+
+    def finer(self):
+        return self if self.edges is None else replace(self, edges=halved(self.edges))
 
     def measures(self, species):
         found = {"concentration": "kg/m3", "crystals": "kg/m3", "supersaturation": "1"}

@@ -38,6 +38,13 @@ def read_edges(read: Reader) -> np.ndarray:
     return np.geomspace(low, high, read.table.cells + 1)
 
 
+def halved(edges: np.ndarray) -> np.ndarray:
+    """The edges of twice as many cells, spaced in the same way."""
+    low, high = edges[:-1], edges[1:]
+    equal = np.allclose(np.diff(edges), edges[1] - edges[0], rtol=1e-6)
+    return np.sort(np.append(edges, (low + high) / 2 if equal else np.sqrt(low * high)))
+
+
 def check_seed(read: Reader, edges: np.ndarray, seed: Seed) -> None:
     """Refuses a grid that a part of the seed lies outside of."""
     outside = _volume_outside(seed, float(edges[0]), float(edges[-1]))
