@@ -136,7 +136,8 @@ class Process:
     def run(self, inputs=None) -> Run:
         """One batch with all streams, measures and trajectories."""
         make = lambda own: partial(self._everything, own=own)  # noqa: E731
-        found = self.either("run", make, self.given(inputs), of=lambda found: found[2])
+        given = self.given(inputs)
+        found = self.either("run", make, given, of=lambda found: found[2])
         streams, measures, attributes, trajectories, times, loops = found
         measured = {name: float(each) for name, each in measures.items()}
         held = {name: each[3] for name, each in times.items() if each[3] is not None}
@@ -148,10 +149,21 @@ class Process:
             self._open(loops)
             or _status({unit.name: times[unit.name] for unit in self.case.units})
             or impossible(self.case, measured)
+            or self._unsound(trajectories, given)
             or "ok",
             {name: float(error) for name, error in held.items()},
             {name: (float(each.change), int(each.rounds)) for name, each in loops.items()},
         )
+
+    def _unsound(self, trajectories: dict[str, dict[str, np.ndarray]], inputs) -> str:
+        """The first unit whose model ended within the run, in words; "" where none did."""
+        with jax.enable_x64(True):
+            said = (
+                unit.unsound(trajectories[unit.name], inputs)
+                for unit in self.case.units
+                if unit.name in trajectories
+            )
+            return next(filter(None, said), "")
 
     def _open(self, loops: dict[str, Closed]) -> str:
         """The first loop without a steady state, in words; "" where all have one."""

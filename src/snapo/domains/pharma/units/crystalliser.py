@@ -26,6 +26,7 @@ from ..read.reader import Reader
 from ..time.dynamics import Dynamics
 from ..time.event import saturation_share
 from ..time.profile import Profile, flow_of
+from .crystals.disappeared import disappeared
 from .crystals.finite_volumes import by_finite_volumes
 from .crystals.kinetics import Kinetics, KineticsTable, kinetics, read_kinetics
 from .crystals.moments import by_moments
@@ -153,6 +154,14 @@ class Crystalliser(Timed):
 
     def sizes(self, inlets):
         return (None if self.edges is None else Grid.of(self.edges),)
+
+    def unsound(self, track, inputs):
+        if self.edges is not None or absent(inputs, self.kinetics.dissolution):
+            return ""
+        volume = use(inputs, self.shape) * track["mu3"]
+        speed = kinetics(self.kinetics, inputs, track["supersaturation"], volume)
+        said = disappeared(track, speed, float(use(inputs, self.nuclei_size)))
+        return said and f"{self.name}: {said}"
 
     def finer(self):
         return self if self.edges is None else replace(self, edges=halved(self.edges))

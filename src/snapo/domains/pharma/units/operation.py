@@ -12,6 +12,7 @@ from math import inf
 from typing import Any, ClassVar, Literal, NamedTuple, Self
 
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import Given
@@ -138,6 +139,11 @@ class Unit(ABC):
     def finer(self) -> Self:
         """The unit on twice as many cells along its length or over sizes; itself without any."""
         return self
+
+    def unsound(self, track: dict[str, np.ndarray], inputs: dict[str, Any]) -> str:
+        """Where a run, by its states over time, went beyond the assumptions of the unit's model, in
+        words; "" where it did not."""
+        return ""
 
     @property
     def profiles(self) -> tuple[Profile, ...]:
