@@ -82,6 +82,7 @@ suspension_power = 0.7
 shape = 0.5236
 density = "1200 kg/m^3"
 solubility = { coefficients = [226.9, -1.88, 3.89e-3] }
+basis = "suspension"
 """
 
 # A -> B for an hour: at 0.26 1/s explicit steps on 320 pieces are not stable.

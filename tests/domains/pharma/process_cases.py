@@ -124,6 +124,7 @@ def crystalliser(name="crystalliser", **fields):
         "seed": Seed(part("seed_loading", 0.02, "kg/m3"), part("seed_size", 20e-6, "m"), None),
         "separate": False,
         "dosing": None,
+        "basis": "suspension",  # as the published values have it
     }
     return Crystalliser(**(found | fields))
 

@@ -94,7 +94,7 @@ def test_antisolvent_crystalliser_closes():
     )
     lower = replace(unit.solubility, antisolvent=series(f"{name}.antisolvent", [-3.0, 0.5]))
     unit = replace(unit, solubility=lower)
-    feeds = feed((0.0, 0.1, 0.085, 0.1)), feed((0.0,) * 4, volume=0.01, name="water")
+    feeds = feed((0.0, 0.1, 0.085, 0.1)), feed((0.0,) * 4, volume=0.0072, name="water")
     lines = (*chain("charge", name), Connection("water", "", name, "antisolvent"))
     measures = [
         attribute("crystals", f"{name}.crystals"),

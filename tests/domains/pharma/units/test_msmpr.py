@@ -86,9 +86,10 @@ def process(**keys):
 TAU, ENTERING, RHO, KV = 14400 * 30 / 120, 30.0, 1200.0, 0.5236
 
 
-def exact(power=0.7, nucleation=1e6, growth=2e-7):
+def exact(power=0.7, nucleation=1e6, growth=2e-7, entering=ENTERING, taken=0.0):
     """G, B, M_T and S by SciPy's root of the mass balance, with G as Randolph and Larson give it:
-    G = (M_T^(1 - j) / (6 rho kv kb tau^4))^(1 / (i + 3)), kb = B_r / (G_r^i M_r^j)."""
+    G = (M_T^(1 - j) / (6 rho kv kb tau^4))^(1 / (i + 3)), kb = B_r / (G_r^i M_r^j). `taken`: of
+    their volume, what crystals take from that of the solution."""
     saturated = 226.9 - 1.88 * 283.15 + 3.89e-3 * 283.15**2
     constant = nucleation / (5e-8**2 * 20.0**power)
 
@@ -97,11 +98,28 @@ def exact(power=0.7, nucleation=1e6, growth=2e-7):
 
     def gap(crystals):
         level = (speed(crystals) / growth) ** (1 / 1.3)
-        return ENTERING - saturated * (1 + level) - crystals
+        solution = 1 - taken * crystals / RHO
+        return entering - saturated * (1 + level) * solution - crystals
 
-    crystals: Any = brentq(gap, 1e-9, ENTERING - saturated, xtol=1e-14)
+    crystals: Any = brentq(gap, 1e-9, entering - saturated * (1 - taken), xtol=1e-14)
     g = speed(crystals)
     return g, constant * g**2 * crystals**power, crystals, (g / growth) ** (1 / 1.3)
+
+
+@pytest.mark.prove
+def test_a_steady_state_per_volume_of_solution():
+    """2 mol/L of 150 g/mol: a quarter of the suspension is crystals, which hold no solution."""
+    given = process(basis="solution")
+    many = given.run({"charge.concentration": np.array([2.0, 0.05])})
+    g, born, crystals, level = exact(entering=300.0, taken=1.0)
+    assert many.status == "ok" and crystals / RHO > 0.24
+    found = {each: many.measures[f"cold.{each}"] for each in MEASURES}
+    expected = [4 * g * TAU, crystals, level, g, born]
+    assert list(found.values()) == pytest.approx(expected, rel=1e-9)
+    stream = many.streams["cold.slurry"]
+    assert stream.volume == pytest.approx(0.12 * (1 - crystals / RHO), rel=1e-9)
+    assert stream.volume + stream.solids == pytest.approx(0.12, rel=1e-12)
+    assert max(abs(row.relative) for row in balances(given)) < 1e-10
 
 
 @pytest.mark.prove

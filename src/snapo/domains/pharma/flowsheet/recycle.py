@@ -21,8 +21,8 @@ from .stream import Stream
 
 # What is guessed; the rest of a stream goes around the loop as it is.
 GUESSED = (
-    "species", "solid", "seed", "solvent", "antisolvent", "volume", "temperature", "moments",
-    "numbers",
+    "species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "temperature",
+    "moments", "numbers",
 )  # fmt: skip
 TOGETHER = ("species", "solid", "seed")  # scaled by the largest amount among them
 CARRIED = ("duration", "density", "shape", "inner_size", "inner_density")

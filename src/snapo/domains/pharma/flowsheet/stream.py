@@ -18,8 +18,9 @@ class Stream(eqx.Module):
 
     - `species`: [S] kmol dissolved. `solid`: [S] kmol in crystals, of which `seed`, [S], was
       added as seed.
-    - `solvent`, `antisolvent`: kg. `volume`: m3, to which concentrations refer; it does not change
-      by mixing, reaction or crystallisation.
+    - `solvent`, `antisolvent`: kg. `volume`: m3 of liquid, to which concentrations refer; it does
+      not change by mixing or reaction. `solids`: m3 that crystals take beside it, by which
+      crystallisation makes it less; 0 where a crystalliser neglects them.
     - `temperature`: K. `duration`: s, 0 for a batch.
     - `moments`: [6] sum over all crystals of their size to the power 0 to 5, m^k.
     - `density`, `shape`: of the crystals: kg/m3, and kv in volume = kv size^3.
@@ -37,6 +38,7 @@ class Stream(eqx.Module):
     solvent: Float[Array, ""]
     antisolvent: Float[Array, ""]
     volume: Float[Array, ""]
+    solids: Float[Array, ""]
     temperature: Float[Array, ""]
     duration: Float[Array, ""]
     moments: Float[Array, " 6"]
@@ -52,6 +54,10 @@ class Stream(eqx.Module):
     def concentration(self) -> Float[Array, " S"]:
         """kmol/m3 of the dissolved species."""
         return self.species / self.volume
+
+    def suspension(self) -> Float[Array, ""]:
+        """m3 of liquid and crystals together."""
+        return self.volume + self.solids
 
     def crystals(self) -> Float[Array, ""]:
         """kg of crystals, or of granules without what wets them."""
@@ -72,6 +78,7 @@ def clear(species, solvent, volume, temperature, duration: Any = 0.0) -> Stream:
         solvent=solvent,
         antisolvent=number,
         volume=volume,
+        solids=number,
         temperature=temperature,
         duration=jnp.asarray(duration, float),
         moments=jnp.zeros(MOMENTS),

@@ -68,6 +68,7 @@ class CrystalliserTable(Table):
     nuclei_size: Any = quantity('"1 um"', "0 m", words="size of new crystals")
     separate: bool = Field(False, description="true or false")
     dosing: Any = profile(None, words="flow of anti-solvent")
+    basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,6 +81,8 @@ class Crystalliser(Timed):
     - `separate`: whether seed and nuclei keep moments of their own.
     - `edges`: [N + 1] m of N cells over the crystals' size, where these are followed by finite
       volumes; crystals of the feed are then counted on the same. None: by the moments 0 to 5.
+    - `basis`: "solution": concentrations are per volume of liquid, which crystals make less by
+      their own; "suspension": per volume of both together, as for few crystals.
     """
 
     solute: str
@@ -94,6 +97,7 @@ class Crystalliser(Timed):
     separate: bool
     dosing: Profile | None
     edges: np.ndarray | None = None
+    basis: Literal["solution", "suspension"] = "solution"
 
     type = "crystalliser"
     variant = ""
@@ -132,6 +136,7 @@ class Crystalliser(Timed):
             separate=table.separate,
             dosing=None if table.dosing is None else read.profile("dosing", "m3/s", NOT_NEGATIVE),
             edges=_edges(read, seed),
+            basis=table.basis,
         )
 
     @property
@@ -236,17 +241,22 @@ class Crystalliser(Timed):
             controls.append(flow_of(self.dosing, inputs, duration, dose.volume))
             to_dose = lambda y: dose.volume - volume * y[-1]  # noqa: E731
 
+        def taken(mu3):
+            """What crystals take beside the liquid, per first volume of that."""
+            return shape * units[3] * mu3 if self.basis == "solution" else jnp.zeros(())
+
         def scaled(y) -> tuple[Array, Array]:
-            """Scaled moments of all crystals per first volume, and the volume per first volume."""
-            return crystals.moments(y[:count]), 1 + y[-1] if dosed else jnp.ones(())
+            """Scaled moments of all crystals, and the suspension, per first volume of liquid."""
+            size = 1 + taken(first)
+            return crystals.moments(y[:count]), size + y[-1] if dosed else size
 
         def liquid(y):
             """Solute in kg/m3, solubility's factor by anti-solvent, mu3 per first volume."""
             moments, size = scaled(y)
-            mu3 = moments[3] * units[3]
+            mu3, size = moments[3] * units[3], size - taken(moments[3])
             solute_amount = dissolved + weight * units[3] * (first - moments[3])
             if dose is None:
-                return solute_amount, 1.0, mu3
+                return solute_amount / size, 1.0, mu3
             other = (feed.antisolvent + y[-1] * volume * dose.solvent / dose.volume) / volume
             fraction = other / (other + feed.solvent / volume)
             factor = antisolvent_factor(self.solubility, inputs, fraction)
@@ -283,7 +293,8 @@ class Crystalliser(Timed):
 
         def finish(y, control, *_):
             moments, size = scaled(y)
-            moments, slurry = moments * units, volume * size
+            solids = volume * taken(moments[3])
+            moments, left_liquid = moments * units, volume * size - solids
             c, _, mu3 = liquid(y)
             saturated = solubility(self.solubility, inputs, control)
             measures = {
@@ -302,12 +313,13 @@ class Crystalliser(Timed):
                 left, solvent_left = (1 - share) * dose.species, (1 - share) * dose.solvent
                 antisolvent = share * dose.solvent
             slurry_out = Stream(
-                species=species.at[solute].set(c * slurry / mass[solute]),
+                species=species.at[solute].set(c * left_liquid / mass[solute]),
                 solid=nothing.at[solute].set(weight * mu3 * kmol),
                 seed=feed.seed + seeded,
                 solvent=feed.solvent,
                 antisolvent=feed.antisolvent + antisolvent,
-                volume=slurry,
+                volume=left_liquid,
+                solids=solids,
                 temperature=control,
                 duration=jnp.zeros(()),
                 moments=moments * volume,

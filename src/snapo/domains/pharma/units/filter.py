@@ -159,7 +159,7 @@ class Filter(Instant):
             d32 = mean_sizes(slurry.moments)["d32"]
             resistance = 180 * (1 - porosity) / (porosity**3 * d32**2 * slurry.density)
         solid = crystals / slurry.density
-        filtrate = slurry.volume - solid - solid * porosity / (1 - porosity)
+        filtrate = slurry.suspension() - solid - solid * porosity / (1 - porosity)
         per_area = filtrate / use(inputs, self.area)
         cake = resistance * crystals / filtrate / 2 * per_area**2
         medium = use(inputs, self.medium_resistance) * per_area

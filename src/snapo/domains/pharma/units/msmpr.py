@@ -5,8 +5,9 @@ size and residence time tau the crystals obey G n' = (n_in - n) / tau with n(0) 
 are mu_0 = mu_0,in + B tau and mu_k = mu_k,in + k G tau mu_(k-1); of a clear feed it is
 n = n0 exp(-L / (G tau)), so that mu_k = k! n0 (G tau)^(k + 1). Growth is G = growth S^growth_order,
 nucleation B = nucleation (G / G_r)^i (M_T / M_r)^j at a reference, the suspension holds
-M_T = rho kv mu_3, and the mass balance M_T = M_T,in + c_in - c closes it: one equation for
-S = (c - c*) / c*.
+M_T = rho kv mu_3, and a mass balance closes it: one equation for S = (c - c*) / c*. With c per
+volume of suspension that is M_T = M_T,in + c_in - c; per volume of solution, of which the
+suspension holds 1 - M_T / rho, M_T = M_T,in + (1 - M_T,in / rho) (c_in - c) / (1 - c / rho).
 
 That is solved by bisection without derivatives; two Newton steps then carry them, which is the
 implicit function theorem. With j below 1, or crystals in the feed, there is one steady state with
@@ -27,11 +28,11 @@ from pydantic import Field
 from snapo.case.given import Given
 from snapo.case.table import Table
 
-from ..flowsheet.grid import NO_CRYSTALS, Grid
+from ..flowsheet.grid import NO_CRYSTALS, Grid, Sizes
 from ..flowsheet.ledger import Finish, ledger
-from ..flowsheet.stream import MOMENTS, Stream
+from ..flowsheet.stream import MOMENTS
 from ..given import fixed, use
-from ..read.fields import Text, number, quantity
+from ..read.fields import Text, number, quantity, word
 from ..read.numbers import DENSITY, NOT_NEGATIVE, POSITIVE, SHARE
 from .crystals.population import SIZE, cell_powers, mean_sizes
 from .crystals.sizes import SizesTable, halved, read_edges
@@ -63,7 +64,14 @@ class MsmprTable(Table):
     )
     shape: Any = number("a number above 0, such as 0.5236", words="volume of a crystal per size^3")
     density: Any = quantity('"1200 kg/m^3"', words="density of crystals")
+    basis: Literal["solution", "suspension"] = word("solution", "suspension", default="solution")
     sizes: dict | None = Field(None, description="the table sizes")
+
+
+BALANCE = {
+    "solution": "(1 − M_T,in/ρ) (c_in − c)/(1 − c/ρ), c per volume of solution",
+    "suspension": "c_in − c, c per volume of suspension",
+}
 
 
 class Steady(NamedTuple):
@@ -83,6 +91,7 @@ class Msmpr(Instant):
     - `growth`: m/s, `growth_order`; `nucleation`: 1/m3/s at `reference_growth` m/s and
       `reference_suspension` kg/m3, with the powers i and j. Every number has index [].
     - `edges`: [N + 1] m of cells on which the product's crystals are counted, or None.
+    - `basis`: of concentrations, as of a batch crystalliser.
     """
 
     solute: str
@@ -99,6 +108,7 @@ class Msmpr(Instant):
     shape: Given
     density: Given
     edges: np.ndarray | None
+    basis: Literal["solution", "suspension"] = "solution"
 
     type = "msmpr"
     variant = ""
@@ -132,6 +142,7 @@ class Msmpr(Instant):
             shape=read.number("shape", "1", POSITIVE),
             density=read.number("density", "kg/m3", DENSITY),
             edges=None if grid is None else read_edges(grid),
+            basis=read.table.basis,
         )
 
     @property
@@ -160,7 +171,7 @@ class Msmpr(Instant):
     def equations(self):
         return [
             "G n′ = (n_in − n)/τ, n(0) = B/G; n = n₀ exp(−L/(G τ)) of a clear feed",
-            "M_T = ρ kᵥ μ₃ = M_T,in + c_in − c",
+            "M_T = ρ kᵥ μ₃ = M_T,in + " + BALANCE[self.basis],
             "G = g S^a; B = B_r (G/G_r)^i (M_T/M_r)^j",
             f"solubility c*: {self.solubility.kind} in temperature",
         ]
@@ -171,21 +182,28 @@ class Msmpr(Instant):
         temperature = use(inputs, self.temperature)
         saturated = solubility(self.solubility, inputs, temperature)
         entering = feed.concentration()[solute] * mass
-        residence = use(inputs, self.volume) * feed.duration / feed.volume
-        fed = feed.moments / feed.volume
+        density, shape = use(inputs, self.density), use(inputs, self.shape)
+        apart = 1.0 if self.basis == "solution" else 0.0
+        volume = feed.volume + apart * shape * feed.moments[3]
+        residence = use(inputs, self.volume) * feed.duration / volume
+        fed = feed.moments / volume
         found = self.steady(entering, saturated, residence, fed, inputs)
         per_volume = self.moments(found, residence, fed)
-        change = found.crystals - use(inputs, self.density) * use(inputs, self.shape) * fed[3]
-        left = entering - change
-        grown = change * feed.volume / mass  # kmol
+        change = found.crystals - density * shape * fed[3]
+        solids = apart * found.crystals / density  # of the suspension
+        left = (entering * feed.volume / volume - change) / (1 - solids)
+        grown = change * volume / mass  # kmol
         slurry = feed.replace(
             species=feed.species.at[solute].add(-grown),
             solid=feed.solid.at[solute].add(grown),
             temperature=temperature,
-            moments=per_volume * feed.volume,
-            density=use(inputs, self.density),
-            shape=use(inputs, self.shape),
-            numbers=self.counted(found, per_volume, residence, feed) * feed.volume,
+            volume=volume * (1 - solids),
+            solids=volume * solids,
+            moments=per_volume * volume,
+            density=density,
+            shape=shape,
+            numbers=self.counted(found, per_volume, residence, feed.numbers / volume, feed.grid)
+            * volume,
             grid=self.sizes((feed.grid,))[0],
         )
         measures = {
@@ -201,12 +219,16 @@ class Msmpr(Instant):
     def steady(self, entering, saturated, residence, fed, inputs: dict[str, Any]) -> Steady:
         """`entering`, dissolved, and `saturated` kg/m3, `residence` s, moments `fed` per m3."""
         excess, weight = entering - saturated, use(inputs, self.density) * use(inputs, self.shape)
-        above = excess > 0
+        above, solution = excess > 0, self.basis == "solution"
+        room = 1 - use(inputs, self.shape) * fed[3] if solution else 1.0
         most = jnp.where(above, excess, saturated) / saturated  # supersaturation of the feed
 
         def rates(level) -> tuple[Array, Array, Array]:
             growth = use(inputs, self.growth) * level ** use(inputs, self.growth_order)
-            crystals = weight * fed[3] + (most - level) * saturated
+            new = room * (most - level) * saturated
+            if solution:
+                new = new / (1 - (1 + level) * saturated / use(inputs, self.density))
+            crystals = weight * fed[3] + new
             faster = growth / use(inputs, self.reference_growth)
             denser = crystals / use(inputs, self.reference_suspension)
             born = use(inputs, self.nucleation) * faster ** use(inputs, self.growth_power)
@@ -237,11 +259,12 @@ class Msmpr(Instant):
             moments.append(fed[k] + k * found.growth * residence * moments[-1])
         return jnp.stack(moments)
 
-    def counted(self, found: Steady, moments, residence, feed: Stream) -> Float[Array, " N"]:
+    def counted(self, found: Steady, moments, residence, fed, grid: Sizes) -> Float[Array, " N"]:
         """Crystals in each cell per m3, with the third moment of all of them.
 
-        Nuclei fall off as exp(-L / (G tau)); those fed are as many at all sizes of their cell, of
-        which a share exp(-x) stays over x of L / (G tau), in that cell and in those after it.
+        Nuclei fall off as exp(-L / (G tau)). Those `fed`, per m3 on their `grid`, are as many at
+        all sizes of their cell; of them a share exp(-x) stays over x of L / (G tau), in that cell
+        and in those after it.
         """
         if self.edges is None:
             return jnp.zeros(0)
@@ -252,8 +275,7 @@ class Msmpr(Instant):
         width = jnp.diff(edges)
         lost = -jnp.expm1(-width)
         numbers = found.nucleation * residence * jnp.exp(-edges[:-1]) * lost
-        if feed.grid != NO_CRYSTALS:
-            fed = feed.numbers / feed.volume
+        if grid != NO_CRYSTALS:
 
             def cell(before, here):
                 """`before`: the density by number at the cell's lower edge, per size / (G tau)."""

@@ -17,7 +17,7 @@ from ..read.numbers import SHARE, several
 from .operation import Inlet, Instant
 
 EXTENSIVE = (
-    "species", "solid", "seed", "solvent", "antisolvent", "volume", "moments", "numbers",
+    "species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "moments", "numbers",
     "inner_numbers",
 )  # fmt: skip
 

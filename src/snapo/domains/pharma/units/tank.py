@@ -68,7 +68,7 @@ class Tank(Instant):
         return Finish((mixed(inlets),), {}, ledger(len(network.species)))
 
 
-AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "moments")
+AMOUNTS = ("species", "solid", "seed", "solvent", "antisolvent", "volume", "solids", "moments")
 
 
 def mixed(streams: tuple[Stream, ...]) -> Stream:
@@ -81,7 +81,7 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
     total = {name: sum(getattr(each, name) for each in streams) for name in AMOUNTS}
     times = jnp.stack([each.duration for each in streams])
     duration = jnp.where(jnp.all(times > 0), jnp.max(times), 0.0)
-    warmth = sum(each.volume * each.temperature for each in streams)
+    warmth = sum(each.suspension() * each.temperature for each in streams)
 
     def counted(name: str, of: str) -> dict[str, Any]:
         """The `of` grid on which crystals of all streams are counted, and their numbers there."""
@@ -101,7 +101,7 @@ def mixed(streams: tuple[Stream, ...]) -> Stream:
 
     return streams[0].replace(
         **total,
-        temperature=warmth / total["volume"],
+        temperature=warmth / (total["volume"] + total["solids"]),
         duration=duration,
         density=of_crystals("density"),
         shape=of_crystals("shape"),

@@ -79,5 +79,5 @@ class Thickener(Instant):
             feed.temperature,
             feed.duration,
         ).replace(antisolvent=feed.antisolvent * rest)
-        measures = {"crystals": feed.crystals() / thick.volume}
+        measures = {"crystals": feed.crystals() / thick.suspension()}
         return Finish((thick, liquor), measures, ledger(len(network.species)))

@@ -125,7 +125,7 @@ class WetMill(Timed):
         """y: crystals in each cell, NUMBER per m3 of slurry."""
         slurry = inlets[0]
         assert slurry.grid is not None  # reading has made sure that crystals are counted
-        edges = slurry.grid.array / SIZE
+        edges, volume = slurry.grid.array / SIZE, slurry.suspension()
         powers = fixed(cell_powers(edges))
         volumes = powers[3]
         change = shares(volumes, use(inputs, self.fragments)) - jnp.eye(len(volumes))
@@ -150,12 +150,10 @@ class WetMill(Timed):
             moments = (powers @ y) * fixed(UNITS)
             measures = {"number": moments[0]} | mean_sizes(moments)
             measures |= size_measures(y * volumes, edges)
-            milled = slurry.replace(
-                moments=moments * slurry.volume, numbers=y * NUMBER * slurry.volume
-            )
+            milled = slurry.replace(moments=moments * volume, numbers=y * NUMBER * volume)
             return Finish((milled,), measures, ledger(len(network.species)))
 
-        start = slurry.numbers / (slurry.volume * NUMBER)
+        start = slurry.numbers / (volume * NUMBER)
         controls = ((self.speed, speed),)
         duration = use(inputs, self.duration)
         return Dynamics(start, rate, drive, controls, duration, None, states, finish, False)
