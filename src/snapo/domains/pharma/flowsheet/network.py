@@ -74,7 +74,9 @@ def rates(network: Network, constants: Array, concentration: Sequence[Array]) ->
         for s, order in enumerate(network.order[i]):
             if order:
                 rate = rate * _power(concentration[s], float(order))
-        left = [jnp.tanh(concentration[s] / SPENT) for s in np.flatnonzero(network.runs_out[i])]
+        left = [
+            jnp.tanh(concentration[s] / SPENT) for s in np.flatnonzero(network.runs_out[i]).tolist()
+        ]
         if left:
             rate = rate * reduce(jnp.minimum, left)
         found.append(rate)

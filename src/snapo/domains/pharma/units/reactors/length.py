@@ -50,7 +50,9 @@ class Along(NamedTuple):
         before = jnp.concatenate([entering[None], inside[:-1, -1]])
         gap = inside - before[:, None]
         slopes = fixed(self.slopes)
-        change = sum(slopes[:, j, None] * gap[:, j, None] for j in range(points))
+        change = jnp.zeros_like(inside)
+        for j in range(points):
+            change = change + slopes[:, j, None] * gap[:, j, None]
         return (-self.elements * change).reshape(u.shape)
 
     def mean(self, u: Float[Array, "n ..."]) -> Array:
