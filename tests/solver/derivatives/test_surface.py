@@ -99,7 +99,7 @@ def test_coordinates_of_networks_and_rules():
     # A shift of the first output moves its bias alone; a gain is its row once more.
     shifted = moved(network, around.directions[0])
     assert np.allclose(shifted.network.biases[-1] - network.network.biases[-1], [1.0, 0.0])
-    gained = moved(network, around.directions[2])
+    gained = moved(network, around.directions[1])
     assert np.allclose(gained.network.weights[-1][0], 2 * network.network.weights[-1][0])
     assert np.allclose(gained.network.weights[-1][1], network.network.weights[-1][1])
     many = snapo.MLP(snapo.Box(9), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))

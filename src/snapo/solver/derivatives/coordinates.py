@@ -67,7 +67,8 @@ def coordinates(policy: Policy, earlier: Policy | None = None) -> Coordinates:
     if not len(shifts):
         return Coordinates(policy, np.stack([numbers, *past]))
     if len(shifts) <= EACH:
-        return Coordinates(policy, np.concatenate([shifts, gains]))
+        pairs = np.stack([shifts, gains], axis=1)
+        return Coordinates(policy, pairs.reshape(-1, numbers.size))
     rng = np.random.default_rng(len(shifts))
     mixtures = np.linalg.qr(rng.standard_normal((len(shifts), MIXTURES)))[0].T @ shifts
     return Coordinates(policy, np.stack([gains.sum(0), *past, *mixtures]))

@@ -96,6 +96,11 @@ def fresh(source: Scenarios, number: int) -> Scenarios:
     return Pseudo(source.seed, source.antithetic, stream(EVALUATE, number))
 
 
+def rollouts(count: int) -> int:
+    """About how many valuations a surface in so many coordinates takes."""
+    return 14 * count + 3 * (count + 1) * (count + 2)
+
+
 def surface_of(
     problem: Problem, coordinates: Coordinates, paths: int, seed: int, engine: Engine
 ) -> Surface | None:

@@ -76,18 +76,19 @@ def verdicts(
 
     - `reacting`: the policy does not see the whole state, so that held derivatives are wrong in
       principle: every input that a decision reacts to is reported through the policy.
-    - `lost`: inputs whose derivative is lost in a rounding; neither derivative is known.
+    - `lost`: inputs whose derivative no adjoint sees, as it is lost in a rounding (`Problem.lost`):
+      the bump is reported.
     """
     probabilities = {name: each.probability() for name, each in reactions.items()}
     refuted = holm(probabilities)
     found = {}
     for name, each in reactions.items():
         source = HELD
-        if name in lost or each.corner == "jump" or not np.isfinite(each.reaction).all():
+        if each.corner == "jump" or not np.isfinite(each.reaction).all():
             source = UNKNOWN
         elif each.corner == "kink":
             source = RANGE
-        elif name in refuted or (reacting and each.tested):
+        elif name in refuted or name in lost or (reacting and each.tested):
             source = THROUGH
         held, bump = (_pair(blocks) for blocks in (each.held, each.bump))
         found[name] = Verdict(

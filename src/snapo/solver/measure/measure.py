@@ -16,7 +16,7 @@ from snapo.problem.smooth import Smooth
 from ..derivatives.bump import reactions
 from ..derivatives.coordinates import coordinates
 from ..derivatives.margin import floor_of, margin_of, with_margin
-from ..derivatives.surface import Surface, surface_of
+from ..derivatives.surface import Surface, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
 from ..learning.convergence import AS_BEGUN, ending
@@ -31,9 +31,8 @@ from .settings import Evaluation
 
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
 KEPT = "start kept"  # how a training ended whose starting rule is reported
-SEARCH_SHARE = 0.5  # of the work of the training, for the surface around its policy
 BACK = 3.0  # values that one step of training costs for each of its paths
-FEWEST = 2048  # paths of a surface
+FEWEST, PAIR = 2048, 2  # paths of a surface, and coordinates that it has in any case
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
 
@@ -77,9 +76,7 @@ def measure(run: Run) -> dict[str, Any]:
         surface = _surface(run, within)
     table = _sensitivities(run, within, selection, surface)
     gradient = table and table.policy_gradient
-    ended = ending(
-        problem, run.start, progress, training, exact, run.held_paths, engine, gradient
-    )
+    ended = ending(problem, run.start, progress, training, exact, run.held_paths, engine, gradient)
     norm, noise = gradient or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
@@ -126,17 +123,20 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def _surface(run: Run, problem: Problem) -> Surface | None:
-    """The value around the newest policy; None where no derivative is asked for."""
+    """The value around the newest policy, in at most as much work as its training took; None where
+    no derivative is asked for."""
     progress, search = run.progress, run.evaluation.search_paths
     if not search or not run.held_paths or not np.isfinite(progress.best_value):
         return None
     newest = progress.best if problem.limits or run.problem.limits else progress.average
     earlier = progress.halfway if progress.step > 1 else None
     around = coordinates(newest, earlier)
-    work = SEARCH_SHARE * BACK * max(1, progress.step) * run.training.paths
+    work = BACK * max(1, progress.step) * run.training.paths
     count = len(around.directions)
-    rollouts = 14 * count + 3 * (count + 1) * (count + 2)
-    paths = int(min(search, max(FEWEST, work / max(1, rollouts))))
+    while count > PAIR and work / rollouts(count) < FEWEST:
+        count -= 1
+    paths = int(min(search, max(FEWEST, work / rollouts(max(1, count)))))
+    around = around.leading(count)
     return surface_of(problem, around, paths, run.training.seed, run.engines.evaluate)
 
 
@@ -174,7 +174,7 @@ def _sensitivities(
     bumped = reactions(
         problem, policy, paths, table.held, most=evaluation.judge_paths, engine=engine
     )
-    found = verdicts(bumped, reacting=isinstance(policy, Memory))
+    found = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
     derivatives = reported(problem, table.held, table.smooth, bumped, found)
     if surface is not None:
         margin = margin_of(problem, policy, surface, run.training.seed, engine)
@@ -192,9 +192,12 @@ def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Su
 
 
 def _spread(progress: Progress) -> float:
-    """Between the last two of several starts, one of which may have ended in another optimum."""
+    """Between the last two of several starts, beyond what the better one has gained since: as much
+    as that the other one would have gained too, unless it is in another optimum."""
     values = progress.last_two
-    return float(np.ptp(values)) if values and np.isfinite(values).all() else 0.0
+    if not values or not np.isfinite([*values, progress.best_value]).all():
+        return 0.0
+    return max(0.0, float(np.ptp(values)) - (progress.best_value - values[0]))
 
 
 def _smoothing_gap(
