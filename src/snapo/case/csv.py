@@ -67,24 +67,40 @@ class Row:
 
     def day(self, column: str) -> datetime.date:
         """A day that exists, YYYY-MM-DD."""
+        found = self.period(column)
+        if not isinstance(found, datetime.date):
+            raise self.error(column, "a date is written YYYY-MM-DD")
+        return found
+
+    def month(self, column: str) -> tuple[int, int]:
+        """A month, YYYY-MM, as (year, month)."""
+        found = self.period(column)
+        if not isinstance(found, tuple):
+            raise self.error(column, "a month is written YYYY-MM")
+        return found
+
+    def period(self, column: str) -> datetime.date | tuple[int, int] | None:
+        """A day that exists or a month as (year, month); None for any other text."""
         try:
-            text = self.dialect.day(self.cells[column])
+            text = self.dialect.period(self.cells[column])
             if DAY.fullmatch(text):
                 return datetime.date.fromisoformat(text)
         except Doubt as doubt:
             raise self.error(column, str(doubt)) from None
         except ValueError:
             raise self.error(column, "there is no such day in the calendar") from None
-        raise self.error(column, "a date is written YYYY-MM-DD")
-
-    def month(self, column: str) -> tuple[int, int]:
-        """A month, YYYY-MM, as (year, month)."""
-        match = MONTH.fullmatch(self.dialect.month(self.cells[column]))
-        if not match:
-            raise self.error(column, "a month is written YYYY-MM")
+        if not (match := MONTH.fullmatch(text)):
+            return None
         if not 1 <= int(match[2]) <= 12 or match[1] == "0000":
             raise self.error(column, "there is no such month in the calendar")
         return int(match[1]), int(match[2])
+
+    def label(self, column: str) -> str:
+        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, where that is certain."""
+        try:
+            return self.dialect.period(self.cells[column])
+        except Doubt:
+            return self.cells[column]
 
 
 def within(low: float, high: float) -> str:

@@ -16,7 +16,7 @@ POINT = re.compile(r"[+-]?\d*\.\d+([eE][+-]?\d+)?", re.ASCII)
 THOUSANDS = re.compile(r"[+-]?\d{1,3}([.,]\d{3})+", re.ASCII)
 DAY = re.compile(r"(\d{1,2})([./])(\d{1,2})\2(\d{4})", re.ASCII)
 MONTH = re.compile(r"(\d{1,2})/(\d{4})", re.ASCII)  # 04.2021 is a number as well
-MIDNIGHT = re.compile(r"(\d{4}-\d{2}-\d{2})[T ]00:00(:00(\.0+)?)?", re.ASCII)
+MIDNIGHT = re.compile(r"[T ]00:00(:00(\.0+)?)?$", re.ASCII)
 
 Order = Literal["day", "month"]
 
@@ -45,13 +45,15 @@ class Dialect:
             return cell.replace(".", "").replace(",", ".")
         return cell
 
-    def day(self, cell: str) -> str:
-        """The day as YYYY-MM-DD, where it is written another way; else the cell itself.
+    def period(self, cell: str) -> str:
+        """A day as YYYY-MM-DD or a month as YYYY-MM, where it is written another way; else the
+        cell itself.
 
         **Raises:** `Doubt` for 01/02/2024 in a file that does not tell day from month.
         """
-        if match := MIDNIGHT.fullmatch(cell):
-            return match[1]
+        cell = MIDNIGHT.sub("", cell)
+        if match := MONTH.fullmatch(cell):
+            return f"{match[2]}-{int(match[1]):02}"
         if not (match := DAY.fullmatch(cell)):
             return cell
         one, mark, two, year = match.groups()
@@ -60,11 +62,6 @@ class Dialect:
             raise Doubt(cell, "day and month cannot be told apart; a date is written YYYY-MM-DD")
         day, month = (one, two) if first == "day" else (two, one)
         return f"{year}-{int(month):02}-{int(day):02}"
-
-    def month(self, cell: str) -> str:
-        """The month as YYYY-MM, where it is written another way; else the cell itself."""
-        match = MONTH.fullmatch(cell)
-        return f"{match[2]}-{int(match[1]):02}" if match else cell
 
     def words(self) -> str:
         """What differs from commas and decimal points, for a note; "" for nothing."""
@@ -111,7 +108,7 @@ def _first(cells: set[str]) -> Order | None:
     """What comes first in days with slashes: told by any number above twelve."""
     found: dict[Order, str] = {}
     for cell in sorted(cells):
-        match = DAY.fullmatch(cell)
+        match = DAY.fullmatch(MIDNIGHT.sub("", cell))
         if not match or match[2] != "/":
             continue
         if int(match[1]) > 12:

@@ -65,4 +65,4 @@ def _from_csv(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[st
     column, label = table.column.lower(), (table.label or "").lower()
     rows = read_rows(Mention(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])
-    return values, tuple(row.cells[label] for row in rows) if label else ()
+    return values, tuple(row.label(label) for row in rows) if label else ()

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.csv import DAY, MONTH, Mention, Row, read_rows
+from snapo.case.csv import Mention, Row, read_rows
 from snapo.case.dates import ordinals, rising_dates
 from snapo.case.error import CaseError
 from snapo.case.given import Given
@@ -82,13 +82,10 @@ def quotes(rows: Sequence[Row]) -> Quotes:
     by_month: dict[tuple[int, int], float] = {}
     for row in rows:
         price = row.number("price")
-        text = row.cells["date"]
-        if DAY.fullmatch(text):
-            _once(by_day, row.day("date"), price, row)
-        elif MONTH.fullmatch(text):
-            _once(by_month, row.month("date"), price, row)
-        else:
+        period = row.period("date")
+        if period is None:
             raise row.error("date", "a day is written YYYY-MM-DD, a whole month YYYY-MM")
+        _once(by_month if isinstance(period, tuple) else by_day, period, price, row)
     return by_day, by_month
 
 

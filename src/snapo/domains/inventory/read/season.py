@@ -27,7 +27,7 @@ def read_season(section: Section, data: Mapping[str, Any]) -> Given:
         what = f"there are {len(rows)} periods; allowed are {SHORTEST_SEASON} to {LONGEST_SEASON}"
         raise CaseError(table.file, "", None, what)
     found = np.array([row.number("factor", 0.001, 1000) for row in rows])
-    labels = tuple(row.cells["period"] for row in rows)
+    labels = tuple(row.label("period") for row in rows)
     return Given("season", found, labels, "1", np.arange(len(rows)), group="demand", words=WORDS)
 
 

@@ -70,7 +70,7 @@ def _due(row: Row, column: str, clock: Clock) -> tuple[str, float]:
         value = row.number("year", 0.0, 100.0)
         return f"at {years(value)}", round(12 * value) / 12
     day, start = row.day("date") + HALF, clock.start + HALF
-    return row.cells["date"], (12 * (day.year - start.year) + day.month - start.month) / 12
+    return row.label("date"), (12 * (day.year - start.year) + day.month - start.month) / 12
 
 
 def _step(row: Row, column: str, due: float, clock: Clock) -> int:

@@ -57,7 +57,7 @@ def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
 
 
 def _shock(case: PensionCase, row: Row) -> Shock:
-    target, label = row.cells["input"], row.cells["label"]
+    target, label = row.cells["input"], row.label("label")
     if not row.cells["scenario"]:
         raise row.error("scenario", "every line belongs to a scenario with a name")
     given = {each.name: each for each in every_given(case)}
