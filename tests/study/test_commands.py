@@ -1,6 +1,7 @@
 """The commands on a fake domain: what they read, write, print and refuse."""
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -29,6 +30,33 @@ def test_solve_check_and_report(fake, case, capsys):
     assert main(["report", str(case / "run")]) == 0
     assert report.read_bytes() == before
     assert capsys.readouterr().out == f"{report}\n"
+
+
+def test_remarks_of_check_are_notes_of_the_run(fake, case, capsys, monkeypatch):
+    """Those on the case and those that its study adds: said once, and kept with the numbers."""
+
+    def studied(self, read, options):
+        study = Fake.plain_study(self, read, options)
+        return replace(study, about=study.about | {"notes": [*read.notes, "a finding of check"]})
+
+    monkeypatch.setattr(Fake, "plain_study", Fake.study, raising=False)
+    monkeypatch.setattr(Fake, "study", studied)
+    assert main(["solve", str(case)]) == 0
+    printed = capsys.readouterr().err
+    assert printed.count("a remark") == printed.count("a finding of check") == 1
+    result = json.loads((case / "run" / "result.json").read_text())
+    assert result["notes"] == ["a remark", "a finding of check"]
+
+
+def test_a_study_without_notes_keeps_those_of_its_case(fake, case, capsys, monkeypatch):
+    monkeypatch.setattr(Fake, "plain_study", Fake.study, raising=False)
+
+    def studied(self, read, options):
+        return replace(Fake.plain_study(self, read, options), about={"title": "Sums"})
+
+    monkeypatch.setattr(Fake, "study", studied)
+    assert main(["solve", str(case)]) == 0
+    assert json.loads((case / "run" / "result.json").read_text())["notes"] == ["a remark"]
 
 
 def test_json_is_one_object_for_every_command(fake, case, capsys):

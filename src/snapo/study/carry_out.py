@@ -186,11 +186,15 @@ def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
     """What result.json says: the study's own words, and the state of its parts.
 
+    "notes" ends with those on the case, which were known before any work.
+
     "seconds" has those of every part, of preparing the case and of writing reports, whose sum is
     the "total"; and the stages of the training, which are within its part.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}
+    if notes := [*result.get("notes", ()), *record.get("about", {}).get("notes", ())]:
+        result["notes"] = list(dict.fromkeys(notes))
     seconds = {name: state["seconds"] for name, state in states.items()}
     seconds = record.get("beside", {}) | seconds
     result["seconds"] = {

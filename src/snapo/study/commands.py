@@ -1,7 +1,7 @@
 """The work of every command, the same for all domains; the command line only prints it."""
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -139,7 +139,7 @@ def load(asked: Asked) -> Loaded:
 def check(asked: Asked, tell: "Tell") -> list[str]:
     """The case in a few lines; nothing is trained."""
     loaded = load(asked)
-    remarks(loaded, tell)
+    remarks(loaded.case.notes, tell)
     return loaded.domain.check(loaded.case)
 
 
@@ -171,9 +171,10 @@ def solve(
 
         return solve_seeds(asked, tell, out, wanted, seeds)
     loaded = load(asked)
-    remarks(loaded, tell)
+    remarks(loaded.case.notes, tell)
     out = place(loaded, out)
     ready = made_ready(loaded, out, wanted)
+    remarks(ready.study.about["notes"], tell, known=loaded.case.notes)
     return carried_out(ready, resume, tell, began)
 
 
@@ -300,7 +301,8 @@ def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
     return found
 
 
-def remarks(loaded: Loaded, tell: "Tell") -> None:
-    """Tells the remarks on a case that its owner should see."""
-    for note in loaded.case.notes:
-        tell(f"note: {note}")
+def remarks(notes: Iterable[str], tell: "Tell", known: Collection[str] = ()) -> None:
+    """Prints the remarks that the owner of a case should see, without those `known` already."""
+    for note in notes:
+        if note not in known:
+            tell(f"note: {note}")

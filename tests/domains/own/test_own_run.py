@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.own.small import PLACE, SIMULATOR, write
+from tests.domains.own.small import CASE, PLACE, SIMULATOR, write
 
 from snapo.cli.main import main
 from snapo.domains.own import DOMAIN
@@ -105,6 +105,21 @@ def test_the_report_tells_all_of_it(solved):
     # Nobody gave this simulator a relaxation.
     assert 'class="missing"' not in page and "not bounded from above" in page
     assert page.count("<svg") == 1 + 2 + 4 + 1  # tornado, histograms, fans, training
+
+
+def test_a_warning_of_check_is_a_note_of_the_run_with_its_remedy(tmp_path, capsys):
+    """An input that nothing uses: what `check` prints stands in the result and in the report."""
+    unused = CASE.replace("[units]", "idle = { value = 1 }\n[units]").replace("= 30", "= 2")
+    folder = write(tmp_path / "case", case=unused)
+    assert main(["check", str(folder), *PLACE]) == 0
+    place, what, remedy = capsys.readouterr().out.split("warning: ")[1].split("\n")[:3]
+    assert "idle" in place and "changes no output" in what
+    assert main(["solve", str(folder), *PLACE]) == 0
+    told = capsys.readouterr().err
+    note = f"{place}: {what.strip()} {remedy.strip()}"
+    assert f"note: {note}" in told
+    assert note in json.loads((folder / "run" / "result.json").read_text())["notes"]
+    assert (folder / "run" / "report.html").read_text().count("changes no output") == 1
 
 
 def stopped(folder: Path, line: str) -> None:

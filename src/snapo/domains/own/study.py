@@ -134,7 +134,8 @@ def study(case: OwnCase, options: Options) -> Study:
 
 def _notes(case: OwnCase) -> list[str]:
     """Remarks on the case and on its simulator, which is checked."""
-    return [*case.notes, *(f"{each.where}: {each.what}" for each in checked(case).warnings)]
+    warnings = (f"{each.where}: {each.what} {each.fix}" for each in checked(case).warnings)
+    return [*case.notes, *warnings]
 
 
 def _result(run: StudyRun) -> dict[str, Any]:

@@ -90,9 +90,8 @@ def certificate(run: Folder) -> Section:
 
 
 def making(run: Folder) -> Section:
-    """Notes, the state of every part, times, engine, seed and versions."""
-    blocks: list[Block] = [Text(str(note)) for note in run.get("notes", [])]
-    blocks += [_parts(run), *_times(run), evidence.made_with(run)]
+    """The state of every part, times, engine, seed and versions."""
+    blocks: list[Block] = [_parts(run), *_times(run), evidence.made_with(run)]
     return Section("making", "Parts, times and versions", "Versions", blocks)
 
 

@@ -1,8 +1,8 @@
 """A run made ready: its folder, all that decides its numbers, and its study."""
 
 import time
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -80,12 +80,18 @@ def made_ready(loaded: "Loaded", out: Path, wanted: Wanted) -> Ready:
     before = run_folder.check_same(out, decides) if wanted.resume else None
     about = before.get("about") if before else wanted.about
     asked = Options(wanted.engine, wanted.reference, about)
-    study = loaded.domain.study(loaded.case, asked)
+    study = _with_notes(loaded.domain.study(loaded.case, asked), loaded.case.notes)
     if given is not None:
         from .begun import begun_with
 
         study = begun_with(study, given, str(loaded.file))
     return Ready(loaded, out, decides, study)
+
+
+def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
+    """The study with the remarks on its case among its notes, also where it has none."""
+    every = dict.fromkeys([*notes, *study.about.get("notes", ())])
+    return replace(study, about={**study.about, "notes": list(every)})
 
 
 def carried_out(

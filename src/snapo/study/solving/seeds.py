@@ -45,15 +45,17 @@ def solve_seeds(
 
     began = time.perf_counter()
     loaded = load(asked)
-    remarks(loaded, tell)
+    remarks(loaded.case.notes, tell)
     out = place(loaded, out)
     numbers = _numbers(loaded, seeds)
     trained, ready = [], {}
     for seed in numbers:
         own = asked._replace(assignments=(*asked.assignments, f"training.seed={seed}"))
         one = _ready(load(own), out, seed, wanted)
-        if seed == numbers[0] and wanted.resume:
-            _check_same(out, one)
+        if seed == numbers[0]:
+            remarks(one.study.about["notes"], tell, known=loaded.case.notes)
+            if wanted.resume:
+                _check_same(out, one)
         ready[seed] = one
         wanted = wanted._replace(about=one.study.about)  # the checks are those of the case
         trained.append(_trained(one, seed, wanted, tell, began))

@@ -59,8 +59,9 @@ def pension_study(case: PensionCase, options: Options) -> Study:
 
     **Raises:** `CaseError` where a figure of the actuary's is missed: before anything is written.
     """
-    if options.about is None:  # else it passed, and a run of it goes on
-        examine(case)
+    notes = (options.about or {}).get("notes")  # of a run that passed, and goes on
+    if notes is None:
+        notes = [*case.notes, *examine(case).remarks]
     engine = options.engine
 
     @cache
@@ -74,7 +75,7 @@ def pension_study(case: PensionCase, options: Options) -> Study:
         return FundRelaxation(setup().problem, setup().policy)
 
     every, kept = parts(case), wanted(case)
-    known = about(case) | choice.told(every, kept)
+    known = about(case) | {"notes": list(notes)} | choice.told(every, kept)
     if TRAINING not in kept:  # which says them
         known |= {"seed": case.training.seed, "versions": versions()}
     checks, bounded = ("reconcile",), _unbounded(case) or relaxation
@@ -108,7 +109,6 @@ def about(case: PensionCase) -> dict[str, Any]:
         "years": case.steps * case.step,
         "step": case.step,
         "steps": case.steps,
-        "notes": list(case.notes),
         "model": _model(case),
         "kinds": {each.kind: each.words for each in case.assets.classes},
         "held": list(case.held),

@@ -33,7 +33,7 @@ def certificate(run: PensionRun) -> Section:
         return Section("certificate", title, "Certificate", [Missing(text)])
     gap = number(run.get("certificate.smoothing_gap"))
     facts = [("Smoothing gap", gap, "exact less smooth, in the objective")]
-    blocks: list[Block] = [Facts([*facts, *evidence.gradient(run)]), *evidence.notes(run)]
+    blocks: list[Block] = [Facts([*facts, *evidence.gradient(run)])]
     blocks += [
         evidence.bump_table(run, "", name_of),
         evidence.limit_table(run, "", "Step", _step),
@@ -47,8 +47,9 @@ def _step(step) -> str:
 
 def assumptions(run: PensionRun) -> Section:
     """Model, notes, kinds of assets, inputs held fixed, engine, seed and versions."""
-    texts = [run.get("model"), *run.get("notes", [])]
-    blocks: list[Block] = [*(Text(str(each)) for each in texts if each), *not_asked(run)]
+    model = run.get("model")
+    blocks: list[Block] = [*([Text(str(model))] if model else []), *evidence.notes(run)]
+    blocks += not_asked(run)
     if kinds := run.get("kinds", {}):
         rows = [(name.capitalize(), str(words)) for name, words in kinds.items()]
         blocks.append(Table([("Kind", ""), ("Meaning", "")], rows, "Kinds of assets", 2))

@@ -9,6 +9,7 @@ from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.figures.human import Human
 from snapo.domains.pension.results.figures.lines import readable
 from snapo.domains.pension.results.figures.plausible import remarks
+from snapo.study.domain import Options
 
 USUAL = Human(
     assets=325e6,
@@ -111,6 +112,18 @@ def test_check_remarks_on_slips(tmp_path):
     ]
     assert any("is fund.assets in the unit" in each for each in found)
     assert any("the volatility of the 10-year rate is 69" in each for each in found)
+
+
+@pytest.mark.prove
+def test_remarks_of_check_are_notes_of_a_run(tmp_path):
+    slip = [("case.toml", "assets = 325000000.0", "assets = 325.0")]
+    case = read_case(short_case(tmp_path / "case", slip))
+    known = [each[6:] for each in DOMAIN.check(case) if each.startswith("note: ")]
+    notes = DOMAIN.study(case, Options()).about["notes"]
+    assert known and notes == [*case.notes, *known]
+    # A run that goes on keeps them, without the examination.
+    again = DOMAIN.study(case, Options(about={"notes": notes})).about["notes"]
+    assert again == notes
 
 
 @pytest.mark.prove

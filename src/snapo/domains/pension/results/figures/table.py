@@ -23,8 +23,6 @@ def work(run: StudyRun) -> dict[str, Any]:
     case = case_of(run)
     examined, each = examine(case), round(1 / case.step)
     found, seen = examined.figures, examined.human
-    for remark in examined.remarks:
-        run.tell(f"note: {remark}")
     flow = np.asarray(found.cash_flow)
     whole = len(flow) // each * each
     table = {
