@@ -17,7 +17,7 @@ from tests.domains.gas_storage.storage_cases import changed, read
 
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy
-from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, marginal_value
+from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, readings
 from snapo.domains.gas_storage.references.marginal import marginal_values
 from snapo.domains.gas_storage.results.certificate import off_ties
 from snapo.domains.gas_storage.setup import bare_problem, factors
@@ -185,14 +185,21 @@ def test_on_a_tie_the_adjoint_is_one_side():
 
 
 def test_the_guide_keeps_a_slope_at_its_knots():
-    """An empty and a full store stand on the end knots; the line goes on beyond them."""
+    """An empty and a full store stand on the end rows; the line goes on beyond them."""
     levels = np.array([3.0, 2.0, 1.0, 0.5])
     coefficients = np.stack([levels, 0.1 * levels, 0.0 * levels], axis=1)
     with jax.enable_x64(True):
-        knots = Knots(*map(jnp.asarray, (10.0, 40.0, 2.0, coefficients)))
-        slope = jax.grad(lambda inventory: marginal_value(knots, inventory, 0.5))
+        knots = Knots(*map(jnp.asarray, (10.0, 40.0, coefficients, coefficients, 2.0)))
+
+        def marginal(inventory):
+            (found,) = readings(
+                knots, (inventory,), (), lambda row: row @ jnp.asarray([1.0, 0.5, 0.25])
+            )
+            return found
+
+        slope = jax.grad(marginal)
         found = [float(slope(inventory)) for inventory in (9.0, 10.0, 15.0, 20.0, 30.0, 41.0)]
-        middle = float(marginal_value(knots, 15.0, 0.5))
+        middle = float(marginal(15.0))
     assert_allclose(found, np.array([-1, -1, -1, -1, -0.5, -0.5]) * 1.05 / 10, atol=1e-12)
     assert_allclose(middle, 2.5 * 1.05)
 

@@ -16,8 +16,9 @@ from snapo.domains.gas_storage.references.black import black_call
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
 from snapo.domains.gas_storage.references.lattice import lattice, relevant_factors
 from snapo.domains.gas_storage.references.linear_program import intrinsic_by_linear_program
-from snapo.domains.gas_storage.references.marginal import marginal_values
+from snapo.domains.gas_storage.references.marginal import DEGREE, marginal_values
 from snapo.domains.gas_storage.references.perfect_foresight import perfect_foresight
+from snapo.domains.gas_storage.references.slope_table import ROWS
 
 
 def small(factors, days=40, interpolation="linear", seed=3, **terms):
@@ -308,8 +309,8 @@ def follow_marginal_values(schedule, table, spots, factor):
     stock, earned = np.full(len(spots), schedule.constants.inventory), np.zeros(len(spots))
     for t in range(len(steps.forward)):
         state = np.clip(factor[:, t], -table.reach[t], table.reach[t])
-        c = table.coefficients[t]
-        worth = c[:, 0] + state[:, None] * (c[:, 1] + state[:, None] * c[:, 2])
+        # Ratchets leave no corners: both sides of the table are one.
+        worth = np.vander(state, DEGREE + 1, increasing=True) @ table.above[t].T
         width = max(table.high[t] - table.low[t], 1e-12)
 
         def marginal(inventory, worth=worth, low=table.low[t], width=width):
@@ -344,7 +345,7 @@ def test_marginal_values_are_a_good_policy():
     schedule = schedule._replace(factors=of._replace(variance=of.variance - 0.3**2 * years))
     of = schedule.factors
     table = marginal_values(schedule, schedule.factors, "linear")
-    assert table.coefficients.shape == (341, 16, 3)
+    assert table.above.shape == table.below.shape == (341, ROWS, DEGREE + 1)
     spots = spot_paths(schedule, 2048)
     factor = (np.log(spots / steps.forward) + of.variance[:-1] / 2) / of.loading[:-1, 0]
     earned = follow_marginal_values(schedule, table, spots, factor)
@@ -362,14 +363,14 @@ def test_marginal_values_without_noise_are_slopes_of_the_intrinsic_value():
     """On the first day the slope at the inventory held is what one unit more at the start adds."""
 
     def ten_days(stock=30.0):
-        rates = ([0.0], [6.0], [0.0])
+        rates = ([0.0], [10.0], [0.0])
         return small([Factor(5.0, still)], days=10, inventory=stock, ratchets=rates)
 
-    table = marginal_values(ten_days(), None, "linear", 101)
-    assert np.all(table.coefficients[..., 1:] == 0)
+    table = marginal_values(ten_days(), None, "linear")
+    assert np.all(table.above[..., 1:] == 0) and np.all(table.below[..., 1:] == 0)
     values = [intrinsic(ten_days(stock), "linear").value for stock in (20.0, 22.0)]
-    # The most, 6, leaves at once: the unit in the middle is the one at 21 - 6.
-    place = (15 - table.low[0]) / (table.high[0] - table.low[0]) * 100
-    slope = np.interp(place, np.arange(101), table.coefficients[0, :, 0])
+    # The most, 10, leaves at once: the unit in the middle is the one at 21 - 10.
+    row = np.linspace(table.low[0], table.high[0], ROWS)
+    slope = np.interp(11, row, table.above[0, :, 0])
     assert ten_days().steps.forward[0] > slope
     assert_allclose((values[1] - values[0]) / 2, slope, rtol=1e-9)

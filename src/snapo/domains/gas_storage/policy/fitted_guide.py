@@ -7,7 +7,7 @@ import jax.numpy as jnp
 from jaxtyping import Array
 
 from ..bounds.basis import REACH, powers
-from .value_table import between
+from .value_table import readings
 
 
 class FittedKnots(NamedTuple):
@@ -15,15 +15,16 @@ class FittedKnots(NamedTuple):
 
     low: Array
     high: Array
-    coefficients: Array
+    above: Array
+    below: Array
     whiten: Array
     common: Array
     shift: Array
 
-    def values(self, process, terms, now, state, inventories) -> list[Array]:
-        """Marginal values, as present values, at these inventories at the end of the day."""
-        seen = functions(self, process.gaussian(state), self.coefficients.shape[-1], REACH)
-        return [between(self, inventory, lambda row: row @ seen) for inventory in inventories]
+    def values(self, process, terms, now, state, above, below) -> list[Array]:
+        """Marginal values, as present values, above and below these inventories at day's end."""
+        seen = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
+        return readings(self, above, below, lambda row: row @ seen)
 
 
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:

@@ -22,12 +22,13 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class MarginalValue(NamedTuple):
-    """Marginal values of gas at the end of the day, in units of the mean forward price: without
-    a free flow, and at the end of the most injection and of the most withdrawal."""
+    """Marginal values of gas at the end of the day, in units of the mean forward price: of the
+    first and the last unit of the most injection, and of the most withdrawal."""
 
-    keep: Array
-    filled: Array
-    emptied: Array
+    first_in: Array
+    last_in: Array
+    first_out: Array
+    last_out: Array
 
 
 class StoragePolicy(Policy):
@@ -58,14 +59,15 @@ class StoragePolicy(Policy):
         seen = Economics(*observation[:HEAD])
         level, into, out = CORRECTION * seen.level * self.network(observation[HEAD:])
         return MarginalValue(
-            seen.keep + level,
-            seen.filled + level + into * seen.room_in,
-            seen.emptied + level + out * seen.room_out,
+            seen.first_in + level,
+            seen.last_in + level + into * seen.room_in,
+            seen.first_out + level,
+            seen.last_out + level + out * seen.room_out,
         )
 
 
 def _flows(seen: Economics, value: MarginalValue, smooth):
     """Fractions of the free injection and withdrawal that pay."""
-    injected = smooth.share(value.keep - seen.buy, value.filled - seen.buy)
-    withdrawn = smooth.share(seen.sell - value.keep, seen.sell - value.emptied)
+    injected = smooth.share(value.first_in - seen.buy, value.last_in - seen.buy)
+    withdrawn = smooth.share(seen.sell - value.first_out, seen.sell - value.last_out)
     return jnp.stack([injected, withdrawn])

@@ -17,16 +17,18 @@ from ..prices.process import YEAR, PriceProcess
 class Economics(NamedTuple):
     """Today's flows in money, prices in units of the mean forward price.
 
-    `keep`, `filled` and `emptied` are the guide's marginal values of gas, as of the day's gas
-    payment, at the end of the day: without a free flow, after the most injection and after the
-    most withdrawal. `buy` is the cost of a unit in store, `sell` the proceeds of one out of it.
-    `room_in` and `room_out` are the free flows in units of the largest rate, `level` the joint
-    level of the slow price factors.
+    `first_in`, `last_in`, `first_out` and `last_out` are the guide's marginal values of gas at the
+    end of the day, as of its gas payment: of the first and the last unit of the most injection,
+    and of the most withdrawal. Where the value has a corner, a first unit in is worth the slope
+    above it and a last one the slope below; of units out it is the other way round. `buy` is the
+    cost of a unit in store, `sell` the proceeds of one out of it. `room_in` and `room_out` are
+    the free flows in units of the largest rate, `level` the joint level of the slow price factors.
     """
 
-    keep: Array
-    filled: Array
-    emptied: Array
+    first_in: Array
+    last_in: Array
+    first_out: Array
+    last_out: Array
     buy: Array
     sell: Array
     room_in: Array
@@ -44,21 +46,22 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
     keep = flows.keep + flows.base
     room_in, room_out = flows.most - flows.base, flows.base - flows.least
     if now.guide is None:
-        values = [jnp.asarray(1.0)] * 3
+        first_in = last_out = last_in = first_out = jnp.asarray(1.0)
     else:
         # The guide is data: its own derivatives are nobody's, and the adjoint need not form them.
-        guide, at = jax.lax.stop_gradient(now.guide), (keep, keep + room_in, keep - room_out)
-        found = guide.values(process, terms, now, state.price, at)
-        values = [each / discount / scale for each in found]
+        guide, sides = (
+            jax.lax.stop_gradient(now.guide),
+            ((keep, keep - room_out), (keep + room_in, keep)),
+        )
+        found = guide.values(process, terms, now, state.price, *sides)
+        first_in, last_out, last_in, first_out = (each / discount / scale for each in found)
     buy = spot * (1 + now.injection_fuel)
     buy += now.injection_cost * now.injection_cost_discount / discount
     sell = spot * (1 - now.withdrawal_fuel)
     sell -= now.withdrawal_cost * now.withdrawal_cost_discount / discount
     rate = terms.rate_scale
-    keep, filled, emptied = values
-    return Economics(
-        keep, filled, emptied, buy / scale, sell / scale, room_in / rate, room_out / rate, level
-    )
+    values = (first_in, last_in, first_out, last_out)
+    return Economics(*values, buy / scale, sell / scale, room_in / rate, room_out / rate, level)
 
 
 def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
@@ -71,11 +74,12 @@ def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[
     to_full = (now.high - state.inventory) / (20 * terms.rate_scale)
     to_empty = (state.inventory - now.low) / (20 * terms.rate_scale)
     mid = (seen.buy + seen.sell) / 2
+    keep = (seen.first_in + seen.first_out) / 2
     features = [
         jnp.stack([jnp.sin(year), jnp.cos(year), jnp.sin(2 * year), jnp.cos(2 * year)]),
         jnp.stack([jnp.tanh(left), jnp.tanh(20 * left), 2 * filling - 1, filling * filling]),
         jnp.stack([jnp.tanh(to_full), jnp.tanh(to_empty)]),
-        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (seen.keep, seen.filled, seen.emptied)]),
+        jnp.stack([jnp.tanh(5 * (v - mid)) for v in (keep, seen.last_in, seen.last_out)]),
         process.observe(terms.price, now.price, state.price),
         now.ahead,
     ]

@@ -83,4 +83,4 @@ def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:
 
 def _worth(place: Place, inventory: Array, seen: Array) -> Array:
     inside = jnp.clip(inventory, place.low, place.high)
-    return between(place, inside, lambda coefficients: coefficients @ seen)
+    return between(place, place.coefficients, inside, lambda row: row @ seen)

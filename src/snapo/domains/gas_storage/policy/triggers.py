@@ -99,7 +99,7 @@ def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, i
         state = State(inventory, price)
         seen = simulator.observe(constants, now, state)
         value, economics = policy.marginal_value(seen), Economics(*seen[:HEAD])
-        return value.keep - economics.buy, economics.sell - value.keep
+        return value.first_in - economics.buy, economics.sell - value.first_out
 
     return jax.vmap(jax.vmap(one, in_axes=(None, None, 0)))(now, inventories, spots)
 

@@ -14,22 +14,24 @@ from ..references.marginal import MarginalValues
 
 
 class Knots(NamedTuple):
-    """One day of the guide: uniform inventories from `low` to `high`, [levels, 3] coefficients in
-    the fast factor's state, to be trusted up to `reach` on either side."""
+    """One day of the guide: uniform inventories from `low` to `high`, with [rows, n] coefficients
+    in the fast factor's state `above` and `below` them, to be trusted up to `reach`."""
 
     low: Array
     high: Array
+    above: Array
+    below: Array
     reach: Array
-    coefficients: Array
 
-    def values(self, process, terms, now, state, inventories) -> list[Array]:
-        """Marginal values, as present values, at these inventories at the end of the day.
+    def values(self, process, terms, now, state, above, below) -> list[Array]:
+        """Marginal values, as present values, above and below these inventories at day's end.
 
         The slow factors scale them all alike.
         """
         level = process.slow_level(terms.price, now.price, state)
-        x = process.fast(state)
-        return [marginal_value(self, inventory, x) * level for inventory in inventories]
+        x = jnp.clip(process.fast(state), -self.reach, self.reach)
+        found = readings(self, above, below, lambda row: jnp.polyval(row[::-1], x))
+        return [level * each for each in found]
 
 
 class ValueTable(eqx.Module):
@@ -39,26 +41,26 @@ class ValueTable(eqx.Module):
 
     @classmethod
     def of(cls, found: MarginalValues) -> "ValueTable":
-        table = (found.low, found.high, found.reach, found.coefficients)
+        table = (found.low, found.high, found.above, found.below, found.reach)
         return cls(Knots(*table))  # pyright: ignore[reportArgumentType]
 
 
-def marginal_value(knots: Knots, inventory, x):
-    """The guide's marginal value at an inventory and a fast factor's state."""
-    x = jnp.clip(x, -knots.reach, knots.reach)
-    return between(knots, inventory, lambda c: c[0] + x * (c[1] + x * c[2]))
+def readings(knots, above, below, value) -> list[Array]:
+    """`value` of a row of coefficients, above the inventories `above` and below those `below`."""
+    upper = [between(knots, knots.above, inventory, value) for inventory in above]
+    return upper + [between(knots, knots.below, inventory, value) for inventory in below]
 
 
-def between(knots, inventory, value):
+def between(knots, rows, inventory, value):
     """`value` of a row of coefficients, linear between the rows on either side of an inventory."""
-    pieces = knots.coefficients.shape[0] - 1
-    # A day may leave no choice of inventory; every level then holds the same value.
+    pieces = rows.shape[0] - 1
+    # A day may leave no choice of inventory; every row then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
     place = (inventory - knots.low) / width * pieces
     left = jnp.clip(jnp.floor(place), 0, pieces - 1)
-    # Stores stand exactly on the first and the last knot. The line goes on beyond them, so that a
+    # Stores stand exactly on the first and the last row. The line goes on beyond them, so that a
     # rounding does not decide about the slope there.
     share = place - left
     row = left.astype(jnp.int32)
-    low, high = (value(knots.coefficients[each]) for each in (row, row + 1))
+    low, high = (value(rows[each]) for each in (row, row + 1))
     return low + share * (high - low)
