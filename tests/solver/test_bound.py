@@ -5,7 +5,7 @@ by a fine lattice: 2.3140 for one right, 6.8707 for three.
 """
 
 from dataclasses import replace
-from functools import cache
+from functools import cache, reduce
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 
 from snapo import Box, Input, Mean, Policy, Problem, Pseudo, Simulator, Xla
+from snapo.cli.commands import bounds, summary
 from snapo.problem.simulator import Schedule
-from snapo.solver.bound import bound, nested_mean
+from snapo.report.sections.bound import _sentence
+from snapo.solver.bound import Between, Bound, bound, nested_mean
 
 DATES, STRIKE, RATE, VOLATILITY = 50, 40.0, 0.06, 0.2
 STEP = 1.0 / DATES
@@ -201,3 +203,49 @@ def test_intervals_count_antithetic_pairs_once():
     # Student's t of 127 and of 255 degrees of freedom.
     reach = (found.upper.high - found.upper.value) / found.upper.standard_error
     assert reach == pytest.approx(1.9788, abs=1e-3)
+
+
+def bounded(gap: float, error: float, value: float = 40.0) -> Bound:
+    """A bound as few paths give it: their own value is lower than that of many."""
+    own = Between(value - 5, error, value - 5 - 2 * error, value - 5 + 2 * error)
+    above = Between(own.value + gap, error, own.low + gap, own.high + gap)
+    between = Between(gap, error, max(gap - 2 * error, 0.0), gap + 2 * error)
+    return Bound(own, above, between, "value", "a penalty", (1.0,), 64)
+
+
+def test_the_bound_of_a_value_is_that_value_and_the_gap():
+    """On paths of its own the bound of 40.18 lay below the value of 40.35."""
+    found = bounded(4.83, 5.28, 40.35)
+    assert found.upper.value < 40.35
+    above = found.above(40.35, 0.3, Mean("profit"))
+    assert above.lower.value == 40.35 and above.upper.value == pytest.approx(40.35 + 4.83)
+    assert above.gap == found.gap and above.upper.low <= above.upper.value <= above.upper.high
+    assert above.upper.standard_error == pytest.approx(np.hypot(0.3, 5.28))
+    assert above.row()["upper"]["value"] == above.upper.value
+
+
+@pytest.mark.parametrize(
+    ("gap", "error", "little"),
+    [(0.7, 0.1, False), (0.9, 0.1, True), (0.1, 0.25, True), (0.1, 0.15, False), (9.0, 5.0, True)],
+)
+def test_a_wide_bound_says_that_it_says_little(gap, error, little):
+    """Above 2 % of the value, or with an error above 0.5 % of it; printed wherever it is shown."""
+    found = bounded(gap, error).above(40.0, 0.01, Mean("profit"))
+    assert bool(found.says_little) == little
+    result = {"bound": found.row(), "references": {"upper_bound": found.upper.value}, "run": "run"}
+    places = (str(found), found._repr_html_(), bounds(result), summary(result))
+    assert [("says little" in each) for each in places] == [little] * 4
+    assert ("says little" in _sentence(Shown(result), result["bound"], 2)) == little
+
+
+class Shown:
+    """As much of a run as the sentence on its bound needs."""
+
+    def __init__(self, result):
+        self.result = result
+
+    def get(self, path: str):
+        return reduce(lambda table, key: table[key], path.split("."), self.result)
+
+    def worth(self, value: float, error: None, places: int) -> str:
+        return f"EUR {value:.{places}f}"

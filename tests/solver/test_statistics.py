@@ -159,3 +159,35 @@ def test_compiling_within_compiling_counts_once():
     jax.monitoring.record_event_duration_secs("/snapo/compile", 1.0)
     clock.stage("evaluate")
     assert clock.total()["compile"] == found["compile"]
+
+
+@pytest.mark.parametrize("count", [256, 1024])
+def test_the_interval_of_a_mean_with_a_long_tail_holds_it(count):
+    """Lognormal numbers, whose mean is known: Student's interval holds it in 81 to 83 %.
+
+    Their skewness is 414: no interval of so few numbers holds the mean in all of 95 %.
+    """
+    random, deviation, trials = np.random.default_rng(5), 2.0, 200
+    exact, held, plain = np.exp(deviation**2 / 2), 0, 0
+    for _ in range(trials):
+        values = np.exp(deviation * random.standard_normal(count))
+        found = statistics.skewed_mean(values)
+        held += found.low <= exact <= found.high
+        plain += statistics.mean(values).holds(exact)
+        assert found.few and found.low < found.value < found.high
+    assert held / trials >= 0.87 and held > plain + 0.04 * trials
+
+
+def test_the_interval_of_a_mean_without_a_tail_is_that_of_blocks():
+    random, trials = np.random.default_rng(6), 400
+    held = 0
+    for _ in range(trials):
+        found = statistics.skewed_mean(random.standard_normal(640) + 2.0)
+        held += found.low <= 2.0 <= found.high
+        assert not found.few
+    assert statistics.proportion(held, trials)[0] == pytest.approx(0.95, abs=0.03)
+
+
+def test_a_mean_of_equal_numbers_has_no_interval():
+    found = statistics.skewed_mean(np.full(100, 3.0))
+    assert found == (3.0, 0.0, 3.0, 3.0, False)

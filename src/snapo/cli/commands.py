@@ -204,7 +204,9 @@ def summary(result: Mapping[str, Any]) -> str:
             lines.append(f"{key.replace('_', ' '):<24}{_figure(result[key]):>16}{meaning}")
     for name, value in (result.get("references") or {}).items():
         if value is not None:
-            lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}")
+            little = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
+            note = f"   {little}" if little else ""
+            lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}{note}")
     start = result.get("start") or {}
     for key, name in (("before", "given policy"), ("value", "gained over it")):
         if start.get(key) is not None and "before" in start:
@@ -229,6 +231,8 @@ def bounds(result: Mapping[str, Any]) -> str:
         if each:
             low, high = _figure(each["low"]), _figure(each["high"])
             lines.append(f"{name:<8}{_figure(each['value']):>16}   {low} to {high}")
+    if found.get("says_little"):
+        lines.append(f"this bound {found['says_little']}")
     lines.append(f"report: {Path(result['run']) / 'report.html'}")
     return "\n".join(lines)
 

@@ -12,13 +12,14 @@ earnings as a control variate, and the gap of a path, hindsight less policy, is 
 """
 
 from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
 from snapo.engine import COURSE, Engine, Rollout, Xla
 from snapo.problem.noise import Draws
+from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Scenarios, stream
@@ -27,11 +28,12 @@ from snapo.problem.smooth import Exact
 from .adjoint import float64
 from .relaxations.known import Relaxation, relaxation_of
 from .show import html
-from .statistics import mean
+from .statistics import critical, independent, mean, skewed_mean
 
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
 TRAINED, BOUND = 256, 257  # streams: of the paths that train a penalty, and of the bound's
+MOST_GAP, MOST_ERROR = 0.02, 0.005  # of the value: above, a bound says little
 SWEEPS, STEP = 2, 0.1  # of the descent: how often each scale moves, and how far it looks
 
 
@@ -52,6 +54,7 @@ class Bound:
     - `gap`: upper less lower, paired path by path.
     - `penalty`, `words`: its kind, and its meaning; `scale`: of its parts.
     - `sure`: the sure totals that are worth lower and upper, where the objective is a utility.
+    - `few`: whether a few paths of great hindsight decide the gap, whose interval is wider then.
     """
 
     lower: Between
@@ -62,10 +65,40 @@ class Bound:
     scale: tuple[float, ...]
     paths: int
     sure: tuple[float | None, float | None] = (None, None)
+    few: bool = False
+
+    @property
+    def says_little(self) -> str:
+        """Why the bound leaves open how good the policy is; empty where it does not."""
+        value = abs(self.lower.value)
+        gap, error = self.gap.value, self.upper.standard_error
+        if gap <= MOST_GAP * value and error <= MOST_ERROR * value:
+            return ""
+        told = f"a gap of {gap:,.3g} ± {error:,.2g}"
+        share = f" ({gap / value:.2%} ± {error / value:.2%} of the value)" if value else ""
+        few = ", which a few paths of great hindsight decide" if self.few else ""
+        return f"says little: {told}{share}{few}"
+
+    def above(self, value: float, error: float, objective: Objective) -> "Bound":
+        """The bound of a policy whose value is known better from more paths: that, and the gap.
+
+        An upper bound on few paths of its own may lie below that value by chance.
+        """
+        if not np.isfinite(error):
+            return self
+        half = critical() * error
+        lower = Between(value, error, value - half, value + half)
+        gap, top = self.gap, value + self.gap.value
+        wide = float(independent(error, gap.standard_error))
+        low = top - float(independent(gap.value - gap.low, half))
+        high = top + float(independent(gap.high - gap.value, half))
+        upper = Between(top, wide, low, high)
+        sure = objective.sure(value), objective.sure(top)
+        return replace(self, lower=lower, upper=upper, sure=sure)
 
     def row(self) -> dict[str, Any]:
         """As plain data."""
-        found = asdict(self)
+        found = asdict(self) | {"says_little": self.says_little}
         for name in ("lower", "upper", "gap"):
             found[name] = getattr(self, name)._asdict()
         return found
@@ -77,7 +110,8 @@ class Bound:
              f"{each.high:,.7g}")
             for name, each in self._named().items()
         ]  # fmt: skip
-        below = html.paragraph(f"{self.paths} paths; penalty: {self.words}")
+        little = f"It {self.says_little}. " if self.says_little else ""
+        below = html.paragraph(f"{little}{self.paths} paths; penalty: {self.words}")
         return html.table(("", "value", "", "95 % from", "to"), rows) + below
 
     def _named(self) -> dict[str, Between]:
@@ -91,6 +125,8 @@ class Bound:
         ]
         if None not in self.sure:
             lines.append("as sure totals  {:>16,.7g} to {:,.7g}".format(*self.sure))
+        if self.says_little:
+            lines.append(f"this bound {self.says_little}")
         return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])
 
 
@@ -139,13 +175,14 @@ def bound(
     order = np.argsort(np.concatenate([block for block, _, _ in sample]))
     groups = source.groups(np.arange(paths))
     below, above = _between(lower[order], groups), _between(upper[order], groups)
-    gap = _between((upper - lower)[order], groups)
+    gap = skewed_mean((upper - lower)[order], groups)
     words = relaxation.words if scale.any() else "none: each path knows its own future"
     used: Penalty = penalty
     if not scale.any():
         used = "none"
     sure = problem.objective.sure(below.value), problem.objective.sure(above.value)
-    return Bound(below, above, gap, used, words, tuple(scale.tolist()), paths, sure)
+    between = Between(gap.value, gap.standard_error, max(gap.low, 0.0), gap.high)
+    return Bound(below, above, between, used, words, tuple(scale.tolist()), paths, sure, gap.few)
 
 
 def nested_mean(

@@ -41,6 +41,8 @@ def _sentence(run: Folder, found: dict, places: int) -> str:
     low = finite(found["lower"]["value"])
     if top is None or gap is None or low is None:
         return "There are too few paths for an interval."
+    if little := run.get("bound.says_little"):
+        return f"This bound {little}. No policy earns more than {run.worth(top, None, places)}."
     share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
     return (
         f"No policy whatever earns more than {run.worth(top, None, places)}, and the trained one"
@@ -75,9 +77,10 @@ def _chart(run: Folder, found: dict, places: int) -> Chart:
 
     svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
     caption = (
-        "Both on the same fresh paths of the exact simulator. The upper bound is the mean of what"
-        " the best decisions of each path earn when its future is known, less a penalty that"
-        f" costs nothing on average to those who do not know it ({run.get('bound.words')})."
+        "The upper bound is the value and the gap: the mean over fresh paths of what the best"
+        " decisions of each path earn when its future is known, less what the policy earns."
+        " A penalty for knowing it costs nothing on average to those who do not"
+        f" ({run.get('bound.words')})."
     )
     return Chart(svg, caption)
 

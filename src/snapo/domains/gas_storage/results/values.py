@@ -49,6 +49,8 @@ def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     above = run.get("bound.upper")
     if above is not None:
         note = "hindsight with a penalty: no policy earns more"
+        if little := run.get("bound.says_little"):
+            note = f"{note}; {little}"
         ladder.append(_rung("Upper bound", above["value"], above["standard_error"], note))
     if fees:
         after = solution.value - fees
