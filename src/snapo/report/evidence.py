@@ -98,7 +98,7 @@ def bump_table(run: Folder, unit: str, name_of: Callable[[str], str]) -> Table |
         (
             name_of(str(each.get("family", ""))),
             _direction(each.get("inputs")),
-            verdict(each.get("passed"), "holds", "fails"),
+            verdict(each.get("passed"), "holds", "fails", "at kinks: see nearby"),
             power(each.get("worst_error")),
             power(each.get("allowed")),
             percent(crossing) if (crossing := finite(each.get("crossing"))) else "",
@@ -139,9 +139,9 @@ def limit_table(run: Folder, unit: str, step: str, when: Callable[[Any], str]) -
     return Table(head, body, caption, 2)
 
 
-def verdict(passed: Any, good: str, bad: str) -> Mark | str:
+def verdict(passed: Any, good: str, bad: str, undecided: str = "not tried") -> Mark | str:
     """A mark with its word; a check that was not made says so."""
-    return "not tried" if passed is None else Mark(bool(passed), good if passed else bad)
+    return undecided if passed is None else Mark(bool(passed), good if passed else bad)
 
 
 def spent(run: Folder) -> dict[str, float]:
