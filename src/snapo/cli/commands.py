@@ -206,6 +206,8 @@ def summary(result: Mapping[str, Any]) -> str:
         if value is not None:
             little = (result.get("bound") or {}).get("says_little") if name == "upper_bound" else ""
             note = f"   {little}" if little else ""
+            error = (result.get("reference_errors") or {}).get(name)
+            note += "" if error is None else f"   finer grids move it by {error:,.2g}"
             lines.append(f"{name.replace('_', ' '):<24}{_figure(value):>16}{note}")
     start = result.get("start") or {}
     for key, name in (("before", "given policy"), ("value", "gained over it")):

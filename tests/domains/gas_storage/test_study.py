@@ -155,7 +155,7 @@ def test_every_part_is_done_and_inputs_say_their_meaning(whole):
 @pytest.mark.prove
 def test_the_certificate_passes(whole):
     details = details_of(whole[1])["certificate"]
-    wrong = [row for row in details["bump_check"] if not row["passed"]]
+    wrong = [row for row in details["bump_check"] if row["passed"] is False]
     assert not wrong, wrong
     assert all(row["passed"] for row in details["feasibility"])
     left, error = details["homogeneity"]["left"], details["homogeneity"]["error"]

@@ -18,6 +18,7 @@ from snapo.domains.gas_storage.references.lattice import lattice, relevant_facto
 from snapo.domains.gas_storage.references.linear_program import intrinsic_by_linear_program
 from snapo.domains.gas_storage.references.marginal import DEGREE, marginal_values
 from snapo.domains.gas_storage.references.perfect_foresight import perfect_foresight
+from snapo.domains.gas_storage.references.refined import refined
 from snapo.domains.gas_storage.references.slope_table import ROWS
 
 
@@ -374,3 +375,47 @@ def test_marginal_values_without_noise_are_slopes_of_the_intrinsic_value():
     slope = np.interp(11, row, table.above[0, :, 0])
     assert ten_days().steps.forward[0] > slope
     assert_allclose((values[1] - values[0]) / 2, slope, rtol=1e-9)
+
+
+# Finer and finer grids.
+
+
+def test_the_refined_value_of_few_days_is_the_exact_one():
+    """A rate that no plain grid holds: 100 / 200 is half a unit, and a day delivers 4.7."""
+    calm = Factor(30.0, lambda day: 1e-9)
+    schedule = small([calm], days=30, inventory=100.0, ratchets=([0.0], [4.7], [0.0]))
+    exact, found = (
+        intrinsic(schedule, "linear").value,
+        refined(schedule, schedule.factors, "linear"),
+    )
+    assert lattice(schedule, schedule.factors, "linear").value < exact * (1 - 1e-4)
+    assert found.error <= 1e-6 * exact
+    assert abs(found.value - exact) <= found.error + 1e-9 * exact
+
+
+def swing(rate: float):
+    """Two hundred days of a delivery whose daily volume is no part of the grid's."""
+    calm = Factor(30.0, lambda day: 1e-9)
+    return small([calm], days=200, inventory=100.0, ratchets=([0.0], [rate], [0.0]))
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(("rate", "lost"), [(0.83, 0.007), (1.3, 0.005), (4.7, 0.002)])
+def test_the_refined_value_is_the_exact_one_to_its_error(rate, lost):
+    """Without noise the exact value is the intrinsic one, of which a plain grid gives away."""
+    schedule = swing(rate)
+    exact = intrinsic(schedule, "linear").value
+    found = refined(schedule, schedule.factors, "linear")
+    assert lattice(schedule, schedule.factors, "linear").value < exact * (1 - lost)
+    assert found.error <= 2e-4 * exact
+    assert abs(found.value - exact) <= found.error + 2e-5 * exact
+
+
+@pytest.mark.prove
+def test_a_grid_across_the_daily_volumes_is_told_by_its_refinement():
+    """Ratchets have no common volume: the first grid is as good as any, and halved."""
+    schedule = small([Factor(20.0, lambda day: 0.8)], days=30)
+    plain = lattice(schedule, schedule.factors, "linear", inventories=1601, spacing=0.04).value
+    found = refined(schedule, schedule.factors, "linear")
+    assert found.error > 0
+    assert abs(found.value - plain) <= max(2 * found.error, 2e-4 * plain)

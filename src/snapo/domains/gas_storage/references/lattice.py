@@ -44,6 +44,7 @@ def lattice(
     keep: tuple[int, ...] | None = None,
     *,
     inventories: int = 201,
+    step: float | None = None,
     spacing: float | None = None,
     slow_nodes: int = 17,
     volumes: Volumes = "free",
@@ -54,7 +55,7 @@ def lattice(
 
     - `factors`: of the price process, which must be Gaussian for the value to be exact.
     - `keep`: indices of the one or two to keep; by default `relevant_factors`.
-    - `inventories`: grid points from 0 to the largest inventory.
+    - `inventories`: grid points from 0 to the largest inventory; or `step`, the volume between.
     - `spacing`: of the fast factor's nodes, in standard deviations of its daily shock; by default
       0.15 for one factor, 0.3 for two. The error falls with its square; deltas need more than
       values do.
@@ -75,7 +76,8 @@ def lattice(
         volumes = free_volumes(schedule, interpolation)
     spacing = spacing or (0.15 if len(kept) == 1 else 0.3)
     grid = factor_grid(factors, kept, spacing, slow_nodes)
-    days, value = _backward(schedule, interpolation, grid, inventories, volumes)
+    step = step or volume_scale(schedule) / (inventories - 1)
+    days, value = _backward(schedule, interpolation, grid, step, volumes)
     return LatticeResult(value, *_forward(schedule, grid, days), kept, dropped)
 
 
@@ -112,12 +114,11 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     return kept or (int(speed[0]),)
 
 
-def _backward(schedule, interpolation, grid: FactorGrid, inventories, volumes):
+def _backward(schedule, interpolation, grid: FactorGrid, spacing: float, volumes):
     """All days' decisions and the value today."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
     low, high = visited(schedule, interpolation)
-    spacing = volume_scale(schedule) / (inventories - 1)
     nodes = inventory_nodes(low[horizon], high[horizon], spacing, constants.end_levels)
     spots = constants.end_forward * grid.noise(horizon)
     value = end_value(schedule, nodes[:, None], spots)

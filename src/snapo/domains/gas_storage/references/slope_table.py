@@ -60,7 +60,7 @@ def slope_table(schedule) -> SlopeTable:
     steps = schedule.steps
     low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
     across = SlopeTable(low, high, low, high, corners=False)
-    volume = _common_volume(steps)
+    volume = common_volume(steps)
     widest = np.max(high - low, initial=0.0)
     if volume is None or widest <= 0:
         return across
@@ -72,7 +72,7 @@ def slope_table(schedule) -> SlopeTable:
     return SlopeTable(first, last, low, high, corners=True)
 
 
-def _common_volume(steps) -> float | None:
+def common_volume(steps) -> float | None:
     """The volume of which all daily ones are multiples; None where they depend on the inventory."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):

@@ -44,7 +44,8 @@ def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     ]
     exact, fees = run.get("dynamic_programming"), run.get("fixed_costs")
     if exact is not None:
-        note = "lattice in at most two price factors"
+        error = run.get("dynamic_programming_error", 0.0)
+        note = f"lattice in at most two price factors; finer grids move it by {error:,.2g}"
         ladder.append(_rung("Dynamic programming", exact, note=note))
     above = run.get("bound.upper")
     if above is not None:
