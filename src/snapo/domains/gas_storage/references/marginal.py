@@ -53,7 +53,8 @@ def marginal_values(
     else:
         grid = factor_grid(factors, (factors.fast,), SPACING, 1)
         found, reach = _with_noise(schedule, interpolation, table, grid), _reach(grid)
-    return MarginalValues(table.low, table.high, *found, reach)
+    above, below = found
+    return MarginalValues(table.low, table.high, above, below, reach)
 
 
 def _with_noise(
