@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from snapo.problem.limits import AtLeast, AtMost, priced
 from snapo.problem.objective import (
     CRRA,
     CVaR,
@@ -30,6 +31,11 @@ SMOOTH = {
     "target": Target("x", 1.0),
     "mixture": Mean("x") * 2 + 0.5 * CVaR("y", 0.8) - Target("x", 1.0),
     "negative": -Mean("y"),
+    "cvar of a cost": -CVaR("x", 0.9),
+    "mean-variance of a cost": -0.5 * MeanVariance("x", 3.0),
+    "entropic of a cost": -Entropic("x", 2.0) / 3,
+    "mixture of costs": -(2 * Mean("x") + 0.5 * CVaR("y", 0.8)) - Entropic("x", 2.0),
+    "most of a cost": AtMost(Mean("y") + CVaR("x", 0.9), 1.0).measure,
 }
 
 
@@ -81,6 +87,101 @@ def test_cvar_and_entropic_of_normals():
     assert Entropic("x", 1.0).value({"x": x}) == pytest.approx(-0.5, abs=1e-4)
 
 
+COST = {"cost": 2.0 + stats.norm.ppf((np.arange(200_000) + 0.5) / 200_000)}
+DEAREST = 2.0 + stats.norm.pdf(stats.norm.ppf(0.9)) / 0.1  # 3.755: the mean of the dearest tenth
+
+
+@pytest.mark.parametrize(
+    "objective, right",
+    [
+        (-CVaR("cost", 0.9), -DEAREST),
+        (-Entropic("cost", 1.0), -2.5),
+        (-MeanVariance("cost", 1.0), -2.5),
+        (-2.0 * CVaR("cost", 0.9) / 4, -DEAREST / 2),
+        (-Mean("cost") - 0.5 * CVaR("cost", 0.9), -2.0 - DEAREST / 2),
+        (Mean("cost") - (Mean("cost") + Entropic("cost", 1.0)), -2.5),
+        (-(Mean("cost") + 0.5 * CVaR("cost", 0.9)), -2.0 - DEAREST / 2),
+        # A sign twice is none: the cheap tenth again, the bad one of a gain.
+        (-1 * (-CVaR("cost", 0.9)), 4.0 - DEAREST),
+        (-Probability("cost", 2.0), -0.5),
+    ],
+    ids=repr,
+)  # fmt: skip
+def test_a_negative_measure_of_risk_looks_at_the_dear_tail(objective, right):
+    """Cost ~ N(2, 1) on a fine grid of quantiles: tail and exponential moment are off by 1e-3."""
+    assert objective.value(COST) == pytest.approx(right, abs=1e-3)
+    assert objective.influence(COST).mean() == pytest.approx(right, abs=1e-3)
+
+
+def test_limits_look_at_the_tail_that_breaks_them():
+    """At most: the dear tail of a cost. At least: the cheap tail of a gain."""
+    cheapest = 4.0 - DEAREST
+    for limit, measured, excess in (
+        (AtMost(CVaR("cost", 0.9), 1.0), DEAREST, DEAREST - 1.0),
+        (AtMost(Entropic("cost", 1.0), 1.0), 2.5, 1.5),
+        (AtMost(Mean("cost") + CVaR("cost", 0.9), 1.0), 2.0 + DEAREST, 1.0 + DEAREST),
+        (AtMost(-CVaR("cost", 0.9), 1.0), -cheapest, -cheapest - 1.0),
+        (AtLeast(CVaR("cost", 0.9), 1.0), cheapest, 1.0 - cheapest),
+        (AtLeast(-CVaR("cost", 0.9), -1.0), -DEAREST, DEAREST - 1.0),
+    ):
+        assert limit.measure.value(COST) == pytest.approx(measured, abs=1e-3)
+        assert limit.excess(COST) == pytest.approx(excess, abs=1e-3)
+        paid = priced(Mean("cost"), (limit,), (2.0,))
+        by_limit = paid.value(COST) - 2.0
+        assert by_limit == pytest.approx(-2.0 * limit.sign * measured, abs=2e-3)
+    assert AtMost(CVaR("cost", 0.9), 1.0).name == "mean of the largest 10 % of cost at most 1"
+    assert AtLeast(CVaR("cost", 0.9), 1.0).name == "mean of the smallest 10 % of cost at least 1"
+
+
+def test_a_utility_of_a_cost_is_refused():
+    """A utility is of what shall be large; minus the utility of a cost would seek risk."""
+    utility = ExpectedUtility("cost", CRRA(2.0))
+    for wrong in (
+        lambda: -utility,
+        lambda: Mean("x") - 0.5 * utility,
+        lambda: AtMost(utility, 1.0),
+    ):
+        with pytest.raises(ValueError, match=r"ExpectedUtility of cost.*-cost"):
+            wrong()
+
+
+def test_objectives_add_and_scale_as_numbers_do():
+    totals = {"a": np.array([1.0, 2.0, 6.0]), "b": np.array([2.0, 4.0, 0.0])}
+    a, b = Mean("a"), Mean("b")
+    for objective, right in (
+        (a / 2, 1.5),
+        (sum([a, b]), 5.0),
+        (sum([a]), 3.0),
+        (-a / 3, -1.0),
+        (a - b, 1.0),
+        (a - a, 0.0),
+        (np.float64(2.0) * a, 6.0),
+        (-(a - 2 * b) / 2, 0.5),
+    ):
+        assert objective.value(totals) == pytest.approx(right)
+    for wrong in (lambda: a + 1, lambda: 1 - a, lambda: a * None, lambda: a * b, lambda: 2 / a):
+        with pytest.raises(TypeError, match="unsupported operand"):
+            wrong()
+    for wrong in (lambda: a * np.nan, lambda: a / 0):
+        with pytest.raises(ValueError, match=r"Mean: the factor is (nan|1 / 0); allowed"):
+            wrong()
+
+
+def test_objectives_are_said_in_words():
+    for objective, words in (
+        (Mean("a"), "mean of a"),
+        (-Mean("a"), "minus the mean of a"),
+        (-CVaR("a", 0.9), "minus the mean of the largest 10 % of a"),
+        (0.5 * CVaR("a") - Mean("b") / 4, "0.5 × mean of the smallest 5 % of a - 0.25 × mean of b"),
+        (MeanVariance("a", 2.0), "mean-variance of a (aversion 2)"),
+        (-MeanVariance("a", 2.0), "minus the mean-variance of the cost a (aversion 2)"),
+        (-0.5 * Entropic("a"), "minus 0.5 × entropic mean of the cost a (aversion 1)"),
+        (Probability("a", 1.5), "probability of a above 1.5"),
+        (ExpectedUtility("a", CRRA(2.0)), "mean utility of a, CRRA(aversion=2.0, wealth=0.0)"),
+    ):
+        assert str(objective) == words
+
+
 def test_entropic_does_not_overflow():
     x = np.array([-1e6, 0.0, 1e6])
     objective = Entropic("x", 1.0)
@@ -117,8 +218,20 @@ def test_probability_counts_and_its_weights_are_a_density():
         (Target("x", 1.0), -2.0),
         (Mean("x") + CVaR("x", 0.9), -stats.norm.pdf(stats.norm.ppf(0.9)) / 0.1),
         (Probability("x", 0.5), stats.norm.sf(0.5)),
+        (-CVaR("x", 0.9), -stats.norm.pdf(stats.norm.ppf(0.9)) / 0.1),
+        (-Mean("x") - Entropic("x", 1.0), -0.5),
     ],
-    ids=["mean", "cvar", "mean-variance", "entropic", "target", "mixture", "probability"],
+    ids=[
+        "mean",
+        "cvar",
+        "mean-variance",
+        "entropic",
+        "target",
+        "mixture",
+        "probability",
+        "cvar of a cost",
+        "mixture of costs",
+    ],
 )
 def test_standard_errors_cover(objective, truth):
     """400 samples of 2,000 normals, 95 % intervals: coverage 0.95 with a standard error of 0.011;

@@ -137,7 +137,8 @@ def test_own_objectives_join_with_others():
     assert mixed.outputs == ("x", "y") and not mixed.linear
     influence = mixed.influence(TOTALS)
     assert influence.mean() == pytest.approx(mixed.value(TOTALS), rel=1e-12)
-    expected = 2 * Ratio().weights(TOTALS)["y"] - 0.5 * CVaR("y", 0.8).weights(TOTALS)["y"]
+    dear = CVaR("y", 0.8).weights({"y": -TOTALS["y"]})["y"]  # a negative CVaR is that of a cost
+    expected = 2 * Ratio().weights(TOTALS)["y"] - 0.5 * dear
     np.testing.assert_allclose(mixed.weights(TOTALS)["y"], expected, rtol=1e-12)
 
 

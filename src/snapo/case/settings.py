@@ -153,6 +153,21 @@ def read_objective(
     return objective
 
 
+def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
+    """`weight` of one of several objectives that are added up, 1 where it is left out.
+
+    A negative one makes of a measure of risk that of a cost (see `snapo.problem.objective`), which
+    a utility has not.
+    """
+    weight = data.get("weight", 1.0)
+    if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
+        raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
+    if objective.kind == "crra" and weight < 0:
+        what = 'a utility is of what shall be large: with kind "crra" allowed is a number above 0'
+        raise CaseError(file, f"{name}.weight", weight, what)
+    return float(weight)
+
+
 def read_training(
     data: Mapping, file: str, table: type[AnyTraining] = TrainingTable
 ) -> AnyTraining:

@@ -30,9 +30,6 @@ def unknown_outputs(
         if not isinstance(limit, Limit):
             what = "It is no limit, such as AtMost(output, level)."
             yield Unknown(f"limits[{k}]", repr(limit), what)
-        elif not isinstance(limit.measure, Objective):
-            what = "It limits neither an output nor an objective."
-            yield Unknown(f"limits[{k}]", repr(limit.of), what)
         else:
             yield from _missing(f"limits[{k}]", limit.measure, outputs)
 

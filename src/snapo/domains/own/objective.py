@@ -5,7 +5,7 @@ from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
-from snapo.case.settings import ObjectiveTable, read_objective
+from snapo.case.settings import ObjectiveTable, read_objective, read_weight
 from snapo.problem.objective import Objective, Weighted
 
 
@@ -62,12 +62,11 @@ def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
 def _aim(data: Any, name: str, file: str) -> Aim:
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, "this must be a table, [objective]")
-    output, weight = data.get("output"), data.get("weight", 1.0)
+    output = data.get("output")
     if not isinstance(output, str) or not output:
         what = "it is the name of the simulator's output that is made as large as possible"
         what = f"this key is missing; {what}" if output is None else what
         raise CaseError(file, f"{name}.output", output, what)
-    if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
-        raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
-    return Aim(name, float(weight), output, read_objective(rest, file, name))
+    table = read_objective(rest, file, name)
+    return Aim(name, read_weight(data, table, file, name), output, table)

@@ -6,7 +6,7 @@ from typing import ClassVar
 
 import numpy as np
 
-from ..objective import Mean, Objective, Probability, Totals, Weighted
+from ..objective import Mean, Objective, Totals, Weighted
 
 
 @dataclass(frozen=True)
@@ -19,23 +19,28 @@ class Limit:
     words: ClassVar[str] = ""
 
     def __post_init__(self):
-        if not np.isfinite(self.level):
-            raise ValueError(f"{type(self).__name__}: level is {self.level}; it must be finite.")
+        kind, level = type(self).__name__, self.level
+        if not isinstance(self.of, str | Objective):
+            what = 'allowed is the name of an output or an objective, such as Probability("x", 0.0)'
+            raise ValueError(f"{kind}: of is {self.of!r}; {what}.")
+        plain = isinstance(level, int | float | np.number) and not isinstance(level, bool)
+        if not (plain and np.isfinite(level)):
+            raise ValueError(f"{kind}: level is {level!r}; allowed is a finite number.")
+        _ = self.measure  # which refuses a utility of a cost
 
     @property
     def measure(self) -> Objective:
-        """The number that is limited, as an objective: the mean of an output that is named."""
-        return Mean(self.of) if isinstance(self.of, str) else self.of
+        """The number that is limited, as an objective: the mean of an output that is named.
+
+        A measure of risk looks at the tail that breaks the limit: the dear one under `AtMost`.
+        """
+        of = Mean(self.of) if isinstance(self.of, str) else self.of
+        return of.as_cost if self.sign > 0 else of
 
     @property
     def name(self) -> str:
         """The limit in words: "mean of unserved at most 0.05"."""
-        measure = self.measure
-        words = {Mean: "mean of ", Probability: "probability of "}.get(type(measure))
-        what = words + " and ".join(measure.outputs) if words else repr(measure)
-        if isinstance(measure, Probability):
-            what += f" above {measure.threshold:g}"
-        return f"{what} {self.words} {self.level:g}"
+        return f"{self.measure.words()} {self.words} {self.level:g}"
 
     def excess(self, totals: Totals) -> float:
         """By how much the limit is not met; negative where it is."""

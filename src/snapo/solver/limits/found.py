@@ -129,15 +129,15 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, en
     prices, errors = np.zeros(len(binds)), np.zeros(len(binds))
     if not binds.any():
         return prices, errors
-    wanted = [problem.objective] + [
-        each.sign * each.measure for each, on in zip(problem.limits, binds) if on
-    ]
+    bind = [each for each, on in zip(problem.limits, binds) if on]
+    wanted = [problem.objective, *(each.measure for each in bind)]
+    signs = np.array([1.0, *(each.sign for each in bind)])[:, None]
     bound, source = engine.bind(problem), problem.sources.evaluation
     blocks = source.blocks(source.available(PATHS), BLOCKS)
     draws = [source.draws(block, problem.simulator) for block in blocks]
     slopes = np.array([
         [slope_of(bound, policy, block, smooth, each) for each in wanted] for block in draws
-    ])  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
+    ]) * signs  # [blocks, 1 + limits, numbers of the policy]  # fmt: skip
     whole = _least_squares(slopes.mean(0))
     without = (slopes.sum(0) - slopes) / (len(slopes) - 1)
     left = np.array([_least_squares(each) for each in without])

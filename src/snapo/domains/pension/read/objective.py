@@ -4,7 +4,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.settings import read_objective
+from snapo.case.settings import read_objective, read_weight
 from snapo.case.table import nearest
 
 from ..fund.simulator import OUTPUTS
@@ -31,11 +31,9 @@ def _term(file: str, name: str, data: Any, known: Sequence[str]) -> ObjectiveTer
         raise CaseError(file, name, data, "this must be a table")
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
     table = read_objective(rest, file, name, optional=("wealth",))
-    weight = data.get("weight", 1.0)
-    if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
-        raise CaseError(file, f"{name}.weight", weight, "allowed is a number other than 0")
+    weight = read_weight(data, table, file, name)
     output = data.get("output", USUAL.get(table.kind, "funding_ratio"))
     if output not in known:
         close = nearest(str(output), known)
         raise CaseError(file, f"{name}.output", output, f"there is no such output; {close}")
-    return ObjectiveTerm(float(weight), str(output), table)
+    return ObjectiveTerm(weight, str(output), table)

@@ -1,0 +1,298 @@
+"""The objectives that there are, each in closed form: means, measures of risk, utilities."""
+
+import abc
+from dataclasses import dataclass
+
+import numpy as np
+
+from .base import Objective, Totals, Weights
+
+
+@dataclass(frozen=True)
+class _OneOutput(Objective):
+    """An objective of one output's totals x in closed form, by its slope and influence."""
+
+    output: str
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return (self.output,)
+
+    def value(self, totals: Totals) -> float:
+        return float(np.mean(self.influence(totals)))
+
+    def weights(self, totals: Totals) -> Weights:
+        x = self.used(totals)[self.output]
+        return {self.output: self._slope(x) / x.size}
+
+    def influence(self, totals: Totals) -> np.ndarray:
+        return self._influence(self.used(totals)[self.output])
+
+    @abc.abstractmethod
+    def _slope(self, x: np.ndarray) -> np.ndarray:
+        """N times d value / d x."""
+
+    @abc.abstractmethod
+    def _influence(self, x: np.ndarray) -> np.ndarray:
+        """Numbers whose mean is the value and whose spread is its sampling error."""
+
+
+class _Risk(_OneOutput):
+    """A measure of risk: of a cost it looks at the other tail."""
+
+    @property
+    def as_cost(self) -> "OfCost":
+        return OfCost(self)
+
+    def words(self) -> str:
+        return self._words(cost=False)
+
+    @abc.abstractmethod
+    def _words(self, cost: bool) -> str:
+        """The measure, or that of a cost, as a phrase."""
+
+
+@dataclass(frozen=True)
+class OfCost(Objective):
+    """Minus a measure of risk of minus its output: of a cost, so that the dear paths count most.
+
+    >>> dear = snapo.AtMost(snapo.CVaR("cost", 0.9), 90.0).measure
+    >>> round(float(dear.value({"cost": np.arange(100.0)})), 6)  # the mean of the largest ten
+    94.5
+    """
+
+    measure: _Risk
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return self.measure.outputs
+
+    @property
+    def as_gain(self) -> _Risk:
+        return self.measure
+
+    def value(self, totals: Totals) -> float:
+        return -self.measure.value(self._opposite(totals))
+
+    def weights(self, totals: Totals) -> Weights:
+        return self.measure.weights(self._opposite(totals))
+
+    def influence(self, totals: Totals) -> np.ndarray:
+        return -self.measure.influence(self._opposite(totals))
+
+    def words(self) -> str:
+        return self.measure._words(cost=True)
+
+    def _opposite(self, totals: Totals) -> Totals:
+        return {name: -total for name, total in self.measure.used(totals).items()}
+
+
+class _ByPath(_OneOutput):
+    """A mean of each path's own number."""
+
+    @property
+    def by_path(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Mean(_ByPath):
+    """The mean."""
+
+    @property
+    def linear(self) -> bool:
+        return True
+
+    def words(self) -> str:
+        return f"mean of {self.output}"
+
+    def _slope(self, x):
+        return np.ones_like(x)
+
+    def _influence(self, x):
+        return x
+
+
+@dataclass(frozen=True)
+class CVaR(_Risk):
+    """The mean of the worst (smallest) 1 - level of the paths (Rockafellar and Uryasev 2000).
+
+    Tail measures on few paths are biased: keep at least 50 paths in the tail.
+
+    >>> worst = snapo.CVaR("cash", 0.9)
+    >>> round(float(worst.value({"cash": np.arange(100.0)})), 6)  # the mean of the smallest ten
+    4.5
+    """
+
+    level: float = 0.95
+
+    def __post_init__(self):
+        if not 0 < self.level < 1:
+            raise ValueError(f"CVaR: level is {self.level}; it must lie between 0 and 1.")
+
+    def _words(self, cost):
+        tail = "largest" if cost else "smallest"
+        return f"mean of the {tail} {100 * (1 - self.level):.4g} % of {self.output}"
+
+    def _slope(self, x):
+        # The path on the edge of the tail counts in part, so that the weights sum to one.
+        tail = (1 - self.level) * x.size
+        rank = np.empty(x.size)
+        rank[np.argsort(x, kind="stable")] = np.arange(x.size)
+        return np.clip(tail - rank, 0, 1) * x.size / tail
+
+    def _influence(self, x):
+        tail = (1 - self.level) * x.size
+        edge = np.sort(x)[min(int(tail), x.size - 1)]
+        return edge + np.minimum(x - edge, 0) / (1 - self.level)
+
+
+@dataclass(frozen=True)
+class MeanVariance(_Risk):
+    """mean - aversion / 2 * variance; of a cost, mean + aversion / 2 * variance."""
+
+    aversion: float = 1.0
+
+    def _words(self, cost):
+        return f"mean-variance of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+
+    def _slope(self, x):
+        return 1 - self.aversion * (x - x.mean())
+
+    def _influence(self, x):
+        return x - self.aversion / 2 * (x - x.mean()) ** 2
+
+
+@dataclass(frozen=True)
+class Entropic(_Risk):
+    """-log(mean(exp(-a x))) / a, the certainty equivalent of exponential utility, a > 0."""
+
+    aversion: float = 1.0
+
+    def _words(self, cost):
+        return f"entropic mean of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+
+    def _slope(self, x):
+        tilt = np.exp(-self.aversion * (x - x.min()))
+        return tilt / tilt.mean()
+
+    def _influence(self, x):
+        tilt = self._slope(x)
+        level = x.min() - np.log(np.exp(-self.aversion * (x - x.min())).mean()) / self.aversion
+        return level - (tilt - 1) / self.aversion
+
+
+@dataclass(frozen=True)
+class ExpectedUtility(_ByPath):
+    """Mean utility of the total, such as `CRRA(5.0)`.
+
+    Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
+    has no derivative. Training leads away from it: a path of ruin has the weight of the path for
+    which a unit more is worth most.
+    """
+
+    utility: "CRRA"
+
+    @property
+    def as_cost(self) -> Objective:
+        raise ValueError(
+            f"ExpectedUtility of {self.output}: a utility is of what shall be large, so its "
+            "weight is positive and it has no upper limit. Of a cost, let the simulator give "
+            f"-{self.output} as an output, and write the utility of that."
+        )
+
+    def words(self) -> str:
+        return f"mean utility of {self.output}, {self.utility}"
+
+    def climb(self, totals: Totals) -> Weights:
+        (weight,) = self.weights(totals).values()
+        alive = np.isfinite(weight)
+        most = weight[alive].max() if alive.any() else 1 / weight.size
+        return {self.output: np.where(alive, weight, most)}
+
+    def sure(self, value: float) -> float | None:
+        found = self.utility.certainty_equivalent(value)
+        return found if np.isfinite(found) else None
+
+    def _slope(self, x):
+        return self.utility.slope(x)
+
+    def _influence(self, x):
+        return self.utility(x)
+
+
+@dataclass(frozen=True)
+class CRRA:
+    """Utility W^(1 - aversion) / (1 - aversion) of W = wealth + x, the logarithm at aversion 1;
+    minus infinity where W <= 0.
+
+    >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
+    [-1.0, -0.5]
+    """
+
+    aversion: float
+    wealth: float = 0.0
+
+    def __call__(self, x: np.ndarray) -> np.ndarray:
+        x = x + self.wealth
+        positive = np.where(x > 0, x, 1.0)
+        if self.aversion == 1:
+            utility = np.log(positive)
+        else:
+            utility = positive ** (1 - self.aversion) / (1 - self.aversion)
+        return np.where(x > 0, utility, -np.inf)
+
+    def slope(self, x: np.ndarray) -> np.ndarray:
+        x = x + self.wealth
+        return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.aversion, np.nan)
+
+    def certainty_equivalent(self, utility: float) -> float:
+        """The sure x of this utility; infinite where no x has as much."""
+        if self.aversion == 1:
+            return float(np.exp(utility)) - self.wealth
+        power = (1 - self.aversion) * utility
+        if power <= 0:
+            return np.inf if self.aversion > 1 else -self.wealth
+        return float(power ** (1 / (1 - self.aversion))) - self.wealth
+
+
+@dataclass(frozen=True)
+class Target(_ByPath):
+    """Minus the mean squared distance from a target: -mean((x - target)^2)."""
+
+    target: float = 0.0
+
+    def words(self) -> str:
+        return f"minus mean square of {self.output} less {self.target:g}"
+
+    def _slope(self, x):
+        return -2 * (x - self.target)
+
+    def _influence(self, x):
+        return -((x - self.target) ** 2)
+
+
+@dataclass(frozen=True)
+class Probability(_ByPath):
+    """The probability that x > threshold; its weights round the step over `width` (in x's unit).
+
+    The value is the exact frequency. The pathwise derivative of a step is zero, so the weights
+    are those of a logistic step of this width.
+
+    >>> funded = snapo.Probability("ratio", threshold=1.0)
+    >>> float(funded.value({"ratio": np.array([0.9, 1.1, 1.2, 1.3])}))
+    0.75
+    """
+
+    threshold: float = 0.0
+    width: float = 1.0
+
+    def words(self) -> str:
+        return f"probability of {self.output} above {self.threshold:g}"
+
+    def _slope(self, x):
+        z = np.abs(x - self.threshold) / self.width
+        return np.exp(-z) / (1 + np.exp(-z)) ** 2 / self.width
+
+    def _influence(self, x):
+        return (x > self.threshold).astype(float)
