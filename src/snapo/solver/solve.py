@@ -29,6 +29,7 @@ from snapo.problem.smooth import Exact
 
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.following import fitted
+from .learning.settings import TrainingPlan
 from .learning.starts import others, race
 from .learning.told import recorded
 from .measure.measure import Run, measure
@@ -92,17 +93,17 @@ def solve(
             found += _refused(problem_mistakes(problem, policy))
         engines = choose(engine, problem, policy)
         drawn = to_be_drawn(recipe)
-        training = fitted(training, problem, policy, fresh=drawn)
+        plan = fitted(training, problem, policy, fresh=drawn)
         with _meanwhile(problem, evaluation):
             if progress is None:
-                progress = _begun(problem, policy, training, engines.train, undrawn(recipe))
+                progress = _begun(problem, policy, plan, engines.train, undrawn(recipe))
             clock.stage("evaluate")
-            fresh = _fresh_starts(policy, training) if drawn else None
-            progress = train(problem, progress, training, engines.train, callbacks, fresh=fresh)
-            progress = recorded(problem, progress, training)
+            fresh = _fresh_starts(policy, plan) if drawn else None
+            progress = train(problem, progress, plan, engines.train, callbacks, fresh=fresh)
+            progress = recorded(problem, progress, plan)
             clock.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
-        run = Run(problem, start, progress, training, evaluation, engines)
+        run = Run(problem, start, progress, plan, evaluation, engines)
         measured = measure(run)
         measured["notes"] = (*found, *measured["notes"])
         clock.stage("evaluate")
@@ -170,13 +171,13 @@ def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
 
 
 def _begun(
-    problem: Problem, policy: Policy, training: Training, engine: Engine, fresh: bool
+    problem: Problem, policy: Policy, training: TrainingPlan, engine: Engine, fresh: bool
 ) -> Progress:
     """The start, or the best of several after the rounds in which the others fell out.
 
     Networks that are `fresh`, made here from a recipe, are drawn for the features as they are.
     """
-    starts = others(policy, training.starts or 1, training.seed)
+    starts = others(policy, training.starts, training.seed)
     scale = scale_of(policy, problem) if fresh else None
     if scale is not None:
         starts = [scale.plain(each) for each in starts]
@@ -189,9 +190,9 @@ def _begun(
     return replace(left, raced=rounds)
 
 
-def _fresh_starts(policy: Policy, training: Training) -> Callable[[int], Policy]:
+def _fresh_starts(policy: Policy, training: TrainingPlan) -> Callable[[int], Policy]:
     """Starts that no race has had: for a training that has to begin anew."""
-    first = 1 + (training.starts or 1)
+    first = 1 + training.starts
     return lambda number: others(policy, first + number, training.seed)[-1]
 
 

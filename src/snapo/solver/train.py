@@ -26,13 +26,14 @@ from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
 from .learning import clipping, horizon
-from .learning.following import EVERY, fitted
+from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, memory, updater
 from .learning.practice import practised
 from .learning.progress import Progress, Record
 from .learning.progress import begin as begin
-from .learning.settings import Training, follows
+from .learning.settings import Training as Training
+from .learning.settings import TrainingPlan
 from .limits.dual import Dual
 from .limits.dual import moved as moved_prices
 from .verdict import idle
@@ -54,7 +55,7 @@ class Loop(NamedTuple):
     """
 
     problem: Problem
-    training: Training
+    training: TrainingPlan
     bound: Bound
     own: Problem
     exact: Bound
@@ -82,13 +83,13 @@ def train(
     "diverged".
     """
     own = remembering(problem, progress.policy)
-    training = fitted(training, own, progress.policy)
-    practice = practised(problem, training)
+    plan = fitted(training, own, progress.policy)
+    practice = practised(problem, plan)
     seen = own if practice is problem else remembering(practice, progress.policy)
-    last = training.steps if until is None else min(until, training.steps)
+    last = plan.steps if until is None else min(until, plan.steps)
     bound = engine.bind(seen, controls=False)
     exact = bound if seen is own else engine.bind(own, controls=False)
-    loop = Loop(seen, training, bound, own, exact, *_updaters(training, progress))
+    loop = Loop(seen, plan, bound, own, exact, *_updaters(plan, progress))
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -97,10 +98,10 @@ def train(
             progress = _validate(loop, progress)
         while progress.status == "training" and (until is None or progress.step < last):
             # An interrupt must not leave a step whose validation is due and not done.
-            moved = _advance(loop, progress) if progress.step < training.steps else progress
+            moved = _advance(loop, progress) if progress.step < plan.steps else progress
             if moved.slowed != progress.slowed:
-                loop = Loop(*loop[:5], *_updaters(training, moved))
-            due = _due(moved, training) or moved.step == last
+                loop = Loop(*loop[:5], *_updaters(plan, moved))
+            due = _due(moved, plan) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             if due and fresh is not None and idle.caught(moved, training):
@@ -116,17 +117,17 @@ def train(
     return progress
 
 
-def _updaters(training: Training, progress: Progress) -> tuple[Callable, Callable]:
+def _updaters(training: TrainingPlan, progress: Progress) -> tuple[Callable, Callable]:
     """At the rate in force."""
     training = replace(training, learning_rate=progress.rate(training))
     scale = progress.scale
     return updater(training, scale=scale), updater(training, UPDATES, scale)
 
 
-def _due(progress: Progress, training: Training) -> bool:
+def _due(progress: Progress, training: TrainingPlan) -> bool:
     """Whether it is time to validate: every so often, and at the end."""
     over = progress.step >= training.steps or progress.status != "training"
-    return over or progress.step % (training.validation_every or EVERY) == 0
+    return over or progress.step % training.validation_every == 0
 
 
 def _advance(loop: Loop, progress: Progress) -> Progress:
@@ -169,11 +170,11 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     )
 
 
-def _may_be_slower(training: Training, progress: Progress) -> bool:
+def _may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
     """Whether a rate that the problem chose may have led training astray: its first step did not
     break, nor its first value."""
     known = progress.step > 0 and np.isfinite(progress.best_value)
-    return known and follows(training.learning_rate) and len(progress.slowed) < AGAIN
+    return known and "learning_rate" in training.automatic and len(progress.slowed) < AGAIN
 
 
 def _slower(loop: Loop, progress: Progress) -> Progress:
@@ -267,7 +268,7 @@ def _options(progress: Progress) -> dict:
     return {"wrt": ("policy",)} | ({"clip": Clip(norm, progress.keep)} if clipped else {})
 
 
-def most_dropped(training: Training) -> float:
+def most_dropped(training: TrainingPlan) -> float:
     """How many paths of a whole run may be not finite, and are left out, before it diverges."""
     return DROPPED * training.steps * training.paths
 
@@ -321,7 +322,7 @@ def _may_window(
     if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
         return False
     # Where the whole horizon has taught something, a leap is no reason to leave it.
-    gained = progress.stale < progress.step // (loop.training.validation_every or EVERY)
+    gained = progress.stale < progress.step // loop.training.validation_every
     doubtful = wild or (apart and not gained and progress.step > horizon.FIRST)
     return doubtful and not horizon.fell(norms)  # or a plant would be left that is unstable
 

@@ -40,8 +40,8 @@ def following(
     """
     policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
-    training = fitted(training, problem, policy)
-    return Setup(problem, policy, training, evaluation, engines, recipe)
+    plan = fitted(training, problem, policy)
+    return Setup(problem, policy, plan, evaluation, engines, recipe)
 
 
 def at_values(

@@ -17,10 +17,10 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.solver import statistics
 from snapo.solver.files import write_csv
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.relaxations.known import Relaxation
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
 
 Tell = Callable[[str], None]
 
@@ -34,7 +34,7 @@ class Setup(NamedTuple):
 
     problem: Problem
     policy: Policy
-    training: Training
+    training: TrainingPlan
     evaluation: Evaluation
     engines: Engines
     recipe: Policy | None = None

@@ -12,9 +12,10 @@ from snapo.solver.evaluate import worth_of_groups
 from snapo.solver.files import write_csv
 from snapo.solver.learning.convergence import CONVERGED, SURE, UNDECIDED, without_advice
 from snapo.solver.learning.practice import refused
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import HISTORY, Solution
 from snapo.solver.solve import solve
-from snapo.solver.train import Progress, Record, Training, begin
+from snapo.solver.train import Progress, Record, begin
 from snapo.solver.verdict.room import Room, room
 
 from .run_folder import CHECKPOINT, GROUPS
@@ -154,7 +155,7 @@ def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
         raise CaseError(str(file), "", None, what) from None
 
 
-def _keep(run: StudyRun, state: Progress, training: Training) -> None:
+def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
     """Best policy and history so far, on disk; a write that fails does not lose the run."""
     if state.history:
         last = state.history[-1]

@@ -3,12 +3,14 @@
 from types import SimpleNamespace
 
 import equinox as eqx
+import jax
 import numpy as np
 import pytest
 
 import snapo
 
 gymnasium = pytest.importorskip("gymnasium")
+from snapo.gym.black_box import inside as inside_  # noqa: E402
 from snapo.gym.black_box import loop  # noqa: E402
 from snapo.gym.black_box import rounds as rounds_  # noqa: E402
 from snapo.gym.black_box.explore import noisy, random_actions  # noqa: E402
@@ -268,3 +270,45 @@ def test_play_stays_a_function():
     import snapo.gym
 
     assert loop.run and snapo.gym.play.__name__ == "play"
+
+
+class Line(snapo.Simulator):
+    """A step towards zero."""
+
+    horizon: int = 20
+    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    noise_size: int = 1
+
+    def prepare(self, inputs):
+        return snapo.Schedule(np.ones(1), np.zeros(self.horizon))
+
+    def initial(self, constants, noise):
+        return constants[0]
+
+    def observe(self, constants, now, state):
+        return state[None]
+
+    def step(self, constants, now, state, action, noise, smooth):
+        after = state + action[0] + noise[0]
+        return after, {"reward": -(after**2)}
+
+
+def test_half_the_steps_are_half_of_those_that_follow_the_problem(monkeypatch):
+    """Middle rounds trained one step where the caller had named no steps."""
+    steps = []
+
+    def noted(problem, progress, plan, engine):
+        steps.append(plan.steps)
+        return progress
+
+    monkeypatch.setattr(inside_, "train", noted)
+    problem = snapo.Problem(Line(), None, snapo.Mean("reward"))
+    policy = snapo.MLP(hidden=(4,)).for_problem(problem.interface, jax.random.key(0))
+    for training, share in (
+        (snapo.Training(), 1.0),
+        (snapo.Training(), 0.5),
+        (snapo.Training(steps=1), 0.5),
+        (snapo.Training(steps=0), 0.5),
+    ):
+        inside_.trained(Line(), None, policy, training, "xla", share)
+    assert steps == [3840, 1920, 1, 0]

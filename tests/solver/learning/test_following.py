@@ -1,7 +1,8 @@
 """Steps and paths that nobody gave follow the horizon and the size of the policy."""
 
+import json
 import math
-from dataclasses import replace
+from dataclasses import asdict, replace
 
 import jax
 import pytest
@@ -11,7 +12,7 @@ import snapo
 from snapo.problem.policy import widths
 from snapo.problem.simulator import Interface
 from snapo.solver.learning.following import fitted
-from snapo.solver.learning.settings import follows
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.train import Training
 
 
@@ -54,11 +55,12 @@ def test_where_nothing_is_random_a_few_paths_do_in_as_many_steps():
 
 def test_numbers_that_are_given_stay_and_the_rest_follows():
     of = problem(Regulator)
-    assert follows(Training().steps) and follows(Training().paths)
+    assert Training().steps == Training().paths == "auto"
     found = fitted(Training(steps=7), of, policy(of))
-    assert found.steps == 7 and not follows(found.paths)
+    assert found.steps == 7 and found.paths == 512
+    assert found.automatic == ("paths", "learning_rate", "decay", "exploration")
     assert fitted(found, of, policy(of)) == found
-    assert Training(steps=0).steps == 0 and not follows(Training(steps=0).steps)
+    assert Training(steps=0).steps == 0
 
 
 def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_given():
@@ -114,3 +116,42 @@ def test_so_do_the_networks_of_residuals_and_of_recurrent_policies(count, hidden
     assert recurrent.memory == hidden // 2 and recurrent.for_problem(interface, key) is recurrent
     assert snapo.GRU(hidden=5).for_problem(interface, key).memory == 5
     assert snapo.GRU().memory == 0
+
+
+def test_a_training_by_default_is_told_from_one_of_numbers():
+    """It was equal to, hashed and was printed as one of numbers, and was trained differently."""
+    plain, numbers = Training(), Training(learning_rate=0.01, decay=0.0, exploration=0.0)
+    assert plain != numbers and hash(plain) != hash(numbers) and repr(plain) != repr(numbers)
+    assert plain == Training() and hash(plain) == hash(Training())
+    assert Training(paths=64) == Training(paths=64) != Training(paths=65)
+
+
+@pytest.mark.parametrize(
+    "training", [Training(), Training(steps=7), Training(learning_rate=0.02, clip=None, window=5)]
+)
+def test_a_training_that_was_written_as_json_is_the_same_training(training):
+    """Of the default one the steps were 0: nothing was trained."""
+    of = problem(Regulator)
+    again = Training(**json.loads(json.dumps(asdict(training))))
+    assert again == training
+    plan = fitted(training, of, policy(of))
+    assert fitted(again, of, policy(of)) == plan
+    assert plan.steps == (3840 if training.steps == "auto" else training.steps)
+    assert TrainingPlan(**json.loads(json.dumps(asdict(plan)))) == plan
+
+
+def test_what_may_be_automatic_is_said():
+    for name, value, words in (
+        ("steps", -1, "a whole number of at least 0 or 'auto'"),
+        ("steps", "many", "a whole number of at least 0 or 'auto'"),
+        ("learning_rate", "high", "a number above 0 or 'auto'"),
+        ("warmup", "auto", "a whole number of at least 0"),
+        ("average", "auto", "a number above 0, at most 1"),
+    ):
+        with pytest.raises(ValueError) as error:
+            Training(**{name: value})
+        assert str(error.value) == f"Training: {name} is {value!r}; allowed is {words}."
+    with pytest.raises(
+        ValueError, match="steps is 'auto'; allowed is a whole number of at least 0"
+    ):
+        TrainingPlan(steps="auto")

@@ -17,12 +17,13 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.evaluate import path_totals
 from snapo.solver.learning.practice import practised
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.train import begin, train
 
 from .idle_store import INPUTS, IdleStore
 
 STEPS, PATHS = 4, 8
-HOT = snapo.Training(steps=8, paths=PATHS, validation_paths=64, validation_every=4)
+HOT = TrainingPlan(steps=8, paths=PATHS, validation_paths=64, validation_every=4)
 
 
 class Drive(Simulator):

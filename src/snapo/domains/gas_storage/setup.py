@@ -12,9 +12,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
 from snapo.problem.smooth import Exact
 from snapo.solver.by_block.passes import Way
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solution import Solution
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup
 
@@ -48,7 +48,7 @@ def make_setup(
     case: StorageCase, engine: Choice = "auto", fitted: FittedValue | None = None
 ) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
-    training = Training(**case.training.model_dump())
+    training = TrainingPlan.given(case.training.model_dump())
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)

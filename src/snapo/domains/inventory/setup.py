@@ -7,8 +7,8 @@ from scipy import stats
 from snapo.case.objective import make_objective
 from snapo.engine import Choice
 from snapo.problem.problem import Problem
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
@@ -20,7 +20,7 @@ from .policy.order_up_to import OrderUpTo
 
 def make_setup(case: InventoryCase, engine: Choice = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
-    training = Training(**case.training.model_dump())
+    training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
     objective = make_objective(case.objective, "result")

@@ -1,5 +1,6 @@
 """Inside the model: its numbers from a fit, the training of a policy, and the policy's value."""
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,6 +12,7 @@ from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Sources
 from snapo.problem.smooth import Exact
+from snapo.solver.learning.following import fitted
 from snapo.solver.train import Training, begin, train
 
 from .ensemble import Fit
@@ -44,12 +46,16 @@ def inputs_of(fit: Fit, known: Known) -> dict[str, PyTree]:
     }
 
 
-def trained(model: Model, inputs: Any, policy: MLP, training: Training, engine: Choice) -> MLP:
-    """The policy trained on in the model."""
+def trained(
+    model: Model, inputs: Any, policy: MLP, training: Training, engine: Choice, share: float = 1.0
+) -> MLP:
+    """The policy trained on in the model, for a share of the steps."""
     sources = Sources.of(None, training.seed)
     problem = Problem(model, inputs, Mean("reward"), sources)
     engines = choose(engine, problem, policy)
-    progress = train(problem, begin(policy, training, problem), training, engines.train)
+    plan = fitted(training, problem, policy)
+    plan = replace(plan, steps=max(min(1, plan.steps), int(share * plan.steps)))
+    progress = train(problem, begin(policy, plan, problem), plan, engines.train)
     assert isinstance(progress.best, MLP)
     return progress.best
 

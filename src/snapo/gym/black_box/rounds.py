@@ -97,12 +97,11 @@ def improved(plan: Plan, inside: Inside, policy: MLP, number: int) -> MLP:
     problem = Problem(inside.model, inside.inputs, Mean("reward"))
     settings, middle = chosen(plan.training, problem, policy), 0 < number < plan.rounds - 1
     settings = replace(settings, seed=settings.seed + 1000 * number)
-    if middle:
-        settings = replace(settings, steps=max(1, settings.steps // 2))
     if inside.model.may_end:
         # The critic of a window sees no difference between a path that has ended and another.
         settings = replace(settings, window=None)
-    return trained(inside.model, inside.inputs, policy, settings, plan.engine)
+    share = 0.5 if middle else 1.0
+    return trained(inside.model, inside.inputs, policy, settings, plan.engine, share)
 
 
 def compared(

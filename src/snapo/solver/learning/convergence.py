@@ -29,7 +29,7 @@ from ..verdict import further, idle
 from ..verdict.further import Further
 from ..verdict.stopping import ends_for_good
 from .constant import at_limit, constant_decisions, never_taken, rivals, told, words
-from .settings import Training
+from .settings import TrainingPlan
 
 CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
 SATURATED, CONSTANT = "saturated", "constant"
@@ -79,7 +79,7 @@ def ending(
     problem: Problem,
     untrained: Policy,
     progress: Progress,
-    training: Training,
+    training: TrainingPlan,
     exact: Totals,
     held_paths: int,
     engine: Engine,
@@ -158,7 +158,7 @@ UNMOVED_ADVICE = (
 def _further(
     problem: Problem,
     progress: Progress,
-    training: Training,
+    training: TrainingPlan,
     exact: Totals,
     over_start: "Gain",
     engine: Engine,
@@ -181,7 +181,7 @@ def _further(
         paths *= 4
 
 
-def _improving(progress: Progress, training: Training, more: Further) -> str:
+def _improving(progress: Progress, training: TrainingPlan, more: Further) -> str:
     return (
         f"{STILL}the steps after {further.compared_step(progress, training)} of "
         f"{progress.step} gained {Gain(more.late, more.late_error)}, and as many steps again would "
@@ -191,7 +191,7 @@ def _improving(progress: Progress, training: Training, more: Further) -> str:
 
 def _short(
     progress: Progress,
-    training: Training,
+    training: TrainingPlan,
     more: Further,
     gradient: tuple[float, float] | None,
 ) -> str:

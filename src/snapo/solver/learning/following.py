@@ -22,7 +22,6 @@ matters more: several of them begin, and the better half goes on (`starts`).
 """
 
 import math
-from dataclasses import replace
 
 import jax
 import numpy as np
@@ -31,7 +30,7 @@ from snapo.problem.actions import Actions, Choice, Stop, Whole, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
-from .settings import Training, chosen_rate, follows
+from .settings import RATE, Training, TrainingPlan, every
 
 WORK = 1.2e8  # products of one step of training: some hundredths of a second on two cores
 PATHS = (16, 512)  # at least, at most
@@ -43,47 +42,48 @@ MANY = 8  # numbers decided in one step, above which weights decay and decisions
 LEFT = 1 / 4  # of a weight that nothing holds, after all steps
 EXPLORED = 0.1  # share of a decision
 SEVERAL = 4  # first weights, where decisions are of few values
-EVERY, QUARTERS = 50, 4  # steps between two validations, at most; parts of a training, at least
 LONG = 96_000  # steps of the simulator that all steps of training go through, on one path
 RATED = 48_000  # the same, of the steps that the rate follows: chosen before there were more
 
 
-def fitted(training: Training, problem: Problem, policy: Policy, fresh: bool = False) -> Training:
+def fitted(
+    training: Training, problem: Problem, policy: Policy, fresh: bool = False
+) -> TrainingPlan:
     """The training with numbers in place of all that follows the problem.
 
     `fresh`: the policy's networks were drawn for it, so that others may be.
     """
+    if isinstance(training, TrainingPlan):
+        return training
     paths, steps, rate = training.paths, training.steps, training.learning_rate
-    decay, explored, free = training.decay, training.exploration, follows(training.steps)
-    if follows(explored):
+    decay, explored, free = training.decay, training.exploration, training.steps == "auto"
+    if explored == "auto":
         explored = EXPLORED if free and _explores(problem.action, training) else 0.0
     horizon, sure = problem.simulator.horizon, explored == 0 and not problem.is_random
-    if follows(paths):
+    if paths == "auto":
         work = horizon * max(1, parameters(policy).size)
         paths = _within(PATHS, 2 ** round(math.log2(max(1.0, WORK / work))))
         paths = min(paths, ALIKE) if sure else paths
-    if follows(steps):
-        # The gradient of fewer paths is noisier, which more steps average out.
-        noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not sure else 1.0
+    # The gradient of fewer paths is noisier, which more steps average out.
+    noisy = (PATHS[1] / paths) ** 0.4 if paths < PATHS[1] and not sure else 1.0
+    if steps == "auto":
         steps = round(noisy * _within(STEPS, LONG // horizon))
-        if follows(rate) and not holds(problem.action, Stop):
+    if rate == "auto":
+        rate = RATE
+        if free and not holds(problem.action, Stop):
             usual = _within(STEPS, RATED // horizon)
             many = usual / STEPS[0] if usual > USUAL else 1.0
             rate *= math.sqrt(noisy * many)
             rate *= min(1.0, WIDTH / _width(policy)) ** 0.25
-    if follows(decay):
+    if decay == "auto":
         # The rate falls to zero by a cosine, so that it is half as large on average.
         decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
-    # A rate that is chosen stays known as such: it is lowered where it breaks the training.
-    rate = chosen_rate(rate) if follows(training.learning_rate) else rate
-    training = replace(training, paths=paths, steps=steps, learning_rate=rate)
-    training = replace(training, decay=decay, exploration=explored)
-    starts, every = training.starts, training.validation_every
-    if starts is None:
-        few_values = any(holds(problem.action, kind) for kind in (Choice, Whole, Stop))
-        starts = SEVERAL if fresh and free and few_values else 1
-    every = min(EVERY, max(1, -(-steps // QUARTERS))) if every is None else every
-    return replace(training, starts=starts, validation_every=every)
+    few_values = any(holds(problem.action, kind) for kind in (Choice, Whole, Stop))
+    starts = SEVERAL if fresh and free and few_values else 1
+    return TrainingPlan.of(
+        training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=explored,
+        validation_every=every(steps), starts=starts,
+    )  # fmt: skip
 
 
 def _explores(action: Actions, training: Training) -> bool:

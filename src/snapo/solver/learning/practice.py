@@ -22,7 +22,7 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import Around, Simulator
 from snapo.problem.smooth import Smooth
 
-from .settings import Training
+from .settings import TrainingPlan
 
 
 class Wide(Around):
@@ -88,7 +88,7 @@ class MoreNoise(Scenarios):
         return Stored(drawn.initial_noise, noise)  # pyright: ignore[reportArgumentType]
 
 
-def refused(problem: Problem, training: Training) -> tuple[str, str] | None:
+def refused(problem: Problem, training: TrainingPlan) -> tuple[str, str] | None:
     """The setting that this problem cannot have, and why; None where it can have all."""
     simulator = problem.simulator
     if training.spread != 1 and not simulator.initial_noise_size:
@@ -105,7 +105,7 @@ def refused(problem: Problem, training: Training) -> tuple[str, str] | None:
     return None
 
 
-def practised(problem: Problem, training: Training) -> Problem:
+def practised(problem: Problem, training: TrainingPlan) -> Problem:
     """The problem that training sees: itself where it practises no more than it will meet.
 
     **Raises:** `ValueError` for settings that this problem cannot have.

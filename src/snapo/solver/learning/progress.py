@@ -16,7 +16,7 @@ from .features import Scale
 from .following import fitted
 from .growth import Growth
 from .optimiser import begun
-from .settings import Training
+from .settings import Training, TrainingPlan
 
 SLOWER = 0.25  # of the rate, after a step that broke
 
@@ -117,7 +117,7 @@ class Progress:
         """The last step after which training went on with a lower rate; 0: none."""
         return self.slowed[-1] if self.slowed else 0
 
-    def rate(self, training: Training) -> float:
+    def rate(self, training: TrainingPlan) -> float:
         """The highest rate of the schedule in force."""
         return training.learning_rate * SLOWER ** len(self.slowed)
 
@@ -138,7 +138,9 @@ class Progress:
 
 def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
     """The state before the first step; training on windows needs the problem, for its critic."""
-    training = training if problem is None else fitted(training, problem, policy)
+    if problem is not None:
+        training = fitted(training, problem, policy)
+    plan = training if isinstance(training, TrainingPlan) else TrainingPlan.of(training)
     given = training.clip if isinstance(training.clip, int | float) else None
     keep = training.keep if isinstance(training.keep, int | float) else 1.0
     window, critic = None, None
@@ -149,7 +151,7 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
             raise ValueError("begin: training on windows knows no limits; take window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
-    state = begun(training, policy, UPDATES if window else 1)
+    state = begun(plan, policy, UPDATES if window else 1)
     same = dict.fromkeys(("policy", "average", "best", "halfway", "recent"), policy)
     empty = {"best_value": float("-inf"), "stale": 0, "history": (), "status": "training"}
     return Progress(

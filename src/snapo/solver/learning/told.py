@@ -13,11 +13,11 @@ from ..verdict import idle
 from . import clipping
 from .growth import Growth
 from .progress import Progress
-from .settings import Training
+from .settings import TrainingPlan
 from .starts import words
 
 
-def recorded(problem: Problem, progress: Progress, training: Training) -> Progress:
+def recorded(problem: Problem, progress: Progress, training: TrainingPlan) -> Progress:
     """With the adjoints of the trained rule, where a user said how to go back and nothing else
     measured them."""
     given = isinstance(training.window, int), progress.clip is not None, progress.keep < 1

@@ -20,12 +20,13 @@ from ..derivatives.surface import Surface, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
 from ..learning.convergence import AS_BEGUN, ending
+from ..learning.settings import TrainingPlan
 from ..learning.told import chosen
 from ..limits.found import limits_found, notes_of
 from ..provenance.broken import why_broken
 from ..sensitivity import Sensitivities, sensitivities
 from ..statistics import of_shares
-from ..train import Progress, Training
+from ..train import Progress
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
 from .settings import Evaluation
 
@@ -42,7 +43,7 @@ class Run(NamedTuple):
     problem: Problem
     start: Policy
     progress: Progress
-    training: Training
+    training: TrainingPlan
     evaluation: Evaluation
     engines: Engines
 

@@ -15,7 +15,7 @@ from snapo.problem.smooth import Smooth
 from ..adjoint import float64
 from ..finite_paths import finite
 from ..learning.progress import Progress
-from ..learning.settings import Training
+from ..learning.settings import TrainingPlan
 
 FEW = 8  # bad paths that are followed step by step
 ADVICE = "snapo.check(simulator, inputs) looks for the line."
@@ -32,7 +32,7 @@ class Place(NamedTuple):
     name: str
 
 
-def why_broken(problem: Problem, progress: Progress, training: Training, engine: Engine) -> str:
+def why_broken(problem: Problem, progress: Progress, training: TrainingPlan, engine: Engine) -> str:
     """A sentence on a training that diverged; empty for any other.
 
     The last step's paths are rolled again, a few of the bad ones with their whole course.

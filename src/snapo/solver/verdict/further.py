@@ -13,7 +13,7 @@ import numpy as np
 
 from ..learning.optimiser import schedule
 from ..learning.progress import Progress
-from ..learning.settings import Training
+from ..learning.settings import TrainingPlan
 
 SURE = 2.0  # standard errors
 SHARE = 0.01  # of the size: as many steps again would bring more
@@ -52,7 +52,7 @@ class Further(NamedTuple):
         return bool(abs(self.more) <= SHARE * self.size and wide <= UNSURE * self.size)
 
 
-def compared_step(progress: Progress, training: Training) -> int:
+def compared_step(progress: Progress, training: TrainingPlan) -> int:
     """The step of `Progress.halfway`, or that at which training began anew since."""
     marks = [training.steps >> k for k in range(training.steps.bit_length())]
     reached = [mark for mark in marks if mark <= progress.step]
@@ -60,7 +60,7 @@ def compared_step(progress: Progress, training: Training) -> int:
     return max(reached[1] if len(reached) > 1 else 0, began)
 
 
-def times(progress: Progress, training: Training) -> float:
+def times(progress: Progress, training: TrainingPlan) -> float:
     """What the gain since `compared_step` is multiplied by; at least 1.
 
     With a shortfall of c / way, that gain is c / half - c / way, and twice the way gains c / 2 way.
@@ -70,7 +70,7 @@ def times(progress: Progress, training: Training) -> float:
     return max(1.0, 0.5 * half / (way - half)) if way > half else 1.0
 
 
-def too_short(training: Training, step: int) -> bool:
+def too_short(training: TrainingPlan, step: int) -> bool:
     """Whether so many steps tell nothing: the warm-up is a large part of them."""
     return step < WARMUPS * training.warmup
 
@@ -84,7 +84,7 @@ def restless(norm: float, noise: float, way: float, size: float) -> bool:
     return bool(known and norm > SETTLED * noise and norm * way > MATTERS * size)
 
 
-def _way(training: Training, step: int) -> float:
+def _way(training: TrainingPlan, step: int) -> float:
     """The sum of the rates of the steps before this one."""
     rates = np.asarray(schedule(training)(np.arange(max(1, step))))
     return float(np.sum(rates[:step]))

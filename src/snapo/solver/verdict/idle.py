@@ -13,7 +13,7 @@ from snapo.problem.objective import Totals
 from snapo.problem.problem import Problem
 
 from ..learning.progress import Progress, Record
-from ..learning.settings import Training
+from ..learning.settings import TrainingPlan
 
 MOST = 3  # times that a training begins anew
 LAST = 0.5  # of the steps: later on too few are left
@@ -31,7 +31,7 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
     )
 
 
-def caught(progress: Progress, training: Training) -> bool:
+def caught(progress: Progress, training: TrainingPlan) -> bool:
     """Whether training should begin anew: the last two validations say that it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.alike >= 2 and early and len(progress.redrawn) < MOST

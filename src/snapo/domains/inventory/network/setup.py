@@ -5,8 +5,8 @@ import jax
 from snapo.case.objective import make_objective
 from snapo.engine import Choice
 from snapo.problem.problem import Problem
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup
 
@@ -19,7 +19,7 @@ from .simulator import NetworkSimulator
 
 def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
-    training = Training(**case.training.model_dump())
+    training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     simulator = NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
     sources = evaluation.sources(training.seed)

@@ -9,8 +9,8 @@ from snapo.case.objective import make_objective
 from snapo.problem.objective import Objective, Weighted
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources, Supplied
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Setup, StudyRun
 
@@ -52,7 +52,7 @@ def yardstick(case: PensionCase) -> Yardstick:
 
 def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     """All that training takes; the seed is that of the case."""
-    training = Training(**case.training.model_dump())
+    training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     if case.scenarios is not None:

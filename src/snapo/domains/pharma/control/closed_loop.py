@@ -11,7 +11,8 @@ from dataclasses import replace
 from snapo.engine import Engines
 from snapo.problem.objective import CVaR, Mean, Objective
 from snapo.problem.problem import Problem
-from snapo.solver.train import Training, begin, train
+from snapo.solver.learning.settings import TrainingPlan
+from snapo.solver.train import begin, train
 
 from ..flowsheet.case import PharmaCase
 from .policy import Feedback
@@ -45,7 +46,7 @@ def in_words(goal: Goal) -> str:
 def best_recipe(
     problem: Problem,
     own: Feedback,
-    training: Training,
+    training: TrainingPlan,
     engines: Engines,
     tell: Callable[[str], None] = lambda text: None,
 ) -> tuple[Feedback, Feedback]:
@@ -55,7 +56,7 @@ def best_recipe(
     second.
     """
 
-    def tuned(recipe: Feedback, plan: Training, what: str) -> tuple[float, Feedback]:
+    def tuned(recipe: Feedback, plan: TrainingPlan, what: str) -> tuple[float, Feedback]:
         found = train(problem, begin(recipe, plan), plan, engines.train)
         tell(f"{what}: exact value {found.best_value:,.7g}")
         assert isinstance(found.best, Feedback)

@@ -11,8 +11,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver import statistics
 from snapo.solver.evaluate import path_totals
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
-from snapo.solver.train import Training, begin
+from snapo.solver.train import begin
 from snapo.solver.train import train as climb
 from snapo.study.ready import at_values, engines_for
 from snapo.study.study import Part, Setup, StudyRun
@@ -39,7 +40,7 @@ class ClosedLoop:
 
     def __init__(self, case: PharmaCase, engine: str):
         self.case, self.engine = case, engine
-        self.training = Training(**case.training.model_dump())
+        self.training = TrainingPlan.given(case.training.model_dump())
         self.evaluation = Evaluation(**case.evaluation.model_dump())
         self.first: Feedback | None = None
 
