@@ -18,8 +18,9 @@ CASH = snapo.Mean("cash")
 @pytest.fixture(scope="module")
 def found():
     return snapo.solve_seeds(
-        3, Reservoir(), inputs, objective=CASH, training=replace(SHORT, seed=4), evaluation=FEW
-    )
+        Reservoir(), inputs, seeds=3, objective=CASH, training=replace(SHORT, seed=4),
+        evaluation=FEW,
+    )  # fmt: skip
 
 
 @pytest.mark.prove
@@ -65,17 +66,21 @@ def test_a_second_seed_compiles_nothing(found):
             compiled.append(event)
 
     monitoring.register_event_duration_secs_listener(heard)
-    snapo.solve_seeds([7], problem, training=SHORT, evaluation=FEW)
+    snapo.solve_seeds(problem, seeds=[7], training=SHORT, evaluation=FEW)
     assert not compiled
 
 
 def test_seeds_without_sense_are_refused():
     for wrong in ((), (1, 1), 0):
         with pytest.raises(ValueError, match="one or more, each once"):
-            snapo.solve_seeds(wrong, Reservoir(), inputs, objective=CASH)
+            snapo.solve_seeds(Reservoir(), inputs, seeds=wrong, objective=CASH)
     problem = snapo.Problem(Reservoir(), inputs, CASH)
     with pytest.raises(ValueError, match="a Problem has its own inputs"):
-        snapo.solve_seeds(2, problem, objective=CASH)
+        snapo.solve_seeds(problem, seeds=2, objective=CASH)
+    with pytest.raises(
+        ValueError, match=r"the problem comes first.*solve_seeds\(problem, seeds=5\)"
+    ):
+        snapo.solve_seeds(5, problem, seeds=2)  # pyright: ignore
 
 
 def test_supplied_paths_stay_those_of_their_role():

@@ -71,7 +71,7 @@ def test_the_error_along_a_direction_is_that_of_the_sum():
 def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_respond():
     smooth = snapo.Smooth(np.float64(1.0))
     direction = {"price": np.array([1.0, 0.5, 0.0])}
-    (found,) = snapo.second_order(PROBLEM, POLICY, 64, [direction], smooth)
+    (found,) = snapo.second_order(PROBLEM, POLICY, 64, directions=[direction], smooth=smooth)
     step = 1e-5  # central differences of a smooth function: error of order step^2 and eps / step
 
     def held(sign):
@@ -92,7 +92,7 @@ def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_res
 def test_an_unknown_direction_is_named():
     with pytest.raises(KeyError, match="prise"):
         directions = [{"prise": np.ones(3)}]
-        snapo.second_order(PROBLEM, POLICY, 8, directions, snapo.Smooth(np.float64(1)))
+        snapo.second_order(PROBLEM, POLICY, 8, directions=directions)
 
 
 def test_value_and_gradient_agree_with_the_table():

@@ -5,12 +5,18 @@ indices, NumPy tables, a few rollouts, indices and jumps on their paths, both pr
 and normals without effect, and every input's adjoint against central bumps, decisions held.
 """
 
+from collections.abc import Sequence
+from typing import Any
+
 import jax
 from jaxtyping import PyTree
 
 from snapo.problem.code.version import following
+from snapo.problem.limits import Limit
+from snapo.problem.objective import Objective
 from snapo.problem.prepare import all_versions
-from snapo.problem.scenarios import Scenarios
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
 
@@ -29,13 +35,16 @@ from .program.points import moments
 from .repeatable import repeatable
 from .rollout import observed, rolled
 from .shapes import declared, one_step, prepared
+from .wanted import wanted
 
 
 def check(
-    simulator: Simulator,
-    inputs: PyTree,
+    problem: Problem | Simulator,
+    inputs: PyTree = None,
     *,
-    scenarios: Scenarios | None = None,
+    objective: Objective | None = None,
+    scenarios: Scenarios | Sources | None = None,
+    limits: Sequence[Limit] | Limit = (),
     paths: int = 32,
     temperature: float = 0.05,
     seed: int = 0,
@@ -44,17 +53,29 @@ def check(
 
     **Arguments:**
 
+    - `problem`: a `Problem`; or a simulator, with its `inputs` after it, and `objective`,
+      `scenarios` and `limits` by name.
     - `scenarios`: standard normals when not given; `Supplied` where noise is something else.
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
+    simulator: Any = problem
+    if isinstance(problem, Problem):
+        simulator, inputs, objective = problem.simulator, problem.inputs, problem.objective
+        scenarios, limits = problem.sources, problem.limits
+    if isinstance(scenarios, Sources):
+        scenarios = None if isinstance(scenarios.evaluation, Pseudo) else scenarios.evaluation
     with following(all_versions(simulator, inputs)):
-        return _checked(simulator, inputs, scenarios, paths, temperature, seed)
+        return _checked(
+            simulator, inputs, objective, scenarios, limits, paths, temperature, seed
+        )
 
 
 def _checked(
     simulator: Simulator,
     inputs: PyTree,
+    objective: Objective | None,
     scenarios: Scenarios | None,
+    limits: Sequence[Limit] | Limit,
     paths: int,
     temperature: float,
     seed: int,
@@ -63,7 +84,9 @@ def _checked(
     try:
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)
-        observation = one_step(notes, simulator, schedule).observation
+        shapes = one_step(notes, simulator, schedule)
+        observation = shapes.observation
+        wanted(notes, objective, limits, shapes.outputs)
         short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
         loops(notes, simulator, inputs, schedule)

@@ -19,13 +19,20 @@ class Unknown(NamedTuple):
 
 
 def unknown_outputs(
-    objective: Any, limits: Sequence[Any], outputs: Collection[str]
+    objective: Any, limits: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> Iterator[Unknown]:
-    """Every output that is named and is not there; what is no objective or limit at all."""
-    if not isinstance(objective, Objective):
+    """Every output that is named and is not there; what is no objective or limit at all.
+
+    None is an objective that is not known yet.
+    """
+    if objective is None:
+        pass
+    elif not isinstance(objective, Objective):
         yield Unknown("objective", repr(objective), "It is no objective, such as Mean(output).")
     else:
         yield from _missing("objective", objective, outputs)
+    if isinstance(limits, Limit):
+        limits = (limits,)
     for k, limit in enumerate(limits):
         if not isinstance(limit, Limit):
             what = "It is no limit, such as AtMost(output, level)."
@@ -40,7 +47,9 @@ def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[
             yield Unknown(of, repr(name), f"There is no output {name!r}.")
 
 
-def wanted(notes: Notes, objective: Any, limits: Sequence[Any], outputs: Collection[str]) -> None:
+def wanted(
+    notes: Notes, objective: Any, limits: Sequence[Any] | Limit, outputs: Collection[str]
+) -> None:
     """Writes them down, and stops where there are any."""
     for each in unknown_outputs(objective, limits, outputs):
         said = each.what if each.got in each.what else f"{each.what[:-1]}: {each.got}."

@@ -15,6 +15,7 @@ from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound, Engine, Xla
 from snapo.engine.transpose import pull_back as pull_back
+from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy
@@ -29,6 +30,7 @@ class Gradient(NamedTuple):
     inputs: dict[str, np.ndarray]
 
 
+@takes_problem
 def value_and_gradient(
     problem: Problem,
     policy: Policy,

@@ -18,6 +18,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from snapo.engine import COURSE, Engine, Rollout, Xla
+from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
@@ -130,6 +131,7 @@ class Bound:
         return "\n".join([*lines, f"{self.paths} paths; penalty: {self.words}"])
 
 
+@takes_problem
 def bound(
     problem: Problem,
     policy: Policy,

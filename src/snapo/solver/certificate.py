@@ -8,6 +8,7 @@ import numpy as np
 
 from snapo.engine import COURSE, Engine, Xla
 from snapo.problem import inputs as inputs_
+from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Weights
 from snapo.problem.policy import Policy
@@ -104,6 +105,7 @@ def nudged(problem: Problem, seed: int = 0) -> Problem:
     return problem.with_inputs(moved)
 
 
+@takes_problem
 def certify_derivatives(
     problem: Problem,
     policy: Policy,
@@ -157,6 +159,7 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
     return found
 
 
+@takes_problem
 def bump_check(
     problem: Problem,
     policy: Policy,
@@ -309,6 +312,7 @@ def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np
     return list(zip(given.names(), units))
 
 
+@takes_problem(objective=False)
 def feasibility(
     problem: Problem, policy: Policy, paths: int = 4096, *, engine: Engine | None = None
 ) -> list[Feasibility]:

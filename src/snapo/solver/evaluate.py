@@ -6,6 +6,7 @@ import numpy as np
 
 from snapo.engine import Engine, Xla
 from snapo.problem.code.version import reading_once
+from snapo.problem.meant import takes_problem
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -32,6 +33,7 @@ class Value(NamedTuple):
     refused: tuple[str, ...] = ()
 
 
+@takes_problem
 def evaluate(
     problem: Problem,
     policy: Policy,

@@ -8,6 +8,7 @@ import equinox as eqx
 import numpy as np
 from jaxtyping import PyTree
 
+from snapo.problem.meant import problem_of
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -18,7 +19,7 @@ from . import statistics
 from .evaluate import worth_of_groups
 from .learning.settings import Training
 from .solution import Solution
-from .solve import Evaluation, problem_of, solve
+from .solve import Evaluation, in_order, solve
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,11 +70,11 @@ class Seeds:
 
 
 def solve_seeds(
-    seeds: int | Iterable[int],
     problem: Problem | Simulator,
     inputs: PyTree = None,
     policy: Policy | eqx.Module | Solution | None = None,
     *,
+    seeds: int | Iterable[int],
     objective: Objective | None = None,
     scenarios: Scenarios | Sources | None = None,
     training: Training | None = None,
@@ -82,7 +83,7 @@ def solve_seeds(
 ) -> Seeds:
     """`solve`, once for every seed; what is compiled for the first one serves all.
 
-        found = snapo.solve_seeds(5, Reservoir(), inputs, objective=snapo.Mean("cash"))
+        found = snapo.solve_seeds(Reservoir(), inputs, objective=snapo.Mean("cash"), seeds=5)
         print(found)
 
     A seed draws first weights, and the scenarios of training and validation, but for `Supplied`
@@ -91,6 +92,9 @@ def solve_seeds(
     **Arguments:** `seeds`: how many, from `training.seed` on, or the seeds themselves; all others
     are those of `solve`.
     """
+    if isinstance(problem, int) or not isinstance(seeds, int | Iterable):
+        what = "the problem comes first, and seeds has a name: solve_seeds(problem, seeds=5)"
+        raise ValueError(f"solve_seeds: {what}; got seeds={seeds!r}.")
     training, evaluation = training or Training(), evaluation or Evaluation()
     if isinstance(seeds, int):
         seeds = range(training.seed, training.seed + seeds)
@@ -98,8 +102,9 @@ def solve_seeds(
     if not chosen or len(set(chosen)) < len(chosen):
         raise ValueError(f"solve_seeds: seeds is {chosen}; allowed is one or more, each once.")
     limits = more.pop("limits", ())
-    given = (inputs, objective, scenarios, limits)
-    problem = problem_of(problem, *given, evaluation, chosen[0])
+    inputs, policy = in_order(problem, inputs, policy)
+    given, sources = (inputs, objective, scenarios, limits), evaluation.sources(chosen[0])
+    problem = problem_of("solve_seeds", problem, *given, sources=sources, seed=chosen[0])
     found = {}
     for seed in chosen:
         own = replace(problem, sources=problem.sources.reseeded(seed)).prepared(problem.schedule)

@@ -19,12 +19,13 @@ from snapo.engine import Engine, Xla
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
+from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
 from .by_block.passes import Way
@@ -176,6 +177,7 @@ class Sensitivities(NamedTuple):
         return lines
 
 
+TEMPERATURE = 0.005  # at which a policy reacts in second derivatives
 HEAD = (
     "input", "label", "derivative", "low", "high", "per", "source", "sampling", "policy", "held",
     "smooth", "",
@@ -204,6 +206,7 @@ def _half(width: float) -> str:
     return f"{width:,.2g}" if np.isfinite(width) else ""
 
 
+@takes_problem
 @reading_once()
 def sensitivities(
     problem: Problem,
@@ -258,10 +261,11 @@ def _without(found: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:
     return found._replace(held=known(found.held), smooth=smooth)
 
 
+@takes_problem(objective=False)
 def held_of_several(
     problem: Problem,
-    objectives: Sequence[Objective],
     policy: Policy,
+    objectives: Sequence[Objective],
     paths: int,
     *,
     engine: Engine | None = None,
@@ -276,21 +280,24 @@ def held_of_several(
     return [found.inputs for found in way.of(objectives, source.blocks(source.available(paths)))]
 
 
+@takes_problem
 def second_order(
     problem: Problem,
     policy: Policy,
-    paths: int,
-    directions: list[Mapping[str, np.ndarray]],
-    smooth: Any,
+    paths: int = 4096,
+    *,
+    directions: Sequence[Mapping[str, np.ndarray]],
+    smooth: Any = None,
 ) -> list[dict[str, np.ndarray]]:
     """How the held derivatives change along chosen directions of the inputs (forward over reverse).
 
     The decisions respond through the smooth policy: with decisions held alone, a value that is
     linear in prices has no second derivative. A direction is {input: array}, zero where not named.
-    Each result is {input: array}: d (held derivative) / d direction. XLA only; on Mean-like
-    objectives the weights are constant, on others they are held.
+    `smooth`: `Smooth(0.005)` by default. Each result is {input: array}: d (held derivative) / d
+    direction. XLA only; on Mean-like objectives the weights are constant, on others they are held.
     """
     engine, simulator, inputs = Xla(precision="float64"), problem.simulator, problem.inputs
+    smooth = Smooth(TEMPERATURE) if smooth is None else smooth
     draws = problem.sources.evaluation.draws(np.arange(paths), simulator)
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     weights = problem.objective.weights(totals)

@@ -7,6 +7,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.engine import Engine, Xla
+from snapo.problem.meant import takes_problem
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
@@ -48,6 +49,7 @@ class Simulation(NamedTuple):
         return frame(columns, backend)
 
 
+@takes_problem(objective=False)
 def simulate(
     problem: Problem,
     policy: Policy,

@@ -10,22 +10,21 @@ from typing import TypeVar
 
 import equinox as eqx
 import jax
-import numpy as np
 from jaxtyping import PyTree
 
 from snapo.checker.findings import Findings
 from snapo.checker.first import problem_mistakes, simulator_mistakes
-from snapo.engine import Choice, Engine, Xla, choose
+from snapo.engine import Choice, Engine, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.limits import Limit
-from snapo.problem.objective import Mean, Objective
+from snapo.problem.meant import problem_of
+from snapo.problem.objective import Objective
 from snapo.problem.policies.plain import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
-from snapo.problem.scenarios import Pseudo, Scenarios, Sources
+from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
-from snapo.problem.smooth import Exact
 
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.following import fitted
@@ -62,13 +61,15 @@ def solve(
 
     **Arguments:**
 
-    - `problem`: a `Problem`; or a simulator, with `inputs`, `objective` and `scenarios` beside it.
+    - `problem`: a `Problem`, and then the policy; or a simulator, with `inputs`, `objective` and
+      `scenarios` beside it.
     - `policy`: the one to train, such as `MLP(hidden=(64, 64))`, which finds features and actions
       itself; by default an `MLP` with two hidden layers of 32, and of more where more than eight
       numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
       on from where it stands. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
       as `network(observation)`, whose numbers are squashed into the action set.
-    - `objective`: made as large as possible; by default the mean of the only output there is.
+    - `objective`: made as large as possible; by default the mean of the only output there is,
+      unless its name says that it shall be small, as "cost" does.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
     - `limits`: one or several, of means, probabilities or other numbers of all paths, such as
@@ -84,9 +85,11 @@ def solve(
     training = _settings("training", training, Training)
     evaluation = _settings("evaluation", evaluation, Evaluation)
     with Clock() as clock:
-        given = (inputs, objective, scenarios, limits)
+        seed = training.seed
+        inputs, policy = in_order(problem, inputs, policy)
+        given, sources = (inputs, objective, scenarios, limits), evaluation.sources(seed)
         found = _refused(_of_simulator(problem, inputs)) if check else ()
-        problem = problem_of(problem, *given, evaluation, training.seed)
+        problem = problem_of("solve", problem, *given, sources=sources, seed=seed)
         recipe = _recipe(policy)
         policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
         if check:
@@ -131,34 +134,14 @@ def _settings(name: str, given: Given | None, kind: type[Given]) -> Given:
     return found
 
 
-def problem_of(
-    problem: Problem | Simulator,
-    inputs: PyTree,
-    objective: Objective | None,
-    scenarios: Scenarios | Sources | None,
-    limits: Sequence[Limit] | Limit,
-    evaluation: Evaluation,
-    seed: int,
-) -> Problem:
-    """The problem that a caller means: the one given, or that of a simulator with all beside it.
-
-    **Raises:** `ValueError` where a `Problem` has any of it beside it, or for what is neither.
-    """
-    if isinstance(problem, type):
-        name = problem.__name__
-        raise ValueError(f"solve: {name} is a class; give its object, {name}().")
-    if isinstance(problem, Simulator):
-        given = evaluation.sources(seed) if scenarios is None else scenarios
-        objective = objective or _only_output(problem, inputs)
-        limits = (limits,) if isinstance(limits, Limit) else tuple(limits)
-        return Problem(problem, inputs, objective, Sources.of(given, seed), limits)
-    if not isinstance(problem, Problem):
-        kind = type(problem).__name__
-        raise ValueError(f"solve: a {kind} is neither a simulator nor a Problem.")
-    if limits or any(each is not None for each in (inputs, objective, scenarios)):
-        what = "inputs, objective, scenarios and limits"
-        raise ValueError(f"solve: a Problem has its own {what}.")
-    return problem
+def in_order(problem: Any, inputs: PyTree, policy: Any) -> tuple[PyTree, Any]:
+    """Inputs and policy: after a `Problem`, which has its own inputs, the policy comes at once."""
+    behind = isinstance(problem, Problem) and policy is None
+    return (
+        (None, inputs)
+        if behind and (callable(inputs) or isinstance(inputs, Solution))
+        else (inputs, policy)
+    )
 
 
 def _recipe(policy: Policy | eqx.Module | Solution | None) -> Policy:
@@ -218,17 +201,3 @@ def _refused(found: Findings) -> tuple[str, ...]:
         lines = "\n".join(map(str, found.errors))
         raise ValueError(f"solve: nothing was compiled (check=False leaves this out).\n{lines}")
     return tuple(each.sentence() for each in found.warnings)
-
-
-def _only_output(simulator: Simulator, inputs: PyTree) -> Objective:
-    """The mean of the only output, when there is but one."""
-    bare = Problem(simulator, inputs, Mean(""))
-    action = np.zeros((simulator.horizon, 2, simulator.action.size))
-    draws = Pseudo().draws(np.arange(2), simulator)
-    totals = Xla().bind(bare).values(None, draws, Exact(), actions=action).totals
-    if len(totals) != 1:
-        raise ValueError(
-            f"solve: the simulator has the outputs {sorted(totals)}; say which one to make as "
-            'large as possible, such as objective=Mean("profit") or -Mean("cost").'
-        )
-    return Mean(next(iter(totals)))

@@ -11,6 +11,7 @@ import numpy as np
 from snapo.engine import Choice, choose
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Frozen
+from snapo.problem.meant import takes_problem
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP, Policy, without_memory
 from snapo.problem.problem import Problem
@@ -61,6 +62,7 @@ class Imitation(NamedTuple):
     distance: float
 
 
+@takes_problem(objective=False)
 def imitate(
     problem: Problem,
     rule: Policy,

@@ -1,0 +1,166 @@
+"""The problem that a call means: a `Problem`, or a simulator with all that belongs beside it.
+
+Every public function of a problem takes either, in one order of arguments::
+
+    snapo.evaluate(problem, policy, paths=4096)
+    snapo.evaluate(Reservoir(), inputs, policy, paths=4096, objective=snapo.Mean("cash"))
+"""
+
+import re
+from collections.abc import Callable
+from functools import wraps
+from inspect import signature
+from typing import Any, ParamSpec, Protocol, TypeVar, overload
+
+import jax
+import jax.numpy as jnp
+
+from .actions.base import count
+from .limits import Limit
+from .objective import Mean, Objective
+from .policies.plain import NEEDED
+from .problem import Problem
+from .scenarios import Scenarios, Sources
+from .simulator import Simulator, at
+from .smooth import Exact
+
+P, R = ParamSpec("P"), TypeVar("R", covariant=True)
+BESIDE = ("objective", "scenarios", "limits")  # of a simulator, by name
+SMALL = {"cost", "costs", "loss", "losses", "shortfall", "shortfalls", "penalty", "penalties"}
+
+
+class Verb(Protocol[P, R]):
+    """A function of a problem, or of a simulator and its inputs."""
+
+    @overload
+    def __call__(self, problem: Problem, /, *args: P.args, **others: P.kwargs) -> R: ...
+    @overload
+    def __call__(
+        self, simulator: Simulator, inputs: Any = ..., /, *args: Any, **more: Any
+    ) -> R: ...
+
+
+def takes_problem(verb: Callable[..., R] | None = None, *, objective: bool = True) -> Any:
+    """Makes of a function of a `Problem` and a policy one that takes a simulator as well.
+
+    `objective`: whether it needs one.
+    """
+    if verb is None:
+        return lambda verb: takes_problem(verb, objective=objective)
+    name, parameters = verb.__name__, list(signature(verb).parameters)
+    policy = parameters[1]
+
+    @wraps(verb)
+    def called(*args: Any, **others: Any) -> R:
+        first, rest = (args[0], args[1:]) if args else (others.pop(parameters[0], None), ())
+        beside = {key: others.pop(key) for key in BESIDE if key in others}
+        # A simulator may have no inputs, and its policy at once.
+        alone = bool(rest) and callable(rest[0]) and policy not in others
+        if isinstance(first, Simulator) and rest and "inputs" not in others and not alone:
+            others["inputs"], rest = rest[0], rest[1:]
+        made = problem_of(name, first, others.pop("inputs", None), needs=objective, **beside)
+        if objective and not isinstance(made.objective, Objective):
+            what = 'allowed is an objective, such as snapo.Mean("cash")'
+            raise ValueError(f"{name}: objective is {made.objective!r}; {what}.")
+        decides = rest[0] if rest else others.get(policy)
+        if not callable(decides) and not (decides is None and "actions" in others):
+            raise ValueError(f"{name}: {policy} is {decides!r}; allowed is {NEEDED}.")
+        return verb(made, *rest, **others)
+
+    called.__doc__ = f"{verb.__doc__ or ''}{SAID.format(objective=SAID_OBJECTIVE * objective)}"
+    return called
+
+
+SAID_OBJECTIVE = "`objective`, "
+SAID = """
+    `problem` is a `Problem`; or a simulator, with its `inputs` after it, and {objective}`scenarios`
+    and `limits` by name.
+    """
+
+
+def problem_of(
+    verb: str,
+    problem: Any,
+    inputs: Any = None,
+    objective: Any = None,
+    scenarios: Scenarios | Sources | None = None,
+    limits: Any = (),
+    *,
+    sources: Sources | None = None,
+    seed: int = 0,
+    needs: bool = True,
+) -> Problem:
+    """The problem that a caller means: the one given, or that of a simulator with all beside it.
+
+    **Arguments:** `sources`: where no scenarios are given; `needs`: an objective.
+
+    **Raises:** `ValueError` where a `Problem` has any of it beside it, for what is neither, and for
+    sizes, scenarios or limits that are none.
+    """
+    if isinstance(problem, type):
+        name = problem.__name__
+        raise ValueError(f"{verb}: {name} is a class; give its object, {name}().")
+    if isinstance(problem, Problem):
+        own = (each is not None for each in (inputs, objective, scenarios))
+        if limits not in ((), None) or any(own):
+            what = "inputs, objective, scenarios and limits"
+            raise ValueError(f"{verb}: a Problem has its own {what}.")
+        _sizes(verb, problem.simulator)
+        return problem
+    if not isinstance(problem, Simulator):
+        kind = type(problem).__name__
+        raise ValueError(f"{verb}: a {kind} is neither a simulator nor a Problem.")
+    _sizes(verb, problem)
+    if not isinstance(scenarios, Scenarios | Sources | None):
+        what = "allowed are scenarios, such as snapo.Sobol(0), or Sources"
+        raise ValueError(f"{verb}: scenarios is {scenarios!r}; {what}.")
+    if not isinstance(limits, Limit | list | tuple):
+        what = 'allowed is a limit, such as snapo.AtMost("unserved", 0.05), or a tuple of them'
+        raise ValueError(f"{verb}: limits is {limits!r}; {what}.")
+    limits = (limits,) if isinstance(limits, Limit) else tuple(limits)
+    chosen = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
+    made = Problem(problem, inputs, Mean("") if objective is None else objective, chosen, limits)
+    if objective is not None:
+        return made
+    names = outputs_of(made)
+    only = _only_output(verb, names) if needs else names[0]
+    return Problem(problem, inputs, Mean(only), chosen, limits).prepared(made.schedule)
+
+
+def outputs_of(problem: Problem) -> list[str]:
+    """The names of a simulator's outputs, by tracing one step; nothing is compiled."""
+    simulator = problem.simulator
+
+    def whole(schedule):
+        first = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
+        action, noise = jnp.zeros(simulator.action.size), jnp.zeros(simulator.noise_size)
+        now = at(schedule.steps, 0)
+        after, outputs = simulator.step(schedule.constants, now, first, action, noise, Exact())
+        return outputs, simulator.terminal(schedule.constants, after, Exact())
+
+    outputs, last = jax.eval_shape(whole, problem.schedule)
+    return list(dict.fromkeys([*outputs, *last]))
+
+
+def _only_output(verb: str, names: list[str]) -> str:
+    """The only output, when there is but one, and nothing says that it shall be small."""
+    if len(names) != 1:
+        raise ValueError(
+            f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "
+            'large as possible, such as objective=Mean("profit") or -Mean("cost").'
+        )
+    words = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
+    if SMALL & set(words):
+        mean = f'snapo.Mean("{names[0]}")'
+        raise ValueError(
+            f"{verb}: the only output is {names[0]!r}, and an objective is made as large as "
+            f"possible; write objective=-{mean} to make it small, or objective={mean} to make it "
+            "large."
+        )
+    return names[0]
+
+
+def _sizes(verb: str, simulator: Simulator) -> None:
+    """Refuses a horizon and numbers of normals that are no such numbers."""
+    for name, least in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
+        count(f"{verb}: {type(simulator).__name__}: {name}", getattr(simulator, name, None), least)
