@@ -1,6 +1,9 @@
 """The shape of the package: imports point up, no circles, files are one thought, nothing global."""
 
 import ast
+import subprocess
+import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -16,9 +19,11 @@ MOST_FILES, MOST_LINES = 15, 400
 ORDER = [
     "lanes",
     "problem",
+    "noise",
     "engine",
     "checker",
     "solver",
+    "log",
     "gym",
     "case",
     "report",
@@ -151,3 +156,14 @@ def test_the_readme_shows_the_example_that_runs():
     example = (ROOT / "examples" / "own_simulator.py").read_text()
     assert example.rstrip() in (ROOT / "README.md").read_text()
     assert len(example.splitlines()) <= 30
+
+
+@pytest.mark.parametrize("name", snapo.MODULES)
+def test_public_modules_can_be_imported_as_modules(name):
+    """`from snapo.noise import Poisson` is what people write."""
+    alone = (
+        f"from snapo.{name} import *; import snapo, snapo.{name} as it; assert snapo.{name} is it"
+    )
+    subprocess.run([sys.executable, "-c", alone], check=True, timeout=60)
+    found, attribute = import_module(f"snapo.{name}"), getattr(snapo, name)
+    assert found is attribute and set(found.__all__) <= set(dir(found))

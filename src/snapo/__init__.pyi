@@ -1,5 +1,7 @@
 """The public names of snapo, listed here once: type checkers and `__init__.py` read this file."""
 
+from snapo import log as log
+from snapo import noise as noise
 from snapo.case.columns import write_table as write_table
 from snapo.checker.check import check as check
 from snapo.engine import Clip as Clip
@@ -8,7 +10,6 @@ from snapo.engine import Window as Window
 from snapo.engine import Xla as Xla
 from snapo.gym.black_box.learn import learn as learn
 from snapo.gym.black_box.learned import Learned as Learned
-from snapo.problem import noise as noise
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice
 from snapo.problem.actions import Product as Product
@@ -68,7 +69,6 @@ from snapo.solver.bound import nested_mean as nested_mean
 from snapo.solver.certificate import bump_check as bump_check
 from snapo.solver.certificate import feasibility as feasibility
 from snapo.solver.evaluate import evaluate as evaluate
-from snapo.solver.learning import log as log
 from snapo.solver.learning.imitate import imitate as imitate
 from snapo.solver.relaxations.known import Relaxation as Relaxation
 from snapo.solver.seeds import Seeds as Seeds
