@@ -1,5 +1,6 @@
 """Every public function takes a problem, or a simulator with all that belongs beside it."""
 
+import json
 from dataclasses import replace
 
 import jax.numpy as jnp
@@ -158,6 +159,17 @@ def test_a_cost_alone_is_not_made_large_in_silence(name):
         snapo.solve(Bill(name=name), INPUTS)
     for line in (f'objective=-snapo.Mean("{name}")', f'objective=snapo.Mean("{name}")'):
         assert line in str(error.value)
+
+
+def test_the_printed_solution_says_what_was_made_large(tmp_path):
+    found = snapo.solve(Till(), INPUTS, HALF, objective=-snapo.CVaR("cash", 0.9), **FEW)
+    words = "made as large as possible: minus the mean of the largest 10 % of cash"
+    assert str(found).splitlines()[1] == words and words in found._repr_html_()
+    found.save(tmp_path)
+    assert snapo.Solution.load(tmp_path).lines()[1] == words
+    assert json.loads((tmp_path / "result.json").read_text())["maximised"] == str(
+        found.problem.objective
+    )
 
 
 def test_other_names_are_made_large():

@@ -60,6 +60,7 @@ class Solution:
       on each path's own adjoint (None: none of them), and the share that went on at each step.
     - `problem`: what was solved, None in one that was loaded: figures over time need it.
     - `limits`: each of the problem's limits on fresh paths, with its shadow price.
+    - `maximised`: the objective in words, "mean of cash"; empty in one that was saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
     """
@@ -96,6 +97,7 @@ class Solution:
     smoothing_gap_error: float = float("nan")
     selected: str = ""
     gain: tuple[float, float] = (float("nan"), float("nan"))
+    maximised: str = ""
 
     def __str__(self) -> str:
         table = [] if self.sensitivities is None else ["", str(self.sensitivities)]
@@ -150,6 +152,7 @@ class Solution:
         seconds = ", ".join(f"{name} {value:.1f} s" for name, value in self.seconds.items())
         return [
             f"value {self.value:,.6g} ± {self.standard_error:,.3g} ({gap}), {status}",
+            *([f"made as large as possible: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
             *map(str, self.limits),
@@ -245,7 +248,9 @@ class Solution:
         plain["notes"] = tuple(plain["notes"])
         plain["limits"] = tuple(LimitFound(**each) for each in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
-        plain |= {name: header[name] for name in ("window", "clip", "keep") if name in header}
+        plain |= {
+            name: header[name] for name in ("window", "clip", "keep", "maximised") if name in header
+        }
         plain["gain"] = (header["gain"], header["gain_error"])
         return cls(**plain, **policies, totals=totals, sensitivities=found, history=history)
 
@@ -254,6 +259,7 @@ class Solution:
         return {
             "reason": self.reason,
             "control": self.control,
+            "maximised": self.maximised,
             "versions": dict(self.versions),
             "halfway": self.halfway is not None,
         }

@@ -120,6 +120,7 @@ def solve(
         seed=training.seed,
         versions=versions(),
         problem=problem,
+        maximised=str(problem.objective),
     )
 
 
