@@ -19,6 +19,7 @@ from .objective import Objective
 from .prepare import prepare
 from .scenarios import Sources
 from .simulator import Interface, Schedule, Simulator
+from .unseen import partly_observed
 
 
 @dataclass(frozen=True, eq=False)
@@ -75,6 +76,15 @@ class Problem:
     def is_random(self) -> bool:
         """Whether paths differ from one another under the same decisions."""
         return self.simulator.noise_size + self.simulator.initial_noise_size > 0
+
+    @cached_property
+    def partly_observed(self) -> tuple[str, ...]:
+        """The names of state numbers that matter and that the observation does not tell.
+
+        Empty where the observation is all that a decision needs, as far as paths tell
+        (`problem.unseen`). It compiles a step where the observation does not tell all.
+        """
+        return partly_observed(self)
 
     def _repr_html_(self) -> str:
         """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""

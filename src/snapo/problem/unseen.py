@@ -1,0 +1,276 @@
+"""Numbers of the state that matter and that the observation does not tell: partial observation.
+
+Paths are rolled with drawn decisions, the same on all of them up to the state that is looked at. A number of the state is named if
+
+- noise moves it, decisions held, and so that the observation stays the same to first order: it
+  then differs between paths that look alike. Numbers that follow from those seen, and from time,
+  do not;
+- what is paid later depends on it, by an amount, and by a factor, that depends on the decisions.
+  Of a number that only adds up what was paid the amount is the same for all decisions, and of
+  wealth that is invested in shares the factor: no decision would be another if it were seen.
+
+A number in steps, such as the state of a chain, has no derivative: it is named if the observation
+does not read it, and paths that look most alike differ in it.
+"""
+
+from collections.abc import Iterator
+from functools import partial
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import PyTree
+
+from .quickly import compiled_sooner
+from .scenarios import Supplied
+from .simulator import at
+from .smooth import Exact
+
+PATHS, LOCAL, BEFORE = 128, 8, 8  # paths; those with derivatives; steps before the state looked at
+MOVED, SEEN = 1e-9, 1e-6  # relative: a direction that is moved; one that is seen
+LARGE = 0.2  # share of a number in a direction, all being in units of their deviation
+ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is told
+MATTERS = 1e-9  # of what is paid, relative
+MOST = 12  # numbers whose effect is tried
+
+
+def partly_observed(problem: Any) -> tuple[str, ...]:
+    """The names of state numbers that matter and are not told by the observation; see above."""
+    simulator = problem.simulator
+    if not problem.is_random or simulator.horizon < 2:
+        return ()
+    with jax.enable_x64(True):
+        first = _start(problem)
+        if _all_told(problem, first):
+            return ()
+        return tuple(_named(problem, first))
+
+
+def _start(problem: Any) -> dict[str, Any]:
+    """First states, and normals and decisions of all steps, decisions twice."""
+    simulator, rng, T = problem.simulator, np.random.default_rng(0), problem.simulator.horizon
+    source = problem.sources.evaluation
+    paths = PATHS
+    if isinstance(source, Supplied):
+        drawn = source.draws(np.arange(source.available(PATHS)), simulator)
+        noise, early = np.asarray(drawn.step_noise), np.asarray(drawn.initial_noise)
+        paths = noise.shape[1]
+    else:
+        noise = rng.normal(size=(T, paths, simulator.noise_size))
+        early = rng.normal(size=(paths, simulator.initial_noise_size))
+    raw = rng.normal(size=(2, T, paths, simulator.action.size))
+    squash = partial(simulator.action.squash, smooth=Exact())
+    actions = jax.vmap(jax.vmap(jax.vmap(squash)))(jnp.asarray(raw))
+    return {"early": early, "noise": noise.astype(float), "actions": np.asarray(actions)}
+
+
+def _all_told(problem: Any, first: dict[str, Any]) -> bool:
+    """Whether the observation tells every number of a state by itself, so that nothing is hidden."""
+    simulator, schedule = problem.simulator, problem.schedule
+    begin = jax.vmap(partial(simulator.initial, schedule.constants))
+    states = begin(jnp.asarray(first["early"][:LOCAL], float))
+    if any(not _is_float(leaf) for leaf in jax.tree.leaves(states)):
+        return False
+    slopes = np.asarray(_observed(problem, states, 0)[1])
+    return bool(np.all(np.linalg.matrix_rank(slopes) == slopes.shape[2]))
+
+
+def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
+    """The names, in the order of the state."""
+    simulator, T = problem.simulator, problem.simulator.horizon
+    t = min(BEFORE, T - 1)
+    early, noise, actions = first["early"], first["noise"], first["actions"]
+    same = np.broadcast_to(actions[0, :t, :1], actions[0, :t].shape)  # what differs is noise
+    states, moves = _reached(simulator, problem.schedule, early, noise[:t], same)
+    seen, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
+    numbers = _flat(states)
+    hidden = _hidden(numbers, np.asarray(moves), np.asarray(slopes))
+    whole, _ = _observed(problem, states, t)
+    in_steps = _in_steps(problem, states, np.asarray(whole), t, np.asarray(moves))
+    names = _names(states)
+    wanted = _paid_names(problem)
+    tail = partial(_paid, simulator, problem.schedule, noise[t:], start=t)
+    before = None
+    for i in [*np.flatnonzero(hidden | in_steps)][:MOST]:
+        if before is None:
+            before = [tail(actions[k, t:], states) for k in (0, 1)]
+        other = _swapped(states, int(i))
+        after = [tail(actions[k, t:], other) for k in (0, 1)]
+        for name in wanted & set(before[0]):
+            if _matters(*(np.asarray(each[name]) for each in (*before, *after))):
+                yield names[int(i)]
+                break
+
+
+def _matters(one: np.ndarray, two: np.ndarray, other_one: np.ndarray, other_two: np.ndarray):
+    """Whether a moved number moves what is paid by more than the same amount, and by more than the
+    same factor above 0, under both sequences of decisions."""
+    size = max(np.abs(each).max() for each in (one, two, other_one, other_two))
+    added = np.abs((other_one - one) - (other_two - two)).max() <= MATTERS * size
+    scaled = np.abs(other_one * two - other_two * one).max() <= MATTERS * size**2
+    return not (added or (scaled and np.all(other_one * one >= 0)))
+
+
+def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
+    """[n] whether a number moves in a direction that is moved and not seen, on most paths."""
+    scale = np.where((deviation := numbers.std(0)) > 0, deviation, 1.0)
+    counted = np.zeros(len(scale))
+    for move, slope in zip(moves / scale[:, None], slopes * scale):
+        left, size, _ = np.linalg.svd(move, full_matrices=False)
+        basis = left[:, size > MOVED * max(size.max(initial=0.0), MOVED)]
+        if not basis.size:
+            continue
+        rows = slope / np.maximum(np.linalg.norm(slope, axis=1, keepdims=True), 1e-300)
+        _, size, right = np.linalg.svd(rows @ basis, full_matrices=True)
+        rank = int(np.sum(size > SEEN * max(size.max(initial=0.0), SEEN)))
+        counted += np.linalg.norm(basis @ right[rank:].T, axis=1) > LARGE
+    return counted > len(moves) / 2
+
+
+def _in_steps(problem: Any, states: PyTree, seen: np.ndarray, t: int, moves: np.ndarray):
+    """[n] whether a number moves in steps, is not read, and differs between paths that look alike."""
+    numbers, found = _flat(states), np.zeros(_flat(states).shape[1], bool)
+    still = ~np.any(moves != 0, axis=(0, 2))
+    look = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
+    far = np.linalg.norm(look[:, None] - look[None], axis=2)
+    np.fill_diagonal(far, np.inf)
+    nearest = far.argmin(1)
+    for i in np.flatnonzero(still & (numbers.std(0) > 0)):
+        told = np.mean(numbers[nearest, i] == numbers[:, i]) >= ALIKE
+        read = np.any(np.asarray(_observed(problem, _swapped(states, int(i)), t)[0]) != seen)
+        found[i] = not told and not read
+    return found
+
+
+def _observed(problem: Any, states: PyTree, t: int):
+    """[N, features] what is seen of states, and [N, features, n] its derivative by their numbers."""
+    constants, now = problem.schedule.constants, at(problem.schedule.steps, t)
+    return _seen(problem.simulator, constants, now, states)
+
+
+@compiled_sooner
+def _seen(simulator, constants, now, states):
+    def one(state):
+        def look(vector):
+            return simulator.observe(constants, now, _with(state, vector))
+
+        vector = _vector(state)
+        return look(vector), jax.jacfwd(look)(vector)
+
+    return jax.vmap(one)(states)
+
+
+@compiled_sooner
+def _reached(simulator, schedule, early, noise, actions):
+    """The states after some steps, and [LOCAL, n, drawn] how normals move them."""
+
+    def after(given, actions):
+        early, noise = given
+        state = simulator.initial(schedule.constants, early)
+
+        def one(state, t):
+            now = at(schedule.steps, t)
+            step = simulator.step(schedule.constants, now, state, actions[t], noise[t], Exact())
+            return _like(step[0], state), None
+
+        return jax.lax.scan(one, state, jnp.arange(len(noise)))[0]
+
+    def slopes(given, actions):
+        found = jax.jacfwd(lambda given: _vector(after(given, actions)))(given)
+        flat = [leaf.reshape(leaf.shape[0], -1) for leaf in jax.tree.leaves(found)]
+        return jnp.concatenate(flat, axis=1)
+
+    every = (early, jnp.swapaxes(noise, 0, 1)), jnp.swapaxes(actions, 0, 1)
+    few = jax.tree.map(lambda leaf: leaf[:LOCAL], every)
+    return jax.vmap(after)(*every), jax.vmap(slopes)(*few)
+
+
+@compiled_sooner
+def _paid(simulator, schedule, noise, actions, states, start):
+    """{output: [N]} the sum of all that is paid from these states on."""
+
+    def whole(state, noise, actions):
+        def one(state, given):
+            t, noise, action = given
+            now = at(schedule.steps, t)
+            step = simulator.step(schedule.constants, now, state, action, noise, Exact())
+            return _like(step[0], state), step[1]
+
+        given = (start + jnp.arange(len(noise)), noise, actions)
+        last, outputs = jax.lax.scan(one, state, given)
+        paid = {name: jnp.sum(each) for name, each in outputs.items()}
+        for name, each in simulator.terminal(schedule.constants, last, Exact()).items():
+            paid[name] = paid.get(name, 0.0) + each
+        return paid
+
+    return jax.vmap(whole)(states, jnp.swapaxes(noise, 0, 1), jnp.swapaxes(actions, 0, 1))
+
+
+def _paid_names(problem: Any) -> set[str]:
+    """The outputs of the objective and of the limits."""
+    return {
+        name
+        for each in (problem.objective, *(limit.measure for limit in problem.limits))
+        for name in each.outputs
+    }
+
+
+def _is_float(leaf: Any) -> bool:
+    return jnp.issubdtype(jnp.result_type(leaf), jnp.floating)
+
+
+def _vector(state: PyTree) -> jax.Array:
+    """All numbers of a state in one row, those in steps as constants."""
+    leaves = [
+        jnp.ravel(leaf).astype(float) if _is_float(leaf)
+        else jax.lax.stop_gradient(jnp.ravel(leaf).astype(float))
+        for leaf in jax.tree.leaves(state)
+    ]  # fmt: skip
+    return jnp.concatenate(leaves) if leaves else jnp.zeros(0)
+
+
+def _with(state: PyTree, vector: jax.Array) -> PyTree:
+    """The state with these numbers; those in steps keep theirs."""
+    leaves, structure = jax.tree.flatten(state)
+    found, place = [], 0
+    for leaf in leaves:
+        size = jnp.size(leaf)
+        part = vector[place : place + size].reshape(jnp.shape(leaf))
+        found.append(part.astype(jnp.result_type(leaf)) if _is_float(leaf) else leaf)
+        place += size
+    return structure.unflatten(found)
+
+
+def _like(after: PyTree, before: PyTree) -> PyTree:
+    return jax.tree.map(lambda new, old: jnp.asarray(new, jnp.result_type(old)), after, before)
+
+
+def _flat(states: PyTree) -> np.ndarray:
+    """[N, n] all numbers of many states."""
+    leaves = jax.tree.leaves(states)
+    return np.concatenate([np.asarray(x, float).reshape(len(x), -1) for x in leaves], axis=1)
+
+
+def _swapped(states: PyTree, number: int) -> PyTree:
+    """The states, of which one number is that of the next path."""
+    leaves, structure = jax.tree.flatten(states)
+    found, place = [], 0
+    for leaf in leaves:
+        rows = np.array(leaf).reshape(len(leaf), -1)
+        if place <= number < place + rows.shape[1]:
+            rows[:, number - place] = np.roll(rows[:, number - place], 1)
+        place += rows.shape[1]
+        found.append(jnp.asarray(rows.reshape(np.shape(leaf))))
+    return structure.unflatten(found)
+
+
+def _names(states: PyTree) -> list[str]:
+    """The name of every number: "water", "level.0", as in `snapo.simulate`."""
+    names = []
+    for way, leaf in jax.tree_util.tree_flatten_with_path(states)[0]:
+        name = ".".join(str(getattr(part, "key", getattr(part, "idx", part))) for part in way)
+        size = int(np.prod(np.shape(leaf)[1:]))
+        name = name.lstrip(".") or "state"
+        names += [f"{name}.{i}" for i in range(size)] if size > 1 else [name]
+    return names
