@@ -2,9 +2,13 @@
 
 import jax.numpy as jnp
 import pytest
+from tests.miniatures import MINIATURES
+from tests.solver.by_default import problems
 from tests.test_examples import NAMES, problem
 
 import snapo
+from snapo.study.commands import Asked, load
+from snapo.study.domain import Options
 
 
 class Plant(snapo.Simulator):
@@ -105,4 +109,47 @@ class Tiger(snapo.Simulator):
 @pytest.mark.parametrize("seen, named", [(False, ("left",)), (True, ())])
 def test_where_the_tiger_is_cannot_be_heard_for_sure(seen, named):
     gain = snapo.Mean("gain")
-    assert snapo.Problem(Tiger(seen=seen), {"gold": snapo.Input(10.0)}, gain).partly_observed == named
+    assert (
+        snapo.Problem(Tiger(seen=seen), {"gold": snapo.Input(10.0)}, gain).partly_observed == named
+    )
+
+
+def test_a_solution_and_check_say_what_is_not_told():
+    of = snapo.Problem(Plant(read="noisy"), INPUTS, -snapo.Mean("cost"))
+    few = {
+        "training": snapo.Training(steps=1, paths=16, validation_paths=16),
+        "evaluation": snapo.Evaluation(paths=64, sensitivity_paths=0),
+    }
+    said = "The observation does not tell all of the state that matters: x."
+    for policy, more in ((snapo.Linear(), True), (snapo.GRU(hidden=2), False)):
+        (note,) = [each for each in snapo.solve(of, policy, **few).notes if said in each]
+        assert ("policy with a memory" in note) == more and "decisions held" in note
+    assert said in str(snapo.check(of, paths=4))
+    assert "does not tell" not in str(snapo.check(Plant(), INPUTS, paths=4))
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", NAMES)
+def test_no_example_is_partly_observed(name):
+    assert snapo.Problem(*problem(name)).partly_observed == ()
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("kind", ["gas-storage", "inventory", "control", "pension"])
+def test_no_template_is_partly_observed(kind, tmp_path):
+    """A fund's numbers that only its rules see move less than a hundredth of what it pays."""
+    size = "small" if kind == "pension" else None
+    folder = MINIATURES[kind]._replace(size=size, assignments=(), texts=None).write(tmp_path / "a")
+    loaded = load(folder if isinstance(folder, Asked) else Asked(folder))
+    setup = loaded.domain.study(loaded.case, Options()).setup
+    assert setup().problem.partly_observed == ()
+
+
+@pytest.mark.prove
+def test_problems_solved_with_no_settings():
+    """The prices of a day are the level and noise: the battery cannot tell it, and would use it."""
+    for made, inputs, output, named in (
+        (problems.Hydro, problems.HYDRO, "value", ()),
+        (problems.Battery, problems.BATTERY, "cash", ("level",)),
+    ):
+        assert snapo.Problem(made(), inputs, snapo.Mean(output)).partly_observed == named

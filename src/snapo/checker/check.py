@@ -13,12 +13,13 @@ from jaxtyping import PyTree
 
 from snapo.problem.code.version import following
 from snapo.problem.limits import Limit
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Mean, Objective
 from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
 from snapo.problem.simulator import Simulator
 from snapo.problem.smooth import Smooth
+from snapo.problem.unseen import words
 
 from .arrays.indices import within
 from .arrays.moving import moving_indices
@@ -107,6 +108,9 @@ def _checked(
         stopped_once(notes, simulator, runs[0])
         bumped(notes, simulator, inputs, runs, seed)
         looked = f"Examined {paths} paths of {simulator.horizon} steps and bumped every input."
+        aim = objective or sum(map(Mean, shapes.outputs))
+        found = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
+        looked = " ".join(filter(None, [looked, words(found)]))
     except Stop:
         looked = "Stopped at the first error that hides the rest."
     except Exception as error:

@@ -1,6 +1,7 @@
 """Numbers of the state that matter and that the observation does not tell: partial observation.
 
-Paths are rolled with drawn decisions, the same on all of them up to the state that is looked at. A number of the state is named if
+Paths are rolled with drawn decisions, the same on all of them up to the state that is looked at.
+A number of the state is named if
 
 - noise moves it, decisions held, and so that the observation stays the same to first order: it
   then differs between paths that look alike. Numbers that follow from those seen, and from time,
@@ -27,11 +28,15 @@ from .scenarios import Supplied
 from .simulator import at
 from .smooth import Exact
 
-PATHS, LOCAL, BEFORE = 128, 8, 8  # paths; those with derivatives; steps before the state looked at
+PATHS, LOCAL, BEFORE = (
+    128,
+    8,
+    8,
+)  # paths; those with derivatives; steps before the state looked at, at most
 MOVED, SEEN = 1e-9, 1e-6  # relative: a direction that is moved; one that is seen
 LARGE = 0.2  # share of a number in a direction, all being in units of their deviation
 ALIKE = 0.98  # of the paths' nearest neighbours have the same number, where it is told
-MATTERS = 1e-9  # of what is paid, relative
+MATTERS = 0.02  # of what another state moves
 MOST = 12  # numbers whose effect is tried
 
 
@@ -40,11 +45,30 @@ def partly_observed(problem: Any) -> tuple[str, ...]:
     simulator = problem.simulator
     if not problem.is_random or simulator.horizon < 2:
         return ()
-    with jax.enable_x64(True):
-        first = _start(problem)
-        if _all_told(problem, first):
-            return ()
-        return tuple(_named(problem, first))
+    try:
+        with jax.enable_x64(True):
+            first = _start(problem)
+            if _all_told(problem, first):
+                return ()
+            return tuple(_named(problem, first))
+    except Exception:  # code of the user's own: a note is no reason to lose a run
+        return ()
+
+
+def words(names: tuple[str, ...], remembers: bool = False) -> str:
+    """What partial observation means for a reader of derivatives; empty where there is none."""
+    if not names:
+        return ""
+    memory = (
+        ""
+        if remembers
+        else (" A policy with a memory, snapo.GRU() or snapo.Recent(…), may do better.")
+    )
+    return (
+        f"The observation does not tell all of the state that matters: {', '.join(names)}. "
+        "Derivatives with decisions held are then wrong in principle: take those through the "
+        f"policy (smooth).{memory}"
+    )
 
 
 def _start(problem: Any) -> dict[str, Any]:
@@ -66,7 +90,7 @@ def _start(problem: Any) -> dict[str, Any]:
 
 
 def _all_told(problem: Any, first: dict[str, Any]) -> bool:
-    """Whether the observation tells every number of a state by itself, so that nothing is hidden."""
+    """Whether the observation tells every number of a state by itself: nothing is hidden."""
     simulator, schedule = problem.simulator, problem.schedule
     begin = jax.vmap(partial(simulator.initial, schedule.constants))
     states = begin(jnp.asarray(first["early"][:LOCAL], float))
@@ -79,11 +103,11 @@ def _all_told(problem: Any, first: dict[str, Any]) -> bool:
 def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     """The names, in the order of the state."""
     simulator, T = problem.simulator, problem.simulator.horizon
-    t = min(BEFORE, T - 1)
+    t = max(1, min(BEFORE, T // 2))
     early, noise, actions = first["early"], first["noise"], first["actions"]
     same = np.broadcast_to(actions[0, :t, :1], actions[0, :t].shape)  # what differs is noise
     states, moves = _reached(simulator, problem.schedule, early, noise[:t], same)
-    seen, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
+    _, slopes = _observed(problem, jax.tree.map(lambda leaf: leaf[:LOCAL], states), t)
     numbers = _flat(states)
     hidden = _hidden(numbers, np.asarray(moves), np.asarray(slopes))
     whole, _ = _observed(problem, states, t)
@@ -91,25 +115,41 @@ def _named(problem: Any, first: dict[str, Any]) -> Iterator[str]:
     names = _names(states)
     wanted = _paid_names(problem)
     tail = partial(_paid, simulator, problem.schedule, noise[t:], start=t)
-    before = None
-    for i in [*np.flatnonzero(hidden | in_steps)][:MOST]:
-        if before is None:
-            before = [tail(actions[k, t:], states) for k in (0, 1)]
-        other = _swapped(states, int(i))
-        after = [tail(actions[k, t:], other) for k in (0, 1)]
+    doubtful = np.flatnonzero(hidden | in_steps)[:MOST]
+    if not doubtful.size:
+        return
+
+    def paid(states: PyTree) -> list[dict[str, Any]]:
+        return [tail(actions[k, t:], states) for k in (0, 1)]
+
+    before, others = paid(states), paid(jax.tree.map(lambda leaf: jnp.roll(leaf, 1, 0), states))
+    for i in doubtful:
+        after = paid(_swapped(states, int(i)))
         for name in wanted & set(before[0]):
-            if _matters(*(np.asarray(each[name]) for each in (*before, *after))):
+            one, two, *more = (np.asarray(each[name]) for each in (*before, *after, *others))
+            if _matters(one, two, *more):
                 yield names[int(i)]
                 break
 
 
-def _matters(one: np.ndarray, two: np.ndarray, other_one: np.ndarray, other_two: np.ndarray):
-    """Whether a moved number moves what is paid by more than the same amount, and by more than the
-    same factor above 0, under both sequences of decisions."""
-    size = max(np.abs(each).max() for each in (one, two, other_one, other_two))
-    added = np.abs((other_one - one) - (other_two - two)).max() <= MATTERS * size
-    scaled = np.abs(other_one * two - other_two * one).max() <= MATTERS * size**2
-    return not (added or (scaled and np.all(other_one * one >= 0)))
+def _matters(one, two, moved_one, moved_two, all_one, all_two) -> bool:
+    """Whether another value of a number moves what is paid by more than the same amount, and by
+    more than the same factor above 0, under two sequences of decisions.
+
+    `one`, `two` [N]: what is paid under either; `moved_…`: with another number, `all_…`: with
+    another state. Less than a fiftieth of what another state moves is left aside.
+    """
+    least = MATTERS * max(_size(all_one - one), _size(all_two - two))
+    added = _size((moved_one - one) - (moved_two - two)) <= least
+    scale = np.maximum(np.abs(one), np.abs(two))
+    apart = (moved_one * two - moved_two * one) / np.where(scale > 0, scale, 1.0)
+    scaled = _size(apart) <= least and not np.any(moved_one * one < 0)
+    return not (added or scaled)
+
+
+def _size(values: np.ndarray) -> float:
+    finite = values[np.isfinite(values)]
+    return float(np.sqrt(np.mean(np.square(finite)))) if finite.size else 0.0
 
 
 def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.ndarray:
@@ -117,6 +157,8 @@ def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.nd
     scale = np.where((deviation := numbers.std(0)) > 0, deviation, 1.0)
     counted = np.zeros(len(scale))
     for move, slope in zip(moves / scale[:, None], slopes * scale):
+        if not (np.isfinite(move).all() and np.isfinite(slope).all()):
+            continue
         left, size, _ = np.linalg.svd(move, full_matrices=False)
         basis = left[:, size > MOVED * max(size.max(initial=0.0), MOVED)]
         if not basis.size:
@@ -129,7 +171,7 @@ def _hidden(numbers: np.ndarray, moves: np.ndarray, slopes: np.ndarray) -> np.nd
 
 
 def _in_steps(problem: Any, states: PyTree, seen: np.ndarray, t: int, moves: np.ndarray):
-    """[n] whether a number moves in steps, is not read, and differs between paths that look alike."""
+    """[n] whether a number moves in steps, is not read, and differs where paths look alike."""
     numbers, found = _flat(states), np.zeros(_flat(states).shape[1], bool)
     still = ~np.any(moves != 0, axis=(0, 2))
     look = (seen - seen.mean(0)) / np.where(seen.std(0) > 0, seen.std(0), 1.0)
@@ -144,7 +186,7 @@ def _in_steps(problem: Any, states: PyTree, seen: np.ndarray, t: int, moves: np.
 
 
 def _observed(problem: Any, states: PyTree, t: int):
-    """[N, features] what is seen of states, and [N, features, n] its derivative by their numbers."""
+    """[N, features] the observations, [N, features, n] their derivatives by the state."""
     constants, now = problem.schedule.constants, at(problem.schedule.steps, t)
     return _seen(problem.simulator, constants, now, states)
 

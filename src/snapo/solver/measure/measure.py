@@ -8,10 +8,11 @@ import numpy as np
 
 from snapo.engine import Engine, Engines
 from snapo.problem.objective import Totals
-from snapo.problem.policies.memory import Memory
+from snapo.problem.policies.memory import Memory, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
+from snapo.problem.unseen import words
 
 from ..derivatives.bump import reactions
 from ..derivatives.coordinates import coordinates
@@ -85,10 +86,11 @@ def measure(run: Run) -> dict[str, Any]:
         "sensitivities": table.dropped if table else 0,
     }
     kept = selection.kind == START
+    unseen = words(problem.partly_observed, remembered(policy) > 0)
     broken = why_broken(problem, progress, training, run.engines.train)
     notes = (
         *_notes(value, dropped, ruined(objective, exact)),
-        *filter(None, [broken, selection.words]),
+        *filter(None, [broken, unseen, selection.words]),
         *chosen(progress),
         *ended.notes,
         *notes_of(limits),
