@@ -13,7 +13,7 @@ from jaxtyping import PyTree
 
 from snapo.problem.code.version import following
 from snapo.problem.limits import Limit
-from snapo.problem.objective import Mean, Objective
+from snapo.problem.objective import Mean, Objective, Weighted
 from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
@@ -108,7 +108,7 @@ def _checked(
         stopped_once(notes, simulator, runs[0])
         bumped(notes, simulator, inputs, runs, seed)
         looked = f"Examined {paths} paths of {simulator.horizon} steps and bumped every input."
-        aim = objective or sum(map(Mean, shapes.outputs))
+        aim = objective or Weighted(*((1.0, Mean(name)) for name in shapes.outputs))
         found = Problem(simulator, inputs, aim).prepared(schedule).partly_observed
         looked = " ".join(filter(None, [looked, words(found)]))
     except Stop:

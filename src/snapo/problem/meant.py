@@ -8,9 +8,9 @@ Every public function of a problem takes either, in one order of arguments::
 
 import re
 from collections.abc import Callable
-from functools import wraps
+from functools import partial, wraps
 from inspect import signature
-from typing import Any, ParamSpec, Protocol, TypeVar, overload
+from typing import Any, Concatenate, ParamSpec, Protocol, TypeVar, overload
 
 import jax
 import jax.numpy as jnp
@@ -24,7 +24,8 @@ from .scenarios import Scenarios, Sources
 from .simulator import Simulator, at
 from .smooth import Exact
 
-P, R = ParamSpec("P"), TypeVar("R", covariant=True)
+P = ParamSpec("P")
+R = TypeVar("R", covariant=True)
 BESIDE = ("objective", "scenarios", "limits")  # of a simulator, by name
 SMALL = {"cost", "costs", "loss", "losses", "shortfall", "shortfalls", "penalty", "penalties"}
 
@@ -40,18 +41,26 @@ class Verb(Protocol[P, R]):
     ) -> R: ...
 
 
-def takes_problem(verb: Callable[..., R] | None = None, *, objective: bool = True) -> Any:
+@overload
+def takes_problem(verb: Callable[Concatenate[Problem, P], R]) -> Verb[P, R]: ...
+@overload
+def takes_problem(
+    *, objective: bool
+) -> Callable[[Callable[Concatenate[Problem, P], R]], Verb[P, R]]: ...
+def takes_problem(verb: Any = None, *, objective: bool = True) -> Any:
     """Makes of a function of a `Problem` and a policy one that takes a simulator as well.
 
     `objective`: whether it needs one.
     """
-    if verb is None:
-        return lambda verb: takes_problem(verb, objective=objective)
+    return partial(_either, objective=objective) if verb is None else _either(verb, objective)
+
+
+def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
     name, parameters = verb.__name__, list(signature(verb).parameters)
     policy = parameters[1]
 
     @wraps(verb)
-    def called(*args: Any, **others: Any) -> R:
+    def called(*args: Any, **others: Any) -> Any:
         first, rest = (args[0], args[1:]) if args else (others.pop(parameters[0], None), ())
         beside = {key: others.pop(key) for key in BESIDE if key in others}
         # A simulator may have no inputs, and its policy at once.
