@@ -66,9 +66,7 @@ def check(
     if isinstance(scenarios, Sources):
         scenarios = None if isinstance(scenarios.evaluation, Pseudo) else scenarios.evaluation
     with following(all_versions(simulator, inputs)):
-        return _checked(
-            simulator, inputs, objective, scenarios, limits, paths, temperature, seed
-        )
+        return _checked(simulator, inputs, objective, scenarios, limits, paths, temperature, seed)
 
 
 def _checked(

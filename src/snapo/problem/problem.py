@@ -77,14 +77,16 @@ class Problem:
         """Whether paths differ from one another under the same decisions."""
         return self.simulator.noise_size + self.simulator.initial_noise_size > 0
 
-    @cached_property
+    @property
     def partly_observed(self) -> tuple[str, ...]:
         """The names of state numbers that matter and that the observation does not tell.
 
         Empty where the observation is all that a decision needs, as far as paths tell
         (`problem.unseen`). It compiles a step where the observation does not tell all.
         """
-        return partly_observed(self)
+        version = self.version
+        with following(version):
+            return self._kept("partly_observed", version, lambda: partly_observed(self))
 
     def _repr_html_(self) -> str:
         """The inputs in a notebook: name, meaning, how many numbers, the first of them, unit."""

@@ -30,7 +30,7 @@ from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, memory, updater
 from .learning.practice import practised
-from .learning.progress import Progress, Record
+from .learning.progress import Progress, Record, marks
 from .learning.progress import begin as begin
 from .learning.settings import Training as Training
 from .learning.settings import TrainingPlan
@@ -104,7 +104,7 @@ def train(
             due = _due(moved, plan) or moved.step == last
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
-            if due and fresh is not None and idle.caught(moved, training):
+            if due and fresh is not None and idle.caught(moved, plan):
                 moved = _anew(loop, moved, fresh(len(moved.redrawn)))
             progress = moved
             # Each is told, also after one that stops the training.
@@ -153,7 +153,7 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         # The policy is that of the step before; the step that broke is written down.
         ended = replace(progress, history=(*progress.history, record), status="diverged")
         return _slower(loop, ended) if _may_be_slower(training, progress) else ended
-    kept = (progress.recent, moved.average) if _marks(step + 1, training.steps) else ()
+    kept = (progress.recent, moved.average) if marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
         progress,
@@ -271,11 +271,6 @@ def _options(progress: Progress) -> dict:
 def most_dropped(training: TrainingPlan) -> float:
     """How many paths of a whole run may be not finite, and are left out, before it diverges."""
     return DROPPED * training.steps * training.paths
-
-
-def _marks(step: int, steps: int) -> bool:
-    """Whether a step is one of steps, steps / 2, steps / 4, …, rounded down."""
-    return step in (steps >> k for k in range(steps.bit_length()))
 
 
 def _chosen(loop: Loop, progress: Progress, smooth: Smooth) -> Progress:

@@ -136,6 +136,11 @@ class Progress:
         return self.history[-1]
 
 
+def marks(step: int, steps: int) -> bool:
+    """Whether a step is one of steps, steps / 2, steps / 4, …, rounded down (see `Progress`)."""
+    return step in (steps >> k for k in range(steps.bit_length()))
+
+
 def begin(policy: Policy, training: Training, problem: Problem | None = None) -> Progress:
     """The state before the first step; training on windows needs the problem, for its critic."""
     if problem is not None:

@@ -123,8 +123,9 @@ class TrainingPlan(Training):
     @classmethod
     def given(cls, settings: Mapping[str, Any]) -> "TrainingPlan":
         """The plan of a case's numbers; one that is None or missing has its usual value."""
-        numbers = {name: value for name, value in settings.items() if value is not None}
-        return cls(**{"validation_every": every(numbers["steps"])} | numbers)
+        numbers: dict[str, Any] = {"validation_every": every(settings["steps"])}
+        numbers |= {name: value for name, value in settings.items() if value is not None}
+        return cls(**numbers)
 
     @classmethod
     def of(cls, training: Training, **numbers: Any) -> "TrainingPlan":
