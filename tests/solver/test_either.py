@@ -107,11 +107,11 @@ def test_bounds_and_imitations_take_either():
 @pytest.mark.parametrize(
     "sizes, said",
     [
-        ({"horizon": 5.0}, "Till: horizon is 5.0; allowed is a whole number of at least 1"),
-        ({"horizon": "5"}, "Till: horizon is '5'; allowed is a whole number of at least 1"),
-        ({"horizon": -1}, "Till: horizon is -1; allowed"),
-        ({"horizon": True}, "Till: horizon is True; allowed"),
-        ({"noise_size": 1.5}, "Till: noise_size is 1.5; allowed is a whole number of at least 0"),
+        ({"horizon": 5.0}, "horizon is 5.0; allowed is a whole number of at least 1"),
+        ({"horizon": "5"}, "horizon is '5'; allowed is a whole number of at least 1"),
+        ({"horizon": -1}, "horizon is -1; allowed"),
+        ({"horizon": True}, "horizon is True; allowed"),
+        ({"noise_size": 1.5}, "noise_size is 1.5; allowed is a whole number of at least 0"),
     ],
 )
 def test_sizes_that_are_none_are_named(sizes, said):

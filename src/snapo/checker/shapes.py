@@ -28,13 +28,14 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
     for name, least in (("horizon", 1), ("noise_size", 0), ("initial_noise_size", 0)):
         value = getattr(simulator, name, None)
         if not isinstance(value, int | np.integer) or isinstance(value, bool) or value < least:
-            notes.error(name, f"It is {value!r}.", f"Make it a whole number, at least {least}.")
+            allowed = f"{name} is {value!r}; allowed is a whole number of at least {least}."
+            notes.error(name, allowed, "Change it in the class.")
     if not isinstance(action := getattr(simulator, "action", None), Actions):
         notes.error("action", f"It is {action!r}.", "Make it a set of actions, such as Box(size).")
     if not inputs_.named(inputs):
         notes.warning(
             "inputs",
-            "There is no Input, so there is nothing to differentiate by.",
+            "There is no Input, so there is nothing to differentiate with respect to.",
             "Wrap the numbers whose sensitivity matters: Input(value, unit).",
         )
     notes.stop_on_errors()

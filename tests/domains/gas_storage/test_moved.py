@@ -21,7 +21,11 @@ def test_the_same_program_as_long_as_the_same_factor_is_the_fast_one():
 
 
 def test_the_scales_of_the_features_are_those_of_the_moved_case():
-    from snapo.domains.gas_storage.contract.simulator import StorageSimulator, largest_rate
+    from snapo.domains.gas_storage.contract.simulator import (
+        StorageSimulator,
+        largest_rate,
+        values_of,
+    )
 
     simulator = StorageSimulator(read("quick", contract={"max_withdrawal": 12.0}))
-    assert simulator.rate_scale == largest_rate(simulator.case) == 12.0
+    assert simulator.rate_scale == largest_rate(simulator.case, values_of(simulator.case)) == 12.0

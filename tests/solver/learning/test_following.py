@@ -58,7 +58,9 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
     assert Training().steps == Training().paths == "auto"
     found = fitted(Training(steps=7), of, policy(of))
     assert found.steps == 7 and found.paths == 512
-    assert found.automatic == ("paths", "learning_rate", "decay", "exploration")
+    assert set(found.automatic) == {
+        "paths", "learning_rate", "decay", "exploration", "validation_every", "starts",
+    }  # fmt: skip
     assert fitted(found, of, policy(of)) == found
     assert Training(steps=0).steps == 0
 

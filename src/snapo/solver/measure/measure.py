@@ -128,8 +128,8 @@ def measure(run: Run) -> dict[str, Any]:
 def _surface(run: Run, problem: Problem) -> Surface | None:
     """The value around the newest policy, in at most as much work as its training took; None where
     no derivative is asked for."""
-    progress, search = run.progress, run.evaluation.search_paths
-    if not search or not run.held_paths or not np.isfinite(progress.best_value):
+    progress, search = run.progress, min(run.evaluation.search_paths, run.held_paths)
+    if not search or not np.isfinite(progress.best_value):
         return None
     newest = progress.best if problem.limits or run.problem.limits else progress.average
     earlier = progress.halfway if progress.step > 1 else None

@@ -348,9 +348,10 @@ def test_supplied_paths_are_rescaled_to_mean_one(folder):
 
 def test_training_has_the_defaults_of_the_training_loop():
     from snapo.case.settings import TrainingTable
-    from snapo.solver.train import Training as Loop
+    from snapo.solver.learning.settings import TrainingPlan as Loop
 
     defaults = {field.name: field.default for field in dataclasses.fields(Loop)}
-    # A case says its steps and paths itself; the loop's own follow the problem.
-    defaults |= {"steps": 240, "paths": 512}
+    # A case says its steps and paths itself; validations follow the steps where they are left out.
+    defaults |= {"steps": 240, "paths": 512, "validation_every": None}
+    del defaults["automatic"]
     assert {name: field.default for name, field in TrainingTable.model_fields.items()} == defaults

@@ -215,8 +215,8 @@ def test_long_contracts_name_fewer_months_and_move_quarters(tmp_path):
     months = [f"{2021 + i // 12}-{i % 12 + 1:02d}" for i in range(60)]
     deltas = [{"month": month, "undiscounted": 1.0} for month in months]
     write_run(tmp_path, deltas_monthly=deltas)
-    lines = [f"forward_curve,{month},MWh,1.0,,,,\n" for month in months]
-    head = "input,label,unit,held,held_error,smooth,smooth_error,moved\n"
+    lines = [f"forward_curve,{month},MWh,held,1.0,,,1.0,,,,\n" for month in months]
+    head = "input,label,unit,source,value,low,high,held,held_error,smooth,smooth_error,moved\n"
     (tmp_path / "sensitivities.csv").write_text(head + "".join(lines))
     html = write_report(DOMAIN, tmp_path).read_text(encoding="utf-8")
     text = text_of(html)

@@ -22,7 +22,7 @@ RULES = {
     *(f"plan.indexation.{key}" for key in ("rate", "month", "averaging", "cap", "floor",
       "lower_ratio", "upper_ratio", "required_ratio")),
     *(f"plan.contribution.{key}" for key in ("normal_cost", "rate", "loading", "spread_factor",
-      "target_ratio", "recovery_years", "floor", "cap", "sponsor_limit")),
+      "target_ratio", "recovery", "recovery_years", "floor", "cap", "sponsor_limit")),
     "curve.speed", "curve.convergence", "inflation.speed", "liability.rate", "reconcile.tolerance",
 }  # fmt: skip
 COHORTS = {
@@ -103,7 +103,7 @@ MODES = {
         BASE | plan(contribution={"kind": "target", "normal_cost": "rate", "rate": 0.2}),
         (RULES | NESTED | OF_FLOWS | FORMULA)
         - {f"plan.contribution.{key}" for key in
-           ("normal_cost", "rate", "target_ratio", "recovery_years", "floor", "cap",
+           ("normal_cost", "rate", "target_ratio", "recovery", "recovery_years", "floor", "cap",
             "sponsor_limit")},
     ),
     "other bases": (

@@ -378,8 +378,8 @@ def test_the_page_reads_its_run(folder):
 
 def test_a_parallel_shift_keeps_its_digits_where_the_objective_is_no_money():
     row = {"input": "zero_rate", "move": "1 bp", "reacting": 2e-4}
-    rows = [row | {"label": "1y", "effect": 0.001, "standard_error": 2e-5}]
-    whole = row | {"effect": 0.001309, "standard_error": 4e-6}
+    rows = [row | {"label": "1y", "effect": 0.001, "low": 0.00096, "high": 0.00104}]
+    whole = row | {"effect": 0.001309, "low": 0.001305, "high": 0.001313}
     table = risk._nodes(whole, rows, 1.0, "objective")
     assert table.rows[-1][:3] == ("Parallel = sum", "1 bp", "+0.0013090")
 
