@@ -20,7 +20,7 @@ def lost_derivatives(notes: Notes, simulator: Simulator, inputs: PyTree) -> None
         places = ", ".join(map(str, lines))
         texts = " In: " + "; ".join(line.text for line in lines) if lines else ""
         notes.warning(
-            f"input {name!r}" + (f", {places}" if places else ""),
+            f"input {name}" + (f" ({places})" if places else ""),
             "Its derivative is lost: it is rounded, made a whole number or compared on every way "
             f"to the outputs, so that the derivative is 0 on every path and not known.{texts}",
             "Draw whole numbers with snapo.noise (Poisson, Binomial, Empirical), whose derivative "

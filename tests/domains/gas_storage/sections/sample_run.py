@@ -127,6 +127,8 @@ def sample_details() -> dict:
         "deltas_daily": {
             "discounted": (daily * discount).tolist(),
             "standard_error": (0.6 + 0.2 * random.random(len(days))).tolist(),
+            "low": (daily * discount - 1.5).tolist(),
+            "high": (daily * discount + 1.5).tolist(),
             "undiscounted": daily.tolist(),
             "moved": (0.05 * daily).tolist(),
             "intrinsic": (np.array(INTRINSIC, float)[month] / length).tolist(),
@@ -198,7 +200,14 @@ def _monthly(i: int, random) -> dict:
         "month": f"{2021 + (i + 3) // 12}-{(i + 3) % 12 + 1:02d}",
         "discounted": DELTAS[i] * discount,
         "standard_error": 11.0 + 5.0 * random.random(),
+        "low": DELTAS[i] * discount - 30.0,
+        "high": DELTAS[i] * discount + 30.0,
+        "sampling": 24.0,
+        "policy": 6.0,
+        "source": "held",
         "undiscounted": float(DELTAS[i]),
+        "undiscounted_low": DELTAS[i] - 30.0,
+        "undiscounted_high": DELTAS[i] + 30.0,
         "moved": 40.0 * random.normal(),
         "smooth": DELTAS[i] * discount + 25 * random.normal(),
         "intrinsic": float(INTRINSIC[i]),
@@ -284,7 +293,9 @@ CERTIFICATE = {
 def _sensitivities():
     yield SENSITIVITIES
     for name, label, value, error, unit in _held():
-        yield (name, label, unit, value, error, value * 1.01, error, 0.001 * value, "held")
+        low, high = value - error, value + error
+        beside = (value, error, value * 1.01, error, 0.001 * value, error)
+        yield (name, label, unit, "held", value, low, high, error, 0.0, *beside)
 
 
 def _held():
