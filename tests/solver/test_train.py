@@ -12,6 +12,7 @@ import snapo
 from snapo.engine import Xla
 from snapo.problem.policy import parameters
 from snapo.solver import checkpoint
+from snapo.solver.learning.following import fitted
 from snapo.solver.learning.told import chosen
 from snapo.solver.train import Training, begin, train
 
@@ -316,8 +317,8 @@ class Edge(Brittle):
 def test_a_rate_that_nobody_gave_is_lowered_where_it_breaks_the_training(tmp_path):
     problem = snapo.Problem(Edge(), {"water": snapo.Input(5.0)}, snapo.Mean("cash"))
     few = {"paths": 64, "validation_paths": 64, "validation_every": 20, "seed": 1}
-    training, engine = snapo.Training(steps=200, **few), Xla()
-    policy = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
+    policy, engine = snapo.MLP().for_problem(problem.interface, jax.random.key(0)), Xla()
+    training = fitted(snapo.Training(steps=200, **few), problem, policy)
     whole = train(problem, begin(policy, training, problem), training, engine)
     assert whole.status == "trained" and whole.best_value > -0.01  # from 10 x -.08^2
     assert whole.slowed and whole.rate(training) == 0.01 * 0.25 ** len(whole.slowed)
@@ -332,7 +333,7 @@ def test_a_rate_that_nobody_gave_is_lowered_where_it_breaks_the_training(tmp_pat
     assert eqx.tree_equal(again.policy, whole.policy)
     (told,) = chosen(whole)
     assert f"step {whole.slowed[0]}" in told or f"steps {whole.slowed[0]}" in told
-    given = replace(training, learning_rate=0.01)
+    given = fitted(snapo.Training(steps=200, learning_rate=0.01, **few), problem, policy)
     broken = train(problem, begin(policy, given, problem), given, engine)
     assert broken.status == "diverged" and not broken.slowed
 

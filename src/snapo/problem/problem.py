@@ -21,6 +21,8 @@ from .scenarios import Sources
 from .simulator import Interface, Schedule, Simulator
 from .unseen import partly_observed
 
+KEPT = ("schedule", "interface", "lost", "partly_observed")  # what no scenarios change
+
 
 @dataclass(frozen=True, eq=False)
 class Problem:
@@ -115,6 +117,12 @@ class Problem:
         other = replace(self)
         version = of_preparation(self.simulator, self.inputs)
         other.__dict__["schedule"] = version, schedule
+        return other
+
+    def on(self, sources: Sources) -> "Problem":
+        """The same problem on other scenarios, with all that is known of it already."""
+        other = replace(self, sources=sources)
+        other.__dict__.update({name: self.__dict__[name] for name in KEPT if name in self.__dict__})
         return other
 
     @property

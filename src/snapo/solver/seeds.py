@@ -107,7 +107,7 @@ def solve_seeds(
     problem = problem_of("solve_seeds", problem, *given, sources=sources, seed=chosen[0])
     found = {}
     for seed in chosen:
-        own = replace(problem, sources=problem.sources.reseeded(seed)).prepared(problem.schedule)
+        own = problem.on(problem.sources.reseeded(seed))
         settings = replace(training, seed=seed)
         found[seed] = solve(own, policy=policy, training=settings, evaluation=evaluation, **more)
     return Seeds(found)

@@ -38,7 +38,7 @@ def test_the_tornado_shows_the_change_by_a_hundredth(solution):
         for label, bar in zip(axes.get_yticklabels(), axes.patches)
     }
     for name, given in found.inputs.items():
-        expected = found.held[name].value * 0.01 * given.value
+        expected = found.along(name, 0.01 * given.value).value
         assert widths[f"{name} +1 %"] == pytest.approx(float(expected), rel=1e-6)
     with pytest.raises(ValueError, match="without sensitivities"):
         replace(solution, sensitivities=None).plot.tornado()

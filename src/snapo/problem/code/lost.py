@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.extend.core as jex
 import jax.numpy as jnp
+import numpy as np
 from jaxtyping import PyTree
 
 from snapo.lanes import jax_private
@@ -81,7 +82,7 @@ def _reach(
         return after, outputs, simulator.terminal(constants, after, smooth)
 
     sizes = simulator.initial_noise_size, simulator.action.size, simulator.noise_size
-    initial, *other = (jnp.zeros(size) for size in sizes)
+    initial, *other = map(np.zeros, sizes)  # NumPy's: nothing is compiled for them
     begun, shapes = jax.make_jaxpr(first, return_shape=True)(values, initial)
     stepped, ends = jax.make_jaxpr(step, return_shape=True)(shapes, *other)
     # One bit for each input; after them come the noise, and the action.

@@ -27,7 +27,7 @@ SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share o
 FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
 CLIFF = 4.0  # targets: a fall that is no slope any more
 POINTS = 1.6  # places for each coefficient of the surface
-LACK, CLOSER, TRIES = 0.2, 1.7, 4  # of a target; closer places where the surface does not fit
+LACK, CLOSER, TRIES = 0.2, 1.7, 2  # of a target; closer places where the surface does not fit
 FLAT = 0.5  # of a target: the least curvature over a radius
 STEP, ROUNDS = 1.3, 2  # radii that one step takes at most; surfaces, one at the top of the other
 

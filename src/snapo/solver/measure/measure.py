@@ -33,7 +33,6 @@ from .settings import Evaluation
 
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
 KEPT = "start kept"  # how a training ended whose starting rule is reported
-BACK = 3.0  # values that one step of training costs for each of its paths
 FEWEST, PAIR = 2048, 2  # paths of a surface, and coordinates that it has in any case
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
@@ -126,15 +125,15 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def _surface(run: Run, problem: Problem) -> Surface | None:
-    """The value around the newest policy, in at most as much work as its training took; None where
-    no derivative is asked for."""
+    """The value around the newest policy, on about as many paths in all as its training took; None
+    where no derivative is asked for."""
     progress, search = run.progress, min(run.evaluation.search_paths, run.held_paths)
     if not search or not np.isfinite(progress.best_value):
         return None
     newest = progress.best if problem.limits or run.problem.limits else progress.average
     earlier = progress.halfway if progress.step > 1 else None
     around = coordinates(newest, earlier)
-    work = BACK * max(1, progress.step) * run.training.paths
+    work = max(1, progress.step) * run.training.paths
     count = len(around.directions)
     while count > PAIR and work / rollouts(count) < FEWEST:
         count -= 1

@@ -27,7 +27,8 @@ def equal_on_all_paths(problem: Problem, totals: Totals) -> bool:
     """
     found = [np.asarray(totals[name]) for name in problem.objective.outputs]
     return problem.is_random and all(
-        np.ptp(total) <= NONE * np.max(np.abs(total)) for total in found
+        np.isfinite(total).all() and np.ptp(total) <= NONE * np.max(np.abs(total))
+        for total in found
     )
 
 
