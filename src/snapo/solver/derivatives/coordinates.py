@@ -9,6 +9,7 @@ from typing import NamedTuple
 
 import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
@@ -49,10 +50,13 @@ def moved(policy: Policy, by: np.ndarray) -> Policy:
     numbers, rest = trainable(policy)
     leaves, structure = jax.tree.flatten(numbers)
     after, first = [], 0
-    for leaf in map(np.asarray, leaves):
-        step = by[first : first + leaf.size].reshape(leaf.shape)
-        after.append((leaf.astype(np.float64) + step).astype(leaf.dtype))
-        first += leaf.size
+    for leaf in leaves:
+        old = np.asarray(leaf)
+        step = by[first : first + old.size].reshape(old.shape)
+        new = (old.astype(np.float64) + step).astype(old.dtype)
+        # A policy may index its arrays as JAX's: they stay what they are.
+        after.append(jnp.asarray(new) if isinstance(leaf, jax.Array) else new)
+        first += old.size
     return eqx.combine(jax.tree.unflatten(structure, after), rest)
 
 
