@@ -18,14 +18,17 @@ def ends_for_good(problem: Problem) -> bool:
     extremes = _extremes(problem.action)
     if extremes is None:
         return False
-    simulator, schedule = problem.simulator, problem.schedule
+    # Arrays of JAX, as in an engine: user code may index them as such.
+    simulator, schedule = problem.simulator, jax.tree.map(jnp.asarray, problem.schedule)
     noise = jnp.zeros(simulator.noise_size)
     now = at(schedule.steps, 0)
 
+    @jax.jit
     def after(state, action):
         return simulator.step(schedule.constants, now, state, action, noise, Exact())[0]
 
-    first = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
+    start = jnp.zeros(simulator.initial_noise_size)
+    first = jax.jit(lambda: simulator.initial(schedule.constants, start))()
     for stop, go in (extremes, extremes[::-1]):
         stopped = after(first, stop)
         later = [after(stopped, action) for action in extremes]
