@@ -216,7 +216,8 @@ CASES: dict[str, dict[str, Any]] = {
         "mortality": None,
         "plan": {
             "indexation": {"kind": "none"},
-            "contribution": {"kind": "target", "recovery": "rolling", "recovery_years": 8.0},
+            "contribution": {"kind": "target", "recovery": "rolling", "recovery_years": 8.0}
+            | {"cap": 0.5},
         },
     },
     "personal pots": MARKET

@@ -130,7 +130,7 @@ def make_setup(case: Case, engine: str) -> Setup:
         name: snapo.Input(getattr(case.shop, name), unit, move=move, words=words)
         for name, (unit, move, words) in INPUTS.items()
     }
-    training = snapo.Training(**case.training.model_dump())
+    training = snapo.Training(**case.training.model_dump(exclude_none=True))
     evaluation = snapo.Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     simulator = Shop(horizon=case.shop.days)  # pyright: ignore[reportCallIssue]

@@ -39,9 +39,9 @@ class Coordinates(NamedTuple):
 
     def random(self, rng: np.random.Generator) -> np.ndarray:
         """[P] a random direction of all numbers, each drawn as large as its array's are."""
-        leaves = jax.tree.leaves(trainable(self.policy)[0])
-        sizes = [max(float(np.std(leaf)), SMALL) for leaf in leaves]
-        drawn = [rng.standard_normal(np.shape(x)) * size for x, size in zip(leaves, sizes)]
+        # In float64: JAX's arrays and NumPy's would round the same numbers to other deviations.
+        leaves = [np.asarray(x, np.float64) for x in jax.tree.leaves(trainable(self.policy)[0])]
+        drawn = [rng.standard_normal(x.shape) * max(float(np.std(x)), SMALL) for x in leaves]
         return np.concatenate([np.zeros(0), *map(np.ravel, drawn)])
 
 

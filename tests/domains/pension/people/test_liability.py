@@ -115,11 +115,13 @@ def mortal():
 
 
 def shifted(case, k):
-    """The case's inputs with hazards times exp(loading k), by a new table."""
+    """The case's inputs with hazards times exp(loading k), the multiplier of q in them, by a new
+    table."""
     inputs = plain(pension_inputs(case))
     loading = case.lee_carter.loading.used()
-    q = case.mortality.table.used()
-    moved = 1 - (1 - q) ** np.exp(loading * k)
+    q, multiplier = case.mortality.table.used(), case.mortality.multiplier.used()
+    alive = np.maximum(1 - multiplier * q, 0.0)
+    moved = (1 - alive ** np.exp(loading * k)) / multiplier
     return inputs | {"death_probability": moved.ravel()}
 
 
