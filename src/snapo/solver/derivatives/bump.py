@@ -26,8 +26,11 @@ from ..statistics import Estimate
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
-FEW = 4  # a share of the paths, one in four, is enough where the reaction is plainly nothing
-PRECISE = 0.0025  # of the held derivative: a standard error of the reaction that is small enough
+FEW = 8  # a share of the paths, one in eight, is enough where the reaction is plainly nothing
+FEWEST = 4  # blocks in any case
+PLAIN = 0.03  # of the held derivative: a standard error at which a reaction may be nothing
+PRECISE = 0.0025  # that at which it needs no more paths, where there is time for them
+SLIGHT = 2e-5  # of the value: a reaction to one percent of an input that nobody sees
 CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
 THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
 MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not looked at
@@ -114,24 +117,53 @@ def reactions(
     held: Mapping[str, Estimate],
     *,
     most: int | None = None,
+    rollouts: float = np.inf,
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
     """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
     `most` paths together.
+
+    Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
+    and a second move follow, in the order of doubt, until about `rollouts` paths were valued.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
     are all where the value is no number, as after a ruin. A held derivative that is not a number,
     as one that is lost in a rounding, counts as zero: all of the bump is reaction.
     """
     bumper = _Bumper(problem, policy, paths, most, engine)
-    if not np.isfinite(worth(problem.objective, bumper.centre)):
+    if not np.isfinite(bumper.value):
         return {}
     moves = {name: one_percent(given) for name, given in problem.named.items()}
-    return {
-        name: bumper.reaction(name, by, np.nan_to_num(blocks_along(held[name], by)))
-        for name, by in moves.items()
-        if by.any()
-    }
+    moves = {name: by for name, by in moves.items() if by.any()}
+    along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
+    found = {name: bumper.first(name, by, along[name]) for name, by in moves.items()}
+    for name in sorted(found, key=lambda name: _doubt(found[name]), reverse=True):
+        if not settled(found[name], PRECISE) and bumper.left(rollouts):
+            found[name] = bumper.second(name, moves[name], found[name])
+    return {name: bumper.cornered(name, moves[name], each) for name, each in found.items()}
+
+
+def settled(found: Reaction, precise: float, slight: float = 0.0) -> bool:
+    """Whether no more paths are needed: nothing reacts, or so little that it may be nothing, known
+    to a share `precise` of the held derivative; or surely less than `slight`."""
+    if not found.tested or not np.isfinite(found.reaction).all():
+        return True
+    value, error = found.estimate
+    if len(found.reaction) < 2:
+        return False
+    if abs(value) + 2 * error <= slight:
+        return True
+    return abs(value) <= 2 * error <= 2 * precise * abs(float(np.mean(found.held)))
+
+
+def _doubt(found: Reaction) -> float:
+    """How much more paths would tell: the error of the reaction in held derivatives, a surely false
+    derivative first."""
+    value, error = found.estimate
+    if not np.isfinite(value):
+        return 0.0
+    size = max(abs(float(np.mean(found.held))), abs(value), np.finfo(float).tiny)
+    return error / size + (1.0 if abs(value) > SIGNIFICANT * error else 0.0)
 
 
 def blocks_along(found: Estimate, direction: np.ndarray) -> np.ndarray:
@@ -153,26 +185,36 @@ class _Bumper:
         ends = np.cumsum([len(block) for block in blocks])
         fitting = len(blocks) if most is None else max(2, int(np.sum(ends <= most)))
         self.blocks = blocks[:fitting] if apart else blocks
-        self.few = min(len(self.blocks), max(2, len(blocks) // FEW)) if apart else len(blocks)
+        least = max(FEWEST, len(blocks) // FEW)
+        self.few = min(len(self.blocks), least) if apart else len(blocks)
+        self.spent = 0.0
         self.centre = self._totals(problem, len(self.blocks))
+        self.value = worth(problem.objective, self.centre)
 
-    def reaction(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
-        """One input moved by `by`: with few paths, and with more and a wider move where needed.
+    def left(self, rollouts: float) -> bool:
+        """Whether so many valued paths are not reached yet."""
+        return self.spent < rollouts
+
+    def first(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
+        """One input moved by `by`, on few paths.
 
         What was built from the inputs stands still at first, which is soon done: where that shows
         no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
         """
         if self.problem.rebuild is not None:
             found = self._moved(name, by, held, self.few, self.problem.at)
-            if self._settled(found) and not self._two_sided(found):
+            if settled(found, PLAIN, SLIGHT * abs(self.value)) and not self._two_sided(found):
                 return found
-        found = self._moved(name, by, held, self.few)
-        if not self._settled(found) and len(found.reaction) < len(self.blocks):
-            found = self._moved(name, by, held, len(self.blocks))
-        if self._settled(found):
-            return self._cornered(name, by, found)
-        wide = self._moved(name, WIDE * by, WIDE * held, len(self.blocks))
-        return self._cornered(name, by, _joined(found, wide))
+        return self._moved(name, by, held, self.few)
+
+    def second(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+        """The same with all paths and, where that is not enough, with a wider move."""
+        held, count = found.held, len(self.blocks)
+        if len(found.reaction) < count:
+            found = self._moved(name, by, held, count)
+        if settled(found, PRECISE):
+            return found
+        return _joined(found, self._moved(name, WIDE * by, WIDE * held, count))
 
     def _moved(
         self,
@@ -207,21 +249,12 @@ class _Bumper:
             bool(np.any(np.abs(reaction) > ROUND_OFF * scale * np.sqrt(size))),
         )
 
-    def _settled(self, found: Reaction) -> bool:
-        """Whether no more paths are needed: nothing reacts, or so little that it may be nothing."""
-        if not found.tested or not np.isfinite(found.reaction).all():
-            return True
-        value, error = found.estimate
-        if len(found.reaction) < 2:
-            return False
-        return abs(value) <= 2 * error <= 2 * PRECISE * abs(float(np.mean(found.held)))
-
     def _two_sided(self, found: Reaction) -> bool:
         """Whether more and less of the input differ by much."""
         size = max(abs(found.up), abs(found.down))
         return abs(found.up - found.down) > max(SIGNIFICANT * found.side_error, MATERIAL * size)
 
-    def _cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+    def cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
         """With the kind of a corner, where both sides differ by much."""
         if not self._two_sided(found):
             return found
@@ -234,6 +267,7 @@ class _Bumper:
 
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
+        self.spent += paths
         return path_totals(
             problem, self.policy, paths, engine=self.engine, controls=False, record=DECIDED
         )

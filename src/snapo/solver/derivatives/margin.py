@@ -28,7 +28,6 @@ from .interval import THROUGH, Curvature, Reported
 from .surface import Surface
 from .verdict import spread_of
 
-PATHS = 4096  # at most, for how derivatives change with the policy
 RANDOM = 6  # directions of all weights
 FIRST, WIDER, NARROWER = 0.02, 1.7, 1.4  # how far they are followed
 SMOOTH_FLOOR, HARD_FLOOR = 0.125, 1.0  # of a target: the gap that no search sees
@@ -43,14 +42,22 @@ class Margin(NamedTuple):
     others: Mapping[str, np.ndarray]
 
 
+def passes(surface: Surface) -> int:
+    """How many derivatives a margin takes."""
+    return 1 + 2 * _pairs(surface) + 1 + RANDOM
+
+
+def _pairs(surface: Surface) -> int:
+    return min((len(surface.places) - 1) // 2, surface.places.shape[1] + 2)
+
+
 def margin_of(
-    problem: Problem, policy: Policy, surface: Surface, seed: int, engine: Engine
+    problem: Problem, policy: Policy, surface: Surface, paths: int, seed: int, engine: Engine
 ) -> Margin:
-    """Of the held derivatives, near the policy that is reported."""
-    on = _Derivatives(problem, surface, engine)
-    count = surface.places.shape[1]
-    half = (len(surface.places) - 1) // 2
-    pairs = min(half, count + 2)
+    """Of the held derivatives, near the policy that is reported, on the first `paths` of those of
+    the surface."""
+    on = _Derivatives(problem, surface, engine, paths)
+    half, pairs = (len(surface.places) - 1) // 2, _pairs(surface)
     chosen = [0, *range(1, 1 + pairs), *range(1 + half, 1 + half + pairs)]
     places = surface.places[chosen]
     design = np.concatenate([np.ones((len(places), 1)), places], axis=1)
@@ -80,7 +87,7 @@ def with_margin(
     """The reported derivatives with intervals that have room for the policy's gap."""
     surface = margin.surface
     curvature = Curvature(surface.inverse, surface.covariance, gap)
-    on = _Derivatives(problem, surface, engine)
+    on = _Derivatives(problem, surface, engine, surface.paths)
     found = {}
     for name, each in table.items():
         slopes, others = margin.slopes[name], margin.others[name]
@@ -97,13 +104,13 @@ def with_margin(
 class _Derivatives:
     """Derivatives of other policies, on the paths of the surface."""
 
-    def __init__(self, problem: Problem, surface: Surface, engine: Engine):
+    def __init__(self, problem: Problem, surface: Surface, engine: Engine, paths: int):
         sources, source = problem.sources, surface.source
         sources = Sources(sources.training, sources.validation, source)
         self.problem = replace(problem, sources=sources).prepared(problem.schedule)
         self.surface, self.engine = surface, engine
         self.bound = engine.bind(self.problem, controls=False)
-        self.paths = source.available(min(PATHS, surface.paths))
+        self.paths = source.available(min(paths, surface.paths))
         self.blocks = source.blocks(self.paths)
 
     def held(self, policy: Policy) -> dict[str, np.ndarray]:

@@ -16,7 +16,7 @@ from snapo.problem.unseen import words
 
 from ..derivatives.bump import reactions
 from ..derivatives.coordinates import coordinates
-from ..derivatives.margin import floor_of, margin_of, with_margin
+from ..derivatives.margin import floor_of, margin_of, passes, with_margin
 from ..derivatives.surface import Surface, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
 from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
@@ -28,12 +28,12 @@ from ..provenance.broken import why_broken
 from ..sensitivity import Sensitivities, sensitivities
 from ..statistics import of_shares
 from ..train import Progress
+from .effort import FEWEST, PAIR, Effort
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
 from .settings import Evaluation
 
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
 KEPT = "start kept"  # how a training ended whose starting rule is reported
-FEWEST, PAIR = 2048, 2  # paths of a surface, and coordinates that it has in any case
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
 
@@ -51,6 +51,12 @@ class Run(NamedTuple):
     def held_paths(self) -> int:
         """The paths of the held derivatives."""
         return min(self.evaluation.sensitivity_paths, self.evaluation.paths)
+
+    @property
+    def effort(self) -> Effort:
+        """What the derivatives may take beside the training."""
+        steps, most = max(1, self.progress.step), min(self.evaluation.search_paths, self.held_paths)
+        return Effort.beside(steps * self.training.paths, self.problem.simulator.horizon, most)
 
     @property
     def smooth(self) -> Smooth:
@@ -125,21 +131,17 @@ def measure(run: Run) -> dict[str, Any]:
 
 
 def _surface(run: Run, problem: Problem) -> Surface | None:
-    """The value around the newest policy, on about as many paths in all as its training took; None
-    where no derivative is asked for."""
-    progress, search = run.progress, min(run.evaluation.search_paths, run.held_paths)
-    if not search or not np.isfinite(progress.best_value):
+    """The value around the newest policy; None where no derivative is asked for."""
+    progress, effort = run.progress, run.effort
+    if not effort.most or not np.isfinite(progress.best_value):
         return None
     newest = progress.best if problem.limits or run.problem.limits else progress.average
-    earlier = progress.halfway if progress.step > 1 else None
-    around = coordinates(newest, earlier)
-    work = max(1, progress.step) * run.training.paths
+    around = coordinates(newest, progress.halfway if progress.step > 1 else None)
     count = len(around.directions)
-    while count > PAIR and work / rollouts(count) < FEWEST:
+    while count > PAIR and rollouts(count) * FEWEST > effort.work:
         count -= 1
-    paths = int(min(search, max(FEWEST, work / rollouts(max(1, count)))))
-    around = around.leading(count)
-    return surface_of(problem, around, paths, run.training.seed, run.engines.evaluate)
+    around, paths = around.leading(count), effort.valued(rollouts(count))
+    return surface_of(problem, around, paths, run.training.seed, run.engines.train)
 
 
 def _selection(run: Run, surface: Surface | None) -> Selection:
@@ -174,12 +176,14 @@ def _sensitivities(
     if not evaluation.judge_paths:
         return table._replace(reported=held_alone(problem, table.held))
     bumped = reactions(
-        problem, policy, paths, table.held, most=evaluation.judge_paths, engine=engine
-    )
+        problem, policy, paths, table.held,
+        most=evaluation.judge_paths, rollouts=run.effort.work, engine=engine,
+    )  # fmt: skip
     found = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
     derivatives = reported(problem, table.held, table.smooth, bumped, found)
     if surface is not None:
-        margin = margin_of(problem, policy, surface, run.training.seed, engine)
+        paths = run.effort.gone_back(passes(surface))
+        margin = margin_of(problem, policy, surface, paths, run.training.seed, engine)
         gap = _gap(problem, progress, selection, surface)
         derivatives = with_margin(problem, policy, derivatives, margin, gap, engine)
     return table._replace(verdicts=found, reported=derivatives)

@@ -22,6 +22,8 @@ from .. import statistics
 from ..evaluate import of_groups, path_totals, shares_of, worth
 
 SURE = 2.0  # standard errors above the starting rule
+FIRST, PLAIN = 8192, 4.0  # paths that are enough for a gain of so many standard errors,
+NOTHING = 5e-5  # and where not even this share of the value can be gained
 FINAL = 1  # of the validation's streams
 START, NEWEST, HIGHEST, TOP = "start", "newest", "highest", "top of the surface"
 
@@ -62,10 +64,30 @@ def select(
 ) -> Selection:
     """The start, unless the best of the candidates is above it by two errors.
 
-    Without a candidate of a finite value the first one is kept, uncompared.
+    A few of the paths decide where that is plain. Without a candidate of a finite value the first
+    one is kept, uncompared.
+
+    - `paths`: at most.
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
+    if 2 * FIRST <= paths:
+        found, level = _selected(problem, start, candidates, source, FIRST, engine)
+        plain = found.gain > PLAIN * found.error
+        if plain or found.gain + SURE * found.error <= NOTHING * abs(level):
+            return found
+    return _selected(problem, start, candidates, source, paths, engine)[0]
+
+
+def _selected(
+    problem: Problem,
+    start: Policy,
+    candidates: Mapping[str, Policy],
+    source: Scenarios,
+    paths: int,
+    engine: Engine,
+) -> tuple[Selection, float]:
+    """The choice on so many paths, and what the starting rule is worth on them."""
     controls = problem.simulator.control_variates()
     names = list(candidates)
 
@@ -73,34 +95,37 @@ def select(
         return path_totals(problem, policy, paths, engine=engine, source=source)
 
     base = totals(start)
+    level = float(worth(problem.objective, base))
     taken = [of_groups(problem.objective, base, source, base[name]) for name in controls]
-    own = shares_of(problem.objective, base, source)
-    shares = {}
+    shares = {None: shares_of(problem.objective, base, source)}
+    same = {None: start}
     for name, policy in candidates.items():
-        same = next((other for other in shares if candidates[other] is policy), None)
-        shares[name] = (
-            shares[same] if same else shares_of(problem.objective, totals(policy), source)
-        )
+        twin = next((other for other in same if same[other] is policy), name)
+        if twin == name:
+            same[name] = policy
+            shares[name] = shares_of(problem.objective, totals(policy), source)
+        else:
+            shares[name] = shares[twin]
 
     def above(mine: np.ndarray, other: np.ndarray) -> statistics.Sampled:
         return statistics.controlled(mine - other, taken)[2]
 
     finite = [name for name in names if np.isfinite(shares[name]).all()]
     if not finite:
-        return Selection(names[0], candidates[names[0]])
+        return Selection(names[0], candidates[names[0]]), level
     search = (0.0, 0.0)
     if TOP in finite and NEWEST in finite:
         difference = above(shares[TOP], shares[NEWEST])
         search = difference.value, _error(difference)
-    if not np.isfinite(worth(problem.objective, base)):  # the starting rule ends in ruin
+    if not np.isfinite(level):  # the starting rule ends in ruin
         best = max(finite, key=lambda name: float(np.mean(shares[name])))
-        return Selection(best, candidates[best], search=search)
-    gains = {name: above(shares[name], own) for name in finite}
+        return Selection(best, candidates[best], search=search), level
+    gains = {name: above(shares[name], shares[None]) for name in finite}
     best = max(finite, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
     if gain > SURE * error:
-        return Selection(best, candidates[best], gain, error, search)
-    return Selection(START, start, gain, error, search)
+        return Selection(best, candidates[best], gain, error, search), level
+    return Selection(START, start, gain, error, search), level
 
 
 def fresh(source: Scenarios) -> Scenarios:
