@@ -7,6 +7,7 @@ from tests.solver.by_default import problems
 from tests.test_examples import NAMES, problem
 
 import snapo
+from snapo.problem.unseen import partly_observed
 from snapo.study.commands import Asked, load
 from snapo.study.domain import Options
 
@@ -142,7 +143,7 @@ def test_no_template_is_partly_observed(kind, tmp_path):
     folder = MINIATURES[kind]._replace(size=size, assignments=(), texts=None).write(tmp_path / "a")
     loaded = load(folder if isinstance(folder, Asked) else Asked(folder))
     setup = loaded.domain.study(loaded.case, Options()).setup
-    assert setup().problem.partly_observed == ()
+    assert partly_observed(setup().problem) == ()
 
 
 @pytest.mark.prove

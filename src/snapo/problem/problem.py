@@ -86,6 +86,8 @@ class Problem:
         Empty where the observation is all that a decision needs, as far as paths tell
         (`problem.unseen`). It compiles a step where the observation does not tell all.
         """
+        if self.simulator.fully_observed:
+            return ()
         version = self.version
         with following(version):
             return self._kept("partly_observed", version, lambda: partly_observed(self))

@@ -59,12 +59,15 @@ class Simulator(eqx.Module):
     - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Whole`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
+    - `fully_observed`: declared by an author who knows that the observation tells all of the state
+      that matters to a decision; it is then not examined (`problem.unseen`).
     """
 
     horizon: eqx.AbstractVar[int]
     action: eqx.AbstractVar[Actions]
     noise_size: eqx.AbstractVar[int]
     initial_noise_size: ClassVar[int] = 0
+    fully_observed: ClassVar[bool] = False
 
     def __init_subclass__(cls, **options: Any):
         super().__init_subclass__(**options)

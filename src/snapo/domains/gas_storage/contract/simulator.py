@@ -48,6 +48,7 @@ class StorageSimulator(Simulator):
     """
 
     case: StorageCase = eqx.field(static=True)
+    fully_observed = True
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     surprises: Surprises | None = None

@@ -54,6 +54,7 @@ class InventorySimulator(Simulator):
     """
 
     case: InventoryCase = eqx.field(static=True)
+    fully_observed = True
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

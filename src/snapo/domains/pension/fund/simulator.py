@@ -95,6 +95,7 @@ class PensionSimulator(Simulator):
     """The fund of a case; see `snapo.domains.pension.records` for its terms."""
 
     case: PensionCase = eqx.field(static=True)
+    fully_observed = True  # its rules see more, which moves too little to matter
 
     @property
     def horizon(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
