@@ -16,6 +16,7 @@ import jax
 import jax.numpy as jnp
 
 from .actions.base import count
+from .code.version import reading_once
 from .limits import Limit
 from .objective import Mean, Objective
 from .policies.plain import NEEDED
@@ -74,7 +75,8 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
         decides = rest[0] if rest else others.get(policy)
         if not callable(decides) and not (decides is None and "actions" in others):
             raise ValueError(f"{name}: {policy} is {decides!r}; allowed is {NEEDED}.")
-        return verb(made, *rest, **others)
+        with reading_once():
+            return verb(made, *rest, **others)
 
     called.__doc__ = f"{verb.__doc__ or ''}{SAID.format(objective=SAID_OBJECTIVE * objective)}"
     return called

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.problem.code.version import reading_once
 from snapo.report.whole import changed_files, checksum, stamps, written_since
 from snapo.solver.bound import Penalty
 from snapo.solver.files import write_text
@@ -26,6 +27,7 @@ OFTEN, SHORT = 30.0, 0.1
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 
+@reading_once()
 def carry_out(
     domain: Domain,
     study: Study,
