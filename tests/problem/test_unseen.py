@@ -115,6 +115,7 @@ def test_where_the_tiger_is_cannot_be_heard_for_sure(seen, named):
     )
 
 
+@pytest.mark.prove
 def test_a_solution_and_check_say_what_is_not_told():
     of = snapo.Problem(Plant(read="noisy"), INPUTS, -snapo.Mean("cost"))
     few = {

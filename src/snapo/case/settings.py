@@ -11,6 +11,7 @@ from .table import Count, Positive, Table, parse
 MOST_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MOST_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 PATHS = "a whole number, 64 to 100,000,000: more do not fit in memory"
+AT_MOST = "a whole number, 0 (none) to 100,000,000: at most so many are taken"
 
 
 class TrainingTable(Table):
@@ -90,10 +91,18 @@ AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 
 
 class EvaluationTable(Table):
-    """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
+    """`[evaluation]`: the fresh scenarios on which the exact value is measured.
+
+    `judge_paths`: of the bumps that the derivatives are tested by; `search_paths`: of the search
+    around the policy, which gives every interval the policy's part; `selection_paths`: of the final
+    choice between the trained policies and the starting rule. All three "at most", 0 to do without.
+    """
 
     paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(65536, description=PATHS)
     sensitivity_paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(16384, description=PATHS)
+    judge_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
+    search_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
+    selection_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(65536, description=AT_MOST)
     scenarios: Literal["pseudo-random", "sobol"] = Field(
         "pseudo-random", description='"pseudo-random" or "sobol"'
     )

@@ -107,6 +107,7 @@ def test_the_report_tells_all_of_it(solved):
     assert page.count("<svg") == 1 + 2 + 4 + 1  # tornado, histograms, fans, training
 
 
+@pytest.mark.prove
 def test_a_warning_of_check_is_a_note_of_the_run_with_its_remedy(tmp_path, capsys):
     """An input that nothing uses: what `check` prints stands in the result and in the report."""
     unused = CASE.replace("[units]", "idle = { value = 1 }\n[units]").replace("= 30", "= 2")

@@ -98,7 +98,9 @@ TRAINING: dict[str, Any] = {
 }  # fmt: skip
 SHORT = TRAINING | {"window": 1, "clip": 10.0, "keep": 0.95, "exploration": 0.1}
 AUTO = TRAINING | {"clip": "auto", "window": "auto", "keep": "auto", "spread": 1.0}
-VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"}
+VALUED = {"paths": 64, "sensitivity_paths": 64, "scenarios": "pseudo-random"} | {
+    "judge_paths": 64, "search_paths": 64, "selection_paths": 64,
+}  # fmt: skip
 TABLE = {"kind": "table", "file": "mortality.csv", "multiplier": "by_age.csv"}
 FORMULA = {
     "kind": "gompertz-makeham", "year": 2017, "male": [-10.4, 0.096, 0.0002], "female": [-11.5, 0.105],

@@ -168,6 +168,7 @@ def test_parameters_of_separate_draws_are_right_in_the_mean_alone():
     assert set(in_mean(inputs)) < {entry.name for entry in named(inputs)}
 
 
+@pytest.mark.prove
 def test_the_check_tells_how_to_name_a_mean_of_whole_numbers():
     """A rate that stands alone, and its noise made in the step: no path moves with it."""
 

@@ -139,7 +139,8 @@ def reactions(
     found = {name: bumper.first(name, by, along[name]) for name, by in moves.items()}
     for name in sorted(found, key=lambda name: _doubt(found[name]), reverse=True):
         if not settled(found[name], PRECISE) and bumper.left(rollouts):
-            found[name] = bumper.second(name, moves[name], found[name])
+            surer = bumper.second(name, moves[name], found[name])
+            found[name] = surer if np.isfinite(surer.estimate[0]) else found[name]
     return {name: bumper.cornered(name, moves[name], each) for name, each in found.items()}
 
 
@@ -188,7 +189,7 @@ class _Bumper:
         least = max(FEWEST, len(blocks) // FEW)
         self.few = min(len(self.blocks), least) if apart else len(blocks)
         self.spent = 0.0
-        self.centre = self._totals(problem, len(self.blocks))
+        self.centre = self._totals(problem, self.few)
         self.value = worth(problem.objective, self.centre)
 
     def left(self, rollouts: float) -> bool:
@@ -231,6 +232,8 @@ class _Bumper:
         sides = (moved({name: value + move}) for move in (-by, by))
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
+        if size > len(next(iter(self.centre.values()))):
+            self.centre = self._totals(self.problem, count)
         base = {name: total[:size] for name, total in self.centre.items()}
         middle = block_means(objective, base, blocks)
         up, down = Estimate(high - middle), Estimate(middle - low)

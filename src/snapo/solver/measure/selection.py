@@ -71,7 +71,7 @@ def select(
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
-    if 2 * FIRST <= paths:
+    if paths >= 2 * FIRST:
         found, level = _selected(problem, start, candidates, source, FIRST, engine)
         plain = found.gain > PLAIN * found.error
         if plain or found.gain + SURE * found.error <= NOTHING * abs(level):
@@ -97,8 +97,8 @@ def _selected(
     base = totals(start)
     level = float(worth(problem.objective, base))
     taken = [of_groups(problem.objective, base, source, base[name]) for name in controls]
-    shares = {None: shares_of(problem.objective, base, source)}
-    same = {None: start}
+    shares = {START: shares_of(problem.objective, base, source)}
+    same: dict[str, Policy] = {START: start}
     for name, policy in candidates.items():
         twin = next((other for other in same if same[other] is policy), name)
         if twin == name:
@@ -120,7 +120,7 @@ def _selected(
     if not np.isfinite(level):  # the starting rule ends in ruin
         best = max(finite, key=lambda name: float(np.mean(shares[name])))
         return Selection(best, candidates[best], search=search), level
-    gains = {name: above(shares[name], shares[None]) for name in finite}
+    gains = {name: above(shares[name], shares[START]) for name in finite}
     best = max(finite, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
     if gain > SURE * error:

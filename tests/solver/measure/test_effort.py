@@ -1,0 +1,41 @@
+"""The work of derivatives beside a training: in paths, and never from a clock."""
+
+import numpy as np
+import pytest
+
+from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
+from snapo.solver.measure.effort import BACK, FEWEST, SMALL, Effort
+
+
+@pytest.mark.parametrize("horizon", [1, 365])
+def test_the_work_is_that_of_the_training_and_a_little_more(horizon):
+    effort = Effort.beside(100_000, horizon, 16384)
+    assert effort.work == 100_000 + SMALL / horizon
+    assert effort.valued(40) == min(16384, int(effort.work / 40))
+    assert effort.gone_back(40) == min(16384, int(effort.work / 40 / BACK))
+
+
+def test_a_search_has_a_least_number_of_paths_unless_fewer_are_asked_for():
+    assert Effort.beside(100, 1000, 16384).valued(1000) == FEWEST
+    assert Effort.beside(100, 1000, 64).valued(1000) == 64
+
+
+def reaction(value, error, held=10.0, blocks=16):
+    """A reaction of this mean and standard error."""
+    noise = np.tile([1.0, -1.0], blocks // 2)
+    noise *= error * np.sqrt(blocks) / noise.std(ddof=1)
+    return Reaction(np.full(32, held), value + noise, 0.0, 0.0, 0.0, 0.0, True)
+
+
+@pytest.mark.parametrize(
+    "value, error, slight, enough",
+    [
+        (0.0, 0.01, 0.0, True),  # nothing, and known to 0.1 % of the derivative
+        (0.0, 0.05, 0.0, False),  # known to 0.5 %
+        (0.0, 0.05, 0.2, True),  # but so small that nobody sees it
+        (0.1, 0.01, 0.0, False),  # a reaction
+        (0.1, 0.01, 0.2, True),  # that nobody sees
+    ],
+)
+def test_more_paths_are_taken_where_a_reaction_is_not_known(value, error, slight, enough):
+    assert settled(reaction(value, error), PRECISE, slight) == enough
