@@ -56,6 +56,11 @@ class Objective(abc.ABC):
         return False
 
     @property
+    def tail(self) -> float:
+        """The share of the paths that it is made of: 1, or that of a tail."""
+        return 1.0
+
+    @property
     def by_path(self) -> Any:
         """Whether it is a mean of numbers, each made of one path's totals alone: its `influence`.
 
@@ -179,6 +184,10 @@ class Weighted(Objective):
     @property
     def by_path(self) -> bool:
         return all(term.by_path for _, term in self.terms)
+
+    @property
+    def tail(self) -> float:
+        return min((term.tail for _, term in self.terms), default=1.0)
 
     def value(self, totals: Totals) -> float:
         return sum(factor * term.value(totals) for factor, term in self.terms)

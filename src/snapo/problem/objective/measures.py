@@ -68,6 +68,10 @@ class OfCost(Objective):
         return self.measure.outputs
 
     @property
+    def tail(self) -> float:
+        return self.measure.tail
+
+    @property
     def as_gain(self) -> _Risk:
         return self.measure
 
@@ -129,6 +133,10 @@ class CVaR(_Risk):
     def __post_init__(self):
         if not 0 < self.level < 1:
             raise ValueError(f"CVaR: level is {self.level}; it must lie between 0 and 1.")
+
+    @property
+    def tail(self) -> float:
+        return 1 - self.level
 
     def _words(self, cost):
         tail = "largest" if cost else "smallest"

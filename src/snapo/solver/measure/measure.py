@@ -33,6 +33,7 @@ from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
 from .settings import Evaluation
 
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
+TAIL = 200  # paths in a tail, below which the error of its measure is not known well
 KEPT = "start kept"  # how a training ended whose starting rule is reported
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}
 
@@ -95,6 +96,7 @@ def measure(run: Run) -> dict[str, Any]:
     broken = why_broken(problem, progress, training, run.engines.train)
     notes = (
         *_notes(value, dropped, ruined(objective, exact)),
+        *_tails(problem, len(exact[objective.outputs[0]])),
         *filter(None, [broken, unseen, selection.words]),
         *chosen(progress),
         *ended.notes,
@@ -227,6 +229,17 @@ def _status(value: float, status: str) -> str:
     if np.isfinite(value) or status == "diverged":
         return status
     return "ruined" if value < 0 else "not finite"
+
+
+def _tails(problem: Problem, paths: int) -> list[str]:
+    """A sentence for every measure of a tail that has few paths."""
+    measures = problem.objective, *(limit.measure for limit in problem.limits)
+    return [
+        f"Few paths in the tail: the {each.words()} is that of {each.tail * paths:.0f} of {paths:,} "
+        f"paths, and its error is rough below {TAIL}; take {int(np.ceil(round(TAIL / each.tail, 6))):,} paths."
+        for each in measures
+        if each.tail < 1 and each.tail * paths < TAIL
+    ]
 
 
 def _notes(value: Value, dropped: Mapping[str, int], ruin: int) -> tuple[str, ...]:
