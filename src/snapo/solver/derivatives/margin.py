@@ -30,7 +30,7 @@ from .verdict import spread_of
 
 RANDOM = 6  # directions of all weights
 FIRST, WIDER, NARROWER = 0.02, 1.7, 1.4  # how far they are followed
-SMOOTH_FLOOR, HARD_FLOOR = 0.125, 1.0  # of a target: the gap that no search sees
+SMOOTH_FLOOR, HARD_FLOOR = 0.5, 1.0  # of a target: the gap that no search sees
 
 
 class Margin(NamedTuple):
