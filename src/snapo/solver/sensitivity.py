@@ -110,6 +110,17 @@ class Sensitivities(NamedTuple):
         """The reported derivative along a direction of an input, with its interval."""
         return self.of(name).along(direction)
 
+    def capped(self, gap: float) -> "Sensitivities":
+        """With intervals for a policy that is surely no further from the best one than `gap`.
+
+        Take the upper end of a certified one: `table.capped(snapo.bound(problem, policy).gap.high)`,
+        or the exact value less that of the policy where it is known.
+        """
+        if self.reported is None:
+            return self
+        capped = {name: each.capped(gap) for name, each in self.reported.items()}
+        return self._replace(reported=capped)
+
     def rows(self) -> Iterator[Row]:
         """Every number of every input, in the order of the inputs."""
         for name, given in self.inputs.items():

@@ -41,7 +41,7 @@ def test_the_error_of_the_policy_goes_with_the_root_of_the_gap():
     kappa = np.einsum("ik,ij,jk->k", found.slopes, found.curvature.inverse, found.slopes)
     nothing = [x.policy for x in found.numbers()]
     for gap in (0.01, 0.04):
-        wider = [x.policy for x in found.with_gap(gap).numbers()]
+        wider = [x.policy for x in derivative(gap=gap).numbers()]
         assert np.subtract(wider, nothing) == pytest.approx(np.sqrt(2 * gap * kappa))
 
 
@@ -65,17 +65,18 @@ def test_random_directions_widen_where_they_show_more():
     found = derivative(gap=0.02)
     large = 100 * np.ones((6, 3))
     kappa = 100.0**2
-    nothing = found._replace(others=large).with_gap(0.0).numbers()[0].policy
+    nothing = found._replace(others=large).capped(0.0).numbers()[0].policy
     widened = found._replace(others=large).numbers()[0].policy
     assert widened - nothing == pytest.approx(np.sqrt(2 * 0.02 * kappa))
 
 
-def test_multiples_and_sides():
-    interval = derivative(gap=0.01).along(np.ones(3))
-    turned = interval.times(-2.0)
-    assert turned.value == -2 * interval.value
-    assert (turned.low, turned.high) == (-2 * interval.high, -2 * interval.low)
-    assert turned.sampling == 2 * interval.sampling
+def test_a_certified_gap_caps_the_part_of_the_policy():
+    wide = derivative(gap=0.04)
+    assert wide.capped(0.01).numbers() == derivative(gap=0.01).numbers()
+    assert wide.capped(1.0).numbers() == wide.numbers()
+
+
+def test_at_a_kink_the_interval_holds_both_sides():
     at_kink = derivative(gap=0.01)._replace(sides=(0.0, 0.1))
     both = at_kink.along(np.full(3, 0.01))
     assert both.low < 0.0 and both.high > 0.1 and 0.0 <= both.value <= 0.1

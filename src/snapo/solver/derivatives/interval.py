@@ -35,12 +35,6 @@ class Interval(NamedTuple):
         """Whether a number lies within the interval."""
         return self.low <= truth <= self.high
 
-    def times(self, factor: float) -> "Interval":
-        """The interval of a multiple."""
-        value, low, high, *halves = (factor * each for each in self)
-        low, high = sorted((low, high))
-        return Interval(value, low, high, *map(abs, halves))
-
 
 class Curvature(NamedTuple):
     """The value around the policy as a quadratic surface in n coordinates, at its top.
@@ -123,9 +117,10 @@ class Reported(NamedTuple):
             for i in range(count)
         ]  # fmt: skip
 
-    def with_gap(self, gap: float) -> "Reported":
-        """With another bound on the policy's gap."""
-        return self._replace(curvature=self.curvature._replace(gap=gap))
+    def capped(self, gap: float) -> "Reported":
+        """With this bound on the policy's gap, where it is the smaller one."""
+        least = min(gap, self.curvature.gap)
+        return self._replace(curvature=self.curvature._replace(gap=least))
 
     def _interval(
         self, estimate: Estimate, unseen: float, slopes: np.ndarray, others: np.ndarray
