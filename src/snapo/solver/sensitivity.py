@@ -113,8 +113,8 @@ class Sensitivities(NamedTuple):
     def capped(self, gap: float) -> "Sensitivities":
         """With intervals for a policy that is surely no further from the best one than `gap`.
 
-        Take the upper end of a certified one: `table.capped(snapo.bound(problem, policy).gap.high)`,
-        or the exact value less that of the policy where it is known.
+        Take the upper end of a certified one, `snapo.bound(problem, policy).gap.high`, or the exact
+        value less that of the policy where it is known.
         """
         if self.reported is None:
             return self

@@ -235,8 +235,9 @@ def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
     measures = problem.objective, *(limit.measure for limit in problem.limits)
     return [
-        f"Few paths in the tail: the {each.words()} is that of {each.tail * paths:.0f} of {paths:,} "
-        f"paths, and its error is rough below {TAIL}; take {int(np.ceil(round(TAIL / each.tail, 6))):,} paths."
+        f"Few paths in the tail: the {each.words()} is that of {each.tail * paths:.0f} of "
+        f"{paths:,} paths, and its error is rough below {TAIL}; take "
+        f"{int(np.ceil(round(TAIL / each.tail, 6))):,} paths."
         for each in measures
         if each.tail < 1 and each.tail * paths < TAIL
     ]
