@@ -10,6 +10,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.whole import changed_files
 from snapo.solver import checkpoint, statistics
+from snapo.solver.derivatives.interval import Reported
 from snapo.solver.solution import SOLUTION, Solution
 from snapo.solver.statistics import Estimate
 
@@ -21,9 +22,12 @@ SHARE = 0.01  # of an input: by so much it is moved where it does not say its `m
 
 
 class Moved(NamedTuple):
-    """A sensitivity in both runs, per one `unit` of the input.
+    """The reported derivative in both runs, per one `unit` of the input.
 
-    `effect`: by how much more the value of the second moves with the input's own move.
+    - `standard_error`: of the difference, from sampling; `policy`: by how much the errors of both
+      policies may move it.
+    - `sources`: where either comes from (`Sensitivities.source`).
+    - `effect`: by how much more the value of the second moves with the input's own move.
     """
 
     input: str
@@ -33,7 +37,9 @@ class Moved(NamedTuple):
     second: float
     difference: float
     standard_error: float
+    policy: float
     effect: float
+    sources: tuple[str, str]
 
 
 @dataclass(frozen=True)
@@ -94,12 +100,13 @@ class Comparison:
         if not self.sensitivities:
             yield "no sensitivity of an input that both have differs"
             return
-        yield "sensitivities that differ most (decisions held; first, second, difference):"
+        yield "sensitivities that differ most (first, second, difference, error of the policies):"
         for each in self.sensitivities[:MOST]:
             name = f"{each.input} {each.label}".strip()
             numbers = f"{_figure(each.first):>14}{_figure(each.second):>14}"
             last = f"{_figure(each.difference):>14} {_error(each.standard_error)}"
-            yield f"  {name:<32}{numbers}{last} per {each.unit or '1'}"
+            room = f" and {each.policy:,.2g}" if each.policy > 0 else ""
+            yield f"  {name:<32}{numbers}{last}{room} per {each.unit or '1'}"
         if len(self.sensitivities) > MOST:
             yield f"  and {len(self.sensitivities) - MOST} smaller differences"
 
@@ -179,7 +186,8 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
-    """Held derivatives that differ, by the difference that they make for the input's own move."""
+    """Reported derivatives that differ, by the difference that they make for the input's own move.
+    Those that are not known in one of the runs are left out."""
     try:
         one, other = (Solution.load(run).sensitivities for run in (first, second))
     except checkpoint.CheckpointError:
@@ -189,23 +197,31 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[Moved]:
     found: list[Moved] = []
     for name in one.held:
         if name in other.held:
-            found += _of_input(one.inputs[name], name, one.held[name], other.held[name], paired)
+            found += _of_input(one.inputs[name], name, one.of(name), other.of(name), paired)
     return sorted(found, key=lambda each: -abs(each.effect))
 
 
-def _of_input(given, name: str, first: Estimate, second: Estimate, paired: bool) -> list[Moved]:
+def _of_input(given, name: str, first: Reported, second: Reported, paired: bool) -> list[Moved]:
     """One input, entry by entry; nothing where it has another shape in the other run."""
+    one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
         return []
-    difference = second.value - first.value
-    if paired and first.blocks.shape == second.blocks.shape:
-        errors = Estimate(second.blocks - first.blocks).standard_error
+    if paired and one.blocks.shape == other.blocks.shape:
+        errors = Estimate(other.blocks - one.blocks).standard_error
     else:
-        errors = statistics.independent(first.standard_error, second.standard_error)
-    moves = np.abs(given.value) * SHARE if given.move is None else np.full_like(errors, given.move)
-    columns = (first.value, second.value, difference, errors, difference * moves)
+        errors = statistics.independent(one.standard_error, other.standard_error)
+    values = [np.array([each.value for each in run.numbers()]) for run in (first, second)]
+    difference = values[1] - values[0]
+    room = sum(np.array([each.policy for each in run.numbers()]) for run in (first, second))
+    moves = np.ravel(np.abs(given.value) * SHARE) if given.move is None else given.move
+    sources = first.source, second.source
+    columns = (*values, difference, np.ravel(errors), room, difference * moves)
     rows = zip(given.names(), *(np.ravel(each).tolist() for each in columns))
-    return [Moved(name, label, given.unit, *rest) for label, *rest in rows if rest[2] != 0]
+    return [
+        Moved(name, label, given.unit, a, b, change, error, policy, effect, sources)
+        for label, a, b, change, error, policy, effect in rows
+        if np.isfinite(change) and change != 0
+    ]
 
 
 def _figure(number: float | None) -> str:

@@ -188,6 +188,13 @@ def test_compare_pairs_runs_on_the_same_scenarios(solved, tmp_path, capsys):
         "cost",
         "demand",
     }
+    tables = [Solution.load(run).sensitivities for run in (solved, dearer)]
+    for each in found["sensitivities"]:
+        reported = [dict(zip(t.inputs[each["input"]].names(), t.of(each["input"]).numbers()))
+                    [each["label"]] for t in tables]  # fmt: skip
+        assert [each["first"], each["second"]] == [number.value for number in reported]
+        assert each["policy"] == pytest.approx(sum(number.policy for number in reported))
+        assert each["sources"] == [t.source(each["input"]) for t in tables]
     assert main(["compare", str(solved), str(seeded)]) == 0
     printed = capsys.readouterr().out
     assert "independent: the runs have different scenarios" in printed
