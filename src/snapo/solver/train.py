@@ -82,14 +82,9 @@ def train(
     interrupt goes on to the caller. The status of the result is "trained", "stopped early" or
     "diverged".
     """
-    own = remembering(problem, progress.policy)
-    plan = fitted(training, own, progress.policy)
-    practice = practised(problem, plan)
-    seen = own if practice is problem else remembering(practice, progress.policy)
+    plan = fitted(training, remembering(problem, progress.policy), progress.policy)
     last = plan.steps if until is None else min(until, plan.steps)
-    bound = engine.bind(seen, controls=False)
-    exact = bound if seen is own else engine.bind(own, controls=False)
-    loop = Loop(seen, plan, bound, own, exact, *_updaters(plan, progress))
+    loop = _loop(problem, plan, progress, engine)
     before = progress.history[-1].seconds if progress.history else 0.0
     started = time.perf_counter() - before
     try:
@@ -106,6 +101,7 @@ def train(
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             if due and fresh is not None and idle.caught(moved, plan):
                 moved = _anew(loop, moved, fresh(len(moved.redrawn)))
+                loop = _loop(problem, plan, moved, engine)
             progress = moved
             # Each is told, also after one that stops the training.
             if due and any([callback(progress) is True for callback in callbacks]):
@@ -115,6 +111,17 @@ def train(
             callback(progress)
         raise
     return progress
+
+
+def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> Loop:
+    """That of a training as it stands: one that did nothing draws a part of its decisions."""
+    own = remembering(problem, progress.policy)
+    bolder = idle.bolder(plan, problem.action) if progress.redrawn else plan
+    practice = practised(problem, bolder)
+    seen = own if practice is problem else remembering(practice, progress.policy)
+    bound = engine.bind(seen, controls=False)
+    exact = bound if seen is own else engine.bind(own, controls=False)
+    return Loop(seen, plan, bound, own, exact, *_updaters(plan, progress))
 
 
 def _updaters(training: TrainingPlan, progress: Progress) -> tuple[Callable, Callable]:

@@ -12,6 +12,7 @@ from tests.solver.learning.idle_store import IdleStore
 import snapo
 from snapo.solver import checkpoint
 from snapo.solver.learning.progress import Record, begin
+from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.learning.told import chosen
 from snapo.solver.verdict import idle
 
@@ -117,3 +118,10 @@ def test_a_training_that_still_does_nothing_says_so():
     assert solution.convergence == "constant"
     (note,) = [each for each in solution.notes if "Every path earns the same (0)" in each]
     assert "another seed" in note
+
+
+def test_it_begins_anew_with_decisions_drawn_where_they_have_bounds():
+    plan = TrainingPlan(steps=100, paths=8)
+    assert idle.bolder(plan, snapo.Box(2, 0.0, 1.0)).exploration == idle.DRAWN
+    assert idle.bolder(replace(plan, exploration=0.5), snapo.Box(1, 0.0, 1.0)).exploration == 0.5
+    assert idle.bolder(plan, snapo.Box(1, 0.0, np.inf)) is plan

@@ -118,6 +118,7 @@ def reactions(
     *,
     most: int | None = None,
     rollouts: float = np.inf,
+    centre: Totals | None = None,
     engine: Engine | None = None,
 ) -> dict[str, Reaction]:
     """{input: reaction}, on the same `paths` as the held derivatives, or on their first blocks, of
@@ -125,12 +126,13 @@ def reactions(
 
     Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
     and a second move follow, in the order of doubt, until about `rollouts` paths were valued.
+    `centre`: the totals of these paths, and perhaps more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
     are all where the value is no number, as after a ruin. A held derivative that is not a number,
     as one that is lost in a rounding, counts as zero: all of the bump is reaction.
     """
-    bumper = _Bumper(problem, policy, paths, most, engine)
+    bumper = _Bumper(problem, policy, paths, most, centre, engine)
     if not np.isfinite(bumper.value):
         return {}
     moves = {name: one_percent(given) for name, given in problem.named.items()}
@@ -176,7 +178,13 @@ class _Bumper:
     """A policy on fixed paths, to be valued at moved inputs."""
 
     def __init__(
-        self, problem: Problem, policy: Policy, paths: int, most: int | None, engine: Engine | None
+        self,
+        problem: Problem,
+        policy: Policy,
+        paths: int,
+        most: int | None,
+        centre: Totals | None,
+        engine: Engine | None,
     ):
         source = problem.sources.evaluation
         self.problem, self.policy, self.engine = problem, policy, engine
@@ -189,7 +197,7 @@ class _Bumper:
         least = max(FEWEST, len(blocks) // FEW)
         self.few = min(len(self.blocks), least) if apart else len(blocks)
         self.spent = 0.0
-        self.centre = self._totals(problem, self.few)
+        self.centre = self._totals(problem, len(self.blocks)) if centre is None else centre
         self.value = worth(problem.objective, self.centre)
 
     def left(self, rollouts: float) -> bool:
@@ -232,10 +240,11 @@ class _Bumper:
         sides = (moved({name: value + move}) for move in (-by, by))
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
-        if size > len(next(iter(self.centre.values()))):
-            self.centre = self._totals(self.problem, count)
         base = {name: total[:size] for name, total in self.centre.items()}
         middle = block_means(objective, base, blocks)
+        if not np.isfinite([low, middle, high]).all():
+            unknown = np.full(count, np.nan)
+            return Reaction(held, unknown, 0.0, np.nan, np.nan, np.nan, True)
         up, down = Estimate(high - middle), Estimate(middle - low)
         reaction = (high - low) / 2 - held[:count]
         scale = np.abs(high) + np.abs(low) + np.abs(held[:count])

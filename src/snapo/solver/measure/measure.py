@@ -82,7 +82,7 @@ def measure(run: Run) -> dict[str, Any]:
     within = problem.priced([abs(limit.price) for limit in limits])
     if problem.limits:
         surface = _surface(run, within)
-    table = _sensitivities(run, within, selection, surface)
+    table = _sensitivities(run, within, selection, surface, exact)
     gradient = table and table.policy_gradient
     ended = ending(problem, run.start, progress, training, exact, run.held_paths, engine, gradient)
     norm, noise = gradient or (float("nan"), float("nan"))
@@ -159,9 +159,10 @@ def _selection(run: Run, surface: Surface | None) -> Selection:
 
 
 def _sensitivities(
-    run: Run, problem: Problem, selection: Selection, surface: Surface | None
+    run: Run, problem: Problem, selection: Selection, surface: Surface | None, exact: Totals
 ) -> Sensitivities | None:
-    """The table of the reported policy; None where no paths are given to it."""
+    """The table of the reported policy, whose totals are `exact`; None where no paths are given to
+    it."""
     evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
     policy, paths = progress.best, run.held_paths
     if not paths:
@@ -179,7 +180,7 @@ def _sensitivities(
         return table._replace(reported=held_alone(problem, table.held))
     bumped = reactions(
         problem, policy, paths, table.held,
-        most=evaluation.judge_paths, rollouts=run.effort.work, engine=engine,
+        most=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
     )  # fmt: skip
     found = verdicts(bumped, reacting=isinstance(policy, Memory), lost=problem.lost)
     derivatives = reported(problem, table.held, table.smooth, bumped, found)

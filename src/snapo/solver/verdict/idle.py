@@ -2,13 +2,17 @@
 
 A store that never buys has nothing to sell, and one that never sells has no use for what it buys:
 no gradient leads out of there, from whichever side a training got in. It is seen by validations
-that are worth the same number on every path, and other first weights mostly lead elsewhere.
+that are worth the same number on every path. Training then begins anew from other first weights,
+with a part of every decision drawn at random, so that it meets what a rule that does nothing never
+sees.
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from snapo.problem.actions import Actions
 from snapo.problem.objective import Totals
 from snapo.problem.problem import Problem
 
@@ -16,6 +20,7 @@ from ..learning.progress import Progress, Record
 from ..learning.settings import TrainingPlan
 
 MOST = 3  # times that a training begins anew
+DRAWN = 0.3  # of every decision, at random, in one that began anew
 LAST = 0.5  # of the steps: later on too few are left
 NONE = 1e-9  # of a total: a difference that is round-off
 
@@ -36,6 +41,14 @@ def caught(progress: Progress, training: TrainingPlan) -> bool:
     """Whether training should begin anew: the last two validations say that it does nothing."""
     early = progress.step <= LAST * training.steps and progress.status == "training"
     return progress.alike >= 2 and early and len(progress.redrawn) < MOST
+
+
+def bolder(training: TrainingPlan, action: Actions) -> TrainingPlan:
+    """The training with more of every decision drawn, where decisions have bounds."""
+    bounded = all(np.isfinite(bound).all() for bound in action.bounds())
+    if not (bounded and action.explores and training.cools):
+        return training
+    return replace(training, exploration=max(training.exploration, DRAWN))
 
 
 def words(steps: Sequence[int], history: Sequence[Record]) -> str:
