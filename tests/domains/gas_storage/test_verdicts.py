@@ -1,14 +1,18 @@
 """Derivatives of twenty stores, drawn at random, beside those of the lattice."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests.domains.gas_storage.test_corners import ROOM, corners, wave
 
 from snapo.domains.gas_storage.references.lattice import lattice
 from snapo.domains.gas_storage.setup import factors, make_setup
+from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.solver.derivatives.verdict import HELD, RANGE
-from snapo.solver.evaluate import evaluate
+from snapo.solver.evaluate import evaluate, path_totals
 from snapo.solver.solve import solve
+from snapo.solver.statistics import mean
 
 STORES = 20
 
@@ -46,6 +50,31 @@ def test_right_derivatives_of_stores_are_not_given_away(tmp_path):
         print(seed, refuted, [name for name, source in sources.items() if source == RANGE])
         runs += bool(refuted)
     assert runs <= STORES // 20
+
+
+@pytest.mark.study
+@pytest.mark.parametrize("seed", range(10))
+def test_no_store_is_reported_with_a_policy_worse_than_the_rule_that_it_began_with(tmp_path, seed):
+    """By more than two paired errors, on paths that chose nothing."""
+    below = []
+    for number in range(16):
+        case = drawn(tmp_path / str(number), 100 + number)
+        case = replace(case, training=case.training.model_copy(update={"seed": seed}))
+        setup = make_setup(case, "native")
+        found = solve(
+            setup.problem, setup.policy, training=setup.training,
+            evaluation=replace(setup.evaluation, sensitivity_paths=0), engine=setup.engines,
+        )  # fmt: skip
+        fresh = Pseudo(1000 + seed, stream=stream(EVALUATE, 9))
+        kept, rule = (
+            path_totals(setup.problem, policy, 16384, source=fresh, engine=setup.engines.evaluate)
+            for policy in (found.policy, setup.policy)
+        )
+        change = mean((kept["cash_flow"] - rule["cash_flow"]).reshape(-1, 2).mean(1))
+        print(seed, number, found.selected, change.value, change.standard_error)
+        if change.value < -2 * change.standard_error:
+            below.append(number)
+    assert not below
 
 
 @pytest.mark.prove
