@@ -25,11 +25,11 @@ from ..evaluate import path_totals
 from .bump import block_means, one_percent
 from .coordinates import moved
 from .interval import THROUGH, Curvature, Reported
-from .surface import Surface
+from .surface import Surface, further
 from .verdict import spread_of
 
 RANDOM = 6  # directions of all weights
-FIRST, WIDER, NARROWER = 0.02, 1.7, 1.4  # how far they are followed
+FIRST, NARROWER = 0.02, 1.4  # how far they are followed
 SMOOTH_FLOOR, HARD_FLOOR = 0.5, 1.0  # of a target: the gap that no search sees
 
 
@@ -160,7 +160,7 @@ def _random(
         for _ in range(8):
             if not lost < goal:
                 break
-            length *= WIDER
+            length *= further(lost, goal)
             lost = loss(length)
         for _ in range(3):
             if lost < 4 * goal:

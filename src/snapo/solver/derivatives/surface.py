@@ -25,6 +25,7 @@ from .coordinates import Coordinates
 SEARCH = 4  # of the evaluation's streams
 SEEN, SHARE = 4.0, 5e-4  # a target is so many standard errors, and this share of the value
 FIRST, WIDEST = 0.02, 4.0  # radii of a coordinate
+BEYOND, LEAST, MOST = 1.2, 1.5, 8.0  # of the distance to a loss; how far a try goes at a time
 CLIFF = 4.0  # targets: a fall that is no slope any more
 POINTS = 1.6  # places for each coefficient of the surface
 LACK, CLOSER, TRIES = 0.2, 1.7, 2  # of a target; closer places where the surface does not fit
@@ -131,6 +132,11 @@ def surface_of(
     )  # fmt: skip
 
 
+def further(loss: float, target: float) -> float:
+    """How many times as far a loss of `target` lies, if it grows with the square."""
+    return float(np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MOST, LEAST, MOST))
+
+
 def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndarray]:
     """For every coordinate the move at which the worse side falls by a target, and the target."""
     radius, targets = np.zeros(count), np.zeros(count)
@@ -142,12 +148,11 @@ def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndar
         return np.inf if np.isnan(loss) else loss, max(SEEN * np.nan_to_num(error), SHARE * level)
 
     for j, unit in enumerate(np.eye(count)):
-        r = FIRST
+        low, r = FIRST / 2, FIRST
         loss, target = fall(r * unit)
         while loss < target and r < WIDEST:
-            r = min(2 * r, WIDEST)
+            low, r = r, min(r * further(loss, target), WIDEST)
             loss, target = fall(r * unit)
-        low = r / 2
         for _ in range(3):  # not over a cliff
             if loss < CLIFF * target:
                 break

@@ -22,7 +22,7 @@ from .. import statistics
 from ..evaluate import of_groups, path_totals, shares_of, worth
 
 SURE = 2.0  # standard errors above the starting rule
-FIRST, PLAIN = 8192, 4.0  # paths that are enough for a gain of so many standard errors,
+FIRST, PLAIN = 4096, 4.0  # paths that are enough for a gain of so many standard errors,
 NOTHING = 5e-5  # and where not even this share of the value can be gained
 FINAL = 1  # of the validation's streams
 START, NEWEST, HIGHEST, TOP = "start", "newest", "highest", "top of the surface"
