@@ -6,6 +6,7 @@ import pytest
 from jax.scipy.special import ndtr
 
 import snapo
+from snapo.problem.scenarios import Sources
 from snapo.solver.certificate import certify_derivatives
 from snapo.solver.derivatives.bump import reactions
 from snapo.solver.derivatives.interval import HELD, RANGE, THROUGH, UNKNOWN
@@ -14,8 +15,9 @@ from snapo.solver.derivatives.verdict import Verdict, holm, reported, verdicts
 PATHS = 4096
 
 
-def judged(simulator, inputs, policy, output, smooth):
-    problem = snapo.Problem(simulator, inputs, snapo.Mean(output))
+def judged(simulator, inputs, policy, output, smooth, seed=0):
+    sources = Sources.of(None, seed)
+    problem = snapo.Problem(simulator, inputs, snapo.Mean(output), sources)
     table = snapo.sensitivities(problem, policy, PATHS, smooth=snapo.Smooth(np.float64(smooth)))
     bumped = reactions(problem, policy, PATHS, table.held)
     found = verdicts(bumped)
@@ -109,6 +111,46 @@ def test_across_a_jump_the_bump_is_reported(hidden):
     row = next(row for row in table.rows() if row.input == "water")
     assert row.source == THROUGH and THROUGH in str(table)
     assert row.low < expected / (0.01 * water) < row.high
+
+
+class Callers(Once):
+    """A whole number of callers, each served for a fee while there is stock."""
+
+    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+
+    def initial(self, constants, noise):
+        return constants["stock"]
+
+    def observe(self, constants, now, state):
+        return jnp.zeros(1)
+
+    def step(self, constants, now, state, action, noise, smooth):
+        callers = jnp.floor(constants["rate"] * jnp.exp(0.3 * noise[0]))
+        return state, {"cash": constants["fee"] * smooth.minimum(callers, state)}
+
+
+WRONG = {
+    "an indicator of an input": (Reservoir(), Gain(0.0), "cash", "water",
+                                 {"water": 48.0, "worth": 2.0, "prize": 100.0}),
+    "partial observation": (Signal(), Gain(2 / 3), "reward", "v w", {"v": 2.0, "w": 1.0}),
+    "a mean of whole numbers": (Callers(), Gain(0.0), "cash", "rate",
+                                {"stock": 6.5, "rate": 4.0, "fee": 1.5}),
+}  # fmt: skip
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("name", WRONG)
+def test_a_wrong_held_derivative_is_refuted_and_the_right_ones_are_kept(name):
+    """In nine of ten seeds."""
+    simulator, policy, output, wrong, given = WRONG[name]
+    inputs = {key: snapo.Input(value) for key, value in given.items()}
+    refuted = kept = 0
+    for seed in range(10):
+        table = judged(simulator, inputs, policy, output, 0.02, seed)
+        held = {key for key in given if table.source(key) == HELD}
+        refuted += held.isdisjoint(wrong.split())
+        kept += held >= set(given) - set(wrong.split())
+    assert refuted >= 9 and kept >= 9, (refuted, kept)
 
 
 class Sale(Once):
