@@ -25,7 +25,7 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
-from .learning import clipping, horizon
+from .learning import clipping, horizon, restart
 from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, memory, updater
@@ -41,8 +41,6 @@ from .windows.critic import Learner, has_worth_ahead, learner
 from .windows.window import UPDATES, sweep, window_adjoint
 
 DIVERGED_SHARE = 0.05  # more than this share of a step's paths not finite: the run has diverged
-AGAIN = 3  # times that a run whose rate nobody gave goes on after it, with a lower one
-
 
 Callback = Callable[[Progress], object]  # one that returns True stops the training
 
@@ -100,7 +98,7 @@ def train(
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             if due and fresh is not None and idle.caught(moved, plan):
-                moved = _anew(loop, moved, fresh(len(moved.redrawn)))
+                moved = restart.redrawn(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
             # Each is told, also after one that stops the training.
@@ -159,7 +157,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     if broken or not np.isfinite(moved.norm):
         # The policy is that of the step before; the step that broke is written down.
         ended = replace(progress, history=(*progress.history, record), status="diverged")
-        return _slower(loop, ended) if _may_be_slower(training, progress) else ended
+        lower = restart.may_be_slower(training, progress)
+        return restart.slower(problem, training, ended) if lower else ended
     kept = (progress.recent, moved.average) if marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(
@@ -174,45 +173,6 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
         critic=moved.critic,
         dual=dual,
         status="training",
-    )
-
-
-def _may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
-    """Whether a rate that the problem chose may have led training astray: its first step did not
-    break, nor its first value."""
-    known = progress.step > 0 and np.isfinite(progress.best_value)
-    return known and "learning_rate" in training.automatic and len(progress.slowed) < AGAIN
-
-
-def _slower(loop: Loop, progress: Progress) -> Progress:
-    """On from the best policy so far, with a lower rate; the optimiser, the critic and the prices
-    of limits, which the steps before led astray too, begin anew."""
-    step = progress.step + 1
-    moved = _begun_with(loop, progress, progress.best, step)
-    return replace(moved, slowed=(*progress.slowed, step), status="training")
-
-
-def _anew(loop: Loop, progress: Progress, policy: Policy) -> Progress:
-    """On from another start, which the next validation values; the best so far stays known."""
-    if progress.scale is not None:
-        policy = progress.scale.plain(policy)
-    moved = _begun_with(loop, progress, policy, progress.step)
-    return replace(moved, halfway=policy, alike=0, redrawn=(*progress.redrawn, progress.step))
-
-
-def _begun_with(loop: Loop, progress: Progress, policy: Policy, step: int) -> Progress:
-    """On from a policy after `step`, with nothing remembered of the steps before."""
-    critic = None if progress.window is None else learner(loop.problem, loop.training.seed)
-    return replace(
-        progress,
-        step=step,
-        policy=policy,
-        average=policy,
-        recent=policy,
-        optimiser=anew(loop.training, policy, progress.optimiser, 1),
-        critic=critic,
-        dual=Dual(),
-        since=step,
     )
 
 

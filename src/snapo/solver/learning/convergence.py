@@ -26,9 +26,9 @@ from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
 from ..verdict import further, idle
+from ..verdict.constant import at_limit, constant_decisions, never_taken, rivals, told, words
 from ..verdict.further import Further
 from ..verdict.stopping import ends_for_good
-from .constant import at_limit, constant_decisions, never_taken, rivals, told, words
 from .settings import TrainingPlan
 
 CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell"
