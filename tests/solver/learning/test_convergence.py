@@ -15,8 +15,9 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
-from snapo.solver.learning import clipping, constant
+from snapo.solver.learning import clipping
 from snapo.solver.learning.convergence import Gain
+from snapo.solver.verdict import constant
 from snapo.solver.verdict.stopping import ends_for_good
 
 STEPS, SPREAD = 100, 0.1**0.5
