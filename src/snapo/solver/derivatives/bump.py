@@ -7,9 +7,7 @@ Everything that a domain builds from the inputs (guide, hedge, tables of a rule)
 the moved input (`Problem.moved`); a table that stands still would pass for a bad policy.
 """
 
-from collections.abc import Callable, Iterable, Mapping
-from concurrent.futures import ThreadPoolExecutor
-from contextvars import copy_context
+from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -239,7 +237,7 @@ class _Bumper:
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.named[name].value
         moved = moved or self.problem.moved
-        sides = _both(moved, [{name: value + move} for move in (-by, by)])
+        sides = (moved({name: value + move}) for move in (-by, by))
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
@@ -285,16 +283,6 @@ class _Bumper:
         return path_totals(
             problem, self.policy, paths, engine=self.engine, controls=False, record=DECIDED
         )
-
-
-def _both(
-    moved: Callable[[dict[str, Any]], Problem], values: list[dict[str, Any]]
-) -> Iterable[Problem]:
-    """The problem at both values, at the same time: guides are fitted in NumPy, which lets others
-    run meanwhile."""
-    contexts = [copy_context() for _ in values]
-    with ThreadPoolExecutor(len(values)) as pool:
-        return list(pool.map(lambda context, value: context.run(moved, value), contexts, values))
 
 
 def _joined(near: Reaction, wide: Reaction) -> Reaction:
