@@ -1,5 +1,6 @@
 """The surface around a policy, and the margin of its derivatives, against closed forms."""
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
@@ -113,3 +114,21 @@ def test_coordinates_of_networks_and_rules():
 def network_like(policy):
     """The same policy a little elsewhere."""
     return moved(policy, np.full(parameters(policy).size, 0.01))
+
+
+class Indifferent(Newsvendor):
+    """The same, where no order changes anything."""
+
+    def step(self, constants, now, state, action, noise, smooth):
+        return super().step(constants, now, state, 0.0 * action, noise, smooth)
+
+
+def test_where_no_decision_matters_random_directions_end_and_change_nothing():
+    """Every length is too short for a loss: the lengths stay finite in float32."""
+    inputs = {name: snapo.Input(value) for name, value in AT.items()}
+    of = snapo.Problem(Indifferent(), inputs, snapo.Mean("cash"))
+    policy = snapo.MLP(hidden=(4,)).for_problem(of.interface, jax.random.key(0))
+    surface = surface_of(of, coordinates(policy), 512, 0, ENGINE)
+    assert surface is not None
+    margin = margin_of(of, policy, surface, 512, 0, ENGINE)
+    assert all(len(changes) and not changes.any() for changes in margin.others.values())

@@ -25,7 +25,7 @@ from ..evaluate import path_totals
 from .bump import block_means, one_percent
 from .coordinates import moved
 from .interval import THROUGH, Curvature, Reported
-from .surface import Surface, further
+from .surface import WIDEST, Surface, distance_factor
 from .verdict import spread_of
 
 RANDOM = 6  # directions of all weights
@@ -158,9 +158,9 @@ def _random(
 
         lost = loss(length)
         for _ in range(8):
-            if not lost < goal:
+            if not lost < goal or length >= WIDEST:
                 break
-            length *= further(lost, goal)
+            length = min(length * distance_factor(lost, goal), WIDEST)
             lost = loss(length)
         for _ in range(3):
             if lost < 4 * goal:

@@ -132,7 +132,7 @@ def surface_of(
     )  # fmt: skip
 
 
-def further(loss: float, target: float) -> float:
+def distance_factor(loss: float, target: float) -> float:
     """How many times as far a loss of `target` lies, if it grows with the square."""
     return float(np.clip(BEYOND * np.sqrt(target / loss) if loss > 0 else MOST, LEAST, MOST))
 
@@ -151,7 +151,7 @@ def _radii(value: _Value, count: int, level: float) -> tuple[np.ndarray, np.ndar
         low, r = FIRST / 2, FIRST
         loss, target = fall(r * unit)
         while loss < target and r < WIDEST:
-            low, r = r, min(r * further(loss, target), WIDEST)
+            low, r = r, min(r * distance_factor(loss, target), WIDEST)
             loss, target = fall(r * unit)
         for _ in range(3):  # not over a cliff
             if loss < CLIFF * target:
