@@ -25,12 +25,12 @@ from snapo.problem.smooth import Exact, Smooth
 from .adjoint import float64
 from .evaluate import estimate, worth
 from .finite_paths import DROPPED, adjoint_of_finite_paths
-from .learning import clipping, horizon, restart
+from .learning import clipping, horizon
 from .learning.following import fitted
 from .learning.growth import Growth
 from .learning.optimiser import anew, begun, memory, updater
 from .learning.practice import practised
-from .learning.progress import Progress, Record, marks
+from .learning.progress import Progress, Record, begin_again, go_slower, marks, may_be_slower
 from .learning.progress import begin as begin
 from .learning.settings import Training as Training
 from .learning.settings import TrainingPlan
@@ -98,7 +98,7 @@ def train(
             if due:
                 moved = _conclude(loop, _validate(loop, moved), time.perf_counter() - started)
             if due and fresh is not None and idle.caught(moved, plan):
-                moved = restart.redrawn(loop.problem, plan, moved, fresh(len(moved.redrawn)))
+                moved = begin_again(loop.problem, plan, moved, fresh(len(moved.redrawn)))
                 loop = _loop(problem, plan, moved, engine)
             progress = moved
             # Each is told, also after one that stops the training.
@@ -114,8 +114,9 @@ def train(
 def _loop(problem: Problem, plan: TrainingPlan, progress: Progress, engine: Engine) -> Loop:
     """That of a training as it stands: one that did nothing draws a part of its decisions."""
     own = remembering(problem, progress.policy)
-    bolder = idle.bolder(plan, problem.action) if progress.redrawn else plan
-    practice = practised(problem, bolder)
+    practice = practised(
+        problem, idle.exploring(plan, problem.action) if progress.redrawn else plan
+    )
     seen = own if practice is problem else remembering(practice, progress.policy)
     bound = engine.bind(seen, controls=False)
     exact = bound if seen is own else engine.bind(own, controls=False)
@@ -157,8 +158,8 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
     if broken or not np.isfinite(moved.norm):
         # The policy is that of the step before; the step that broke is written down.
         ended = replace(progress, history=(*progress.history, record), status="diverged")
-        lower = restart.may_be_slower(training, progress)
-        return restart.slower(problem, training, ended) if lower else ended
+        slower = may_be_slower(training, progress)
+        return go_slower(problem, training, ended) if slower else ended
     kept = (progress.recent, moved.average) if marks(step + 1, training.steps) else ()
     halfway, recent = kept or (progress.halfway, progress.recent)
     return replace(

@@ -10,7 +10,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.report.whole import changed_files
 from snapo.solver import checkpoint, statistics
-from snapo.solver.derivatives.interval import Reported
+from snapo.solver.derivatives.interval import Interval, Reported
 from snapo.solver.solution import SOLUTION, Solution
 from snapo.solver.statistics import Estimate
 
@@ -210,12 +210,12 @@ def _of_input(given, name: str, first: Reported, second: Reported, paired: bool)
         errors = Estimate(other.blocks - one.blocks).standard_error
     else:
         errors = statistics.independent(one.standard_error, other.standard_error)
-    values = [np.array([each.value for each in run.numbers()]) for run in (first, second)]
-    difference = values[1] - values[0]
-    room = sum(np.array([each.policy for each in run.numbers()]) for run in (first, second))
+    numbers = [Interval(*np.transpose(run.numbers())) for run in (first, second)]
+    values = [run.value for run in numbers]
+    difference, policy = values[1] - values[0], numbers[0].policy + numbers[1].policy
     moves = np.ravel(np.abs(given.value) * SHARE) if given.move is None else given.move
     sources = first.source, second.source
-    columns = (*values, difference, np.ravel(errors), room, difference * moves)
+    columns = (*values, difference, np.ravel(errors), policy, difference * moves)
     rows = zip(given.names(), *(np.ravel(each).tolist() for each in columns))
     return [
         Moved(name, label, given.unit, a, b, change, error, policy, effect, sources)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
-from snapo.solver.measure.effort import BACK, FEWEST, SMALL, Effort
+from snapo.solver.measure.settings import BACK, FEWEST, SMALL, Effort
 
 
 @pytest.mark.parametrize("horizon", [1, 365])

@@ -28,9 +28,9 @@ MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
 FEW = 8  # a share of the paths, one in eight, is enough where the reaction is plainly nothing
 FEWEST = 4  # blocks in any case
-PLAIN = 0.03  # of the held derivative: a standard error at which a reaction may be nothing
+COARSE = 0.03  # of the held derivative: a standard error at which a reaction may be nothing
 PRECISE = 0.0025  # that at which it needs no more paths, where there is time for them
-SLIGHT = 2e-5  # of the value: a reaction to one percent of an input that nobody sees
+NEGLIGIBLE = 2e-5  # of the value: a smaller reaction to one percent of an input is not looked at
 CURVED = 3.0  # standard errors between both sizes, above which the difference is curvature
 THIRD = WIDE**2 - 1.0  # of the third-order term, between both sizes
 MATERIAL = 0.01  # of the derivative: a smaller difference of the sides is not looked at
@@ -125,7 +125,8 @@ def reactions(
     `most` paths together.
 
     Every input is bumped on a few of the blocks. Where the reaction is not known well, all blocks
-    and a second move follow, in the order of doubt, until about `rollouts` paths were valued.
+    and a wider move follow, the least certain input first, until about `rollouts` paths were
+    valued.
     `centre`: the totals of these paths, and perhaps more, where they are known.
 
     An input whose numbers are all zero moves by its own `move`; without one it is missing, and so
@@ -138,30 +139,30 @@ def reactions(
     moves = {name: one_percent(given) for name, given in problem.named.items()}
     moves = {name: by for name, by in moves.items() if by.any()}
     along = {name: np.nan_to_num(blocks_along(held[name], by)) for name, by in moves.items()}
-    found = {name: bumper.first(name, by, along[name]) for name, by in moves.items()}
-    for name in sorted(found, key=lambda name: _doubt(found[name]), reverse=True):
-        if not settled(found[name], PRECISE) and bumper.left(rollouts):
-            surer = bumper.second(name, moves[name], found[name])
-            found[name] = surer if np.isfinite(surer.estimate[0]) else found[name]
+    found = {name: bumper.screened(name, by, along[name]) for name, by in moves.items()}
+    for name in sorted(found, key=lambda name: _uncertainty(found[name]), reverse=True):
+        if not settled(found[name], PRECISE) and bumper.spent < rollouts:
+            refined = bumper.refined(name, moves[name], found[name])
+            found[name] = refined if np.isfinite(refined.estimate[0]) else found[name]
     return {name: bumper.cornered(name, moves[name], each) for name, each in found.items()}
 
 
-def settled(found: Reaction, precise: float, slight: float = 0.0) -> bool:
+def settled(found: Reaction, precise: float, negligible: float = 0.0) -> bool:
     """Whether no more paths are needed: nothing reacts, or so little that it may be nothing, known
-    to a share `precise` of the held derivative; or surely less than `slight`."""
+    to a share `precise` of the held derivative; or surely less than `negligible`."""
     if not found.tested or not np.isfinite(found.reaction).all():
         return True
     value, error = found.estimate
     if len(found.reaction) < 2:
         return False
-    if abs(value) + 2 * error <= slight:
+    if abs(value) + 2 * error <= negligible:
         return True
     return abs(value) <= 2 * error <= 2 * precise * abs(float(np.mean(found.held)))
 
 
-def _doubt(found: Reaction) -> float:
-    """How much more paths would tell: the error of the reaction in held derivatives, a surely false
-    derivative first."""
+def _uncertainty(found: Reaction) -> float:
+    """The error of the reaction relative to the held derivative; above 1 where that is surely
+    wrong, and the bump will be reported."""
     value, error = found.estimate
     if not np.isfinite(value):
         return 0.0
@@ -196,15 +197,11 @@ class _Bumper:
         self.blocks = blocks[:fitting] if apart else blocks
         least = max(FEWEST, len(blocks) // FEW)
         self.few = min(len(self.blocks), least) if apart else len(blocks)
-        self.spent = 0.0
+        self.spent = 0  # paths valued so far
         self.centre = self._totals(problem, len(self.blocks)) if centre is None else centre
         self.value = worth(problem.objective, self.centre)
 
-    def left(self, rollouts: float) -> bool:
-        """Whether so many valued paths are not reached yet."""
-        return self.spent < rollouts
-
-    def first(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
+    def screened(self, name: str, by: np.ndarray, held: np.ndarray) -> Reaction:
         """One input moved by `by`, on few paths.
 
         What was built from the inputs stands still at first, which is soon done: where that shows
@@ -212,11 +209,11 @@ class _Bumper:
         """
         if self.problem.rebuild is not None:
             found = self._moved(name, by, held, self.few, self.problem.at)
-            if settled(found, PLAIN, SLIGHT * abs(self.value)) and not self._two_sided(found):
+            if settled(found, COARSE, NEGLIGIBLE * abs(self.value)) and not self._two_sided(found):
                 return found
         return self._moved(name, by, held, self.few)
 
-    def second(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
+    def refined(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
         """The same with all paths and, where that is not enough, with a wider move."""
         held, count = found.held, len(self.blocks)
         if len(found.reaction) < count:

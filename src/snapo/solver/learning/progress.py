@@ -1,8 +1,9 @@
 """The state of a training: all that a stopped run needs to go on."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
+import numpy as np
 from jaxtyping import PyTree
 
 from snapo.problem.policies.memory import remembering
@@ -15,10 +16,11 @@ from ..windows.window import UPDATES
 from .features import Scale
 from .following import fitted
 from .growth import Growth
-from .optimiser import begun
+from .optimiser import anew, begun
 from .settings import Training, TrainingPlan
 
 SLOWER = 0.25  # of the rate, after a step that broke
+MOST_SLOWED = 3  # times that a run whose rate nobody gave goes on after it broke, with a lower one
 
 
 class Record(NamedTuple):
@@ -168,4 +170,47 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
         window=window,
         clip=given,
         keep=keep,
+    )
+
+
+def may_be_slower(training: TrainingPlan, progress: Progress) -> bool:
+    """Whether a rate that the problem chose may have led training astray: its first step did not
+    break, nor its first value."""
+    known = progress.step > 0 and np.isfinite(progress.best_value)
+    return known and "learning_rate" in training.automatic and len(progress.slowed) < MOST_SLOWED
+
+
+def go_slower(problem: Problem, training: TrainingPlan, progress: Progress) -> Progress:
+    """On from the best policy so far, with a lower rate; the optimiser, the critic and the prices
+    of limits, which the steps before led astray too, begin anew."""
+    step = progress.step + 1
+    moved = _begun_with(problem, training, progress, progress.best, step)
+    return replace(moved, slowed=(*progress.slowed, step), status="training")
+
+
+def begin_again(
+    problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy
+) -> Progress:
+    """On from another start, which the next validation values; the best so far stays known."""
+    if progress.scale is not None:
+        policy = progress.scale.plain(policy)
+    moved = _begun_with(problem, training, progress, policy, progress.step)
+    return replace(moved, halfway=policy, alike=0, redrawn=(*progress.redrawn, progress.step))
+
+
+def _begun_with(
+    problem: Problem, training: TrainingPlan, progress: Progress, policy: Policy, step: int
+) -> Progress:
+    """On from a policy after `step`."""
+    critic = None if progress.window is None else learner(problem, training.seed)
+    return replace(
+        progress,
+        step=step,
+        policy=policy,
+        average=policy,
+        recent=policy,
+        optimiser=anew(training, policy, progress.optimiser, 1),
+        critic=critic,
+        dual=Dual(),
+        since=step,
     )

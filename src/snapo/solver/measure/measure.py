@@ -28,9 +28,8 @@ from ..provenance.broken import why_broken
 from ..sensitivity import Sensitivities, sensitivities
 from ..statistics import of_shares
 from ..train import Progress
-from .effort import FEWEST, PAIR, Effort
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
-from .settings import Evaluation
+from .settings import FEWEST, PAIR, Effort, Evaluation
 
 GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
 TAIL = 200  # paths in a tail, below which the error of its measure is not known well

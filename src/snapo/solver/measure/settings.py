@@ -1,11 +1,16 @@
 """How a policy is measured: how many paths each of its numbers has."""
 
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 from snapo.problem.actions.base import count
 from snapo.problem.scenarios import Sobol, Sources
 
 SCENARIOS = ("pseudo-random", "sobol")
+SMALL = 4e6  # steps of paths, which take a second or so and are spent in any case
+FEWEST = 512  # paths of a surface and of a margin
+BACK = 4  # paths valued in the time of one path that is gone back over
+PAIR = 2  # coordinates that a surface has in any case
 
 
 @dataclass(frozen=True)
@@ -48,3 +53,34 @@ LEAST = {
     "paths": 2, "sensitivity_paths": 0, "smooth_paths": 0, "judge_paths": 0, "search_paths": 0,
     "selection_paths": 0,
 }  # fmt: skip
+
+
+class Effort(NamedTuple):
+    """How many paths the derivatives of a policy may take beside its training.
+
+    The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
+    them; the surface around the policy, its margin and the bumps each take about as much work, and
+    a little more where a path is short. The numbers follow the problem and the settings alone,
+    never a clock: a run that is repeated has the same bits.
+
+    - `work`: the paths that may be valued for one purpose; `most`: paths on which it is done.
+    """
+
+    work: float
+    most: int
+
+    @classmethod
+    def beside(cls, trained: int, horizon: int, most: int) -> "Effort":
+        """That of a training on so many paths in all, of so many steps each."""
+        return cls(trained + SMALL / max(horizon, 1), most)
+
+    def valued(self, times: int) -> int:
+        """Paths that can be valued so many times."""
+        return self._within(self.work / max(times, 1))
+
+    def gone_back(self, times: int) -> int:
+        """Paths that can be gone back over so many times."""
+        return self._within(self.work / (BACK * max(times, 1)))
+
+    def _within(self, paths: float) -> int:
+        return int(min(self.most, max(FEWEST, paths)))

@@ -43,7 +43,7 @@ def caught(progress: Progress, training: TrainingPlan) -> bool:
     return progress.alike >= 2 and early and len(progress.redrawn) < MOST
 
 
-def bolder(training: TrainingPlan, action: Actions) -> TrainingPlan:
+def exploring(training: TrainingPlan, action: Actions) -> TrainingPlan:
     """The training with more of every decision drawn, where decisions have bounds."""
     bounded = all(np.isfinite(bound).all() for bound in action.bounds())
     if not (bounded and action.explores and training.cools):

@@ -48,7 +48,6 @@ class StorageSimulator(Simulator):
     """
 
     case: StorageCase = eqx.field(static=True)
-    fully_observed = True
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     surprises: Surprises | None = None
@@ -56,6 +55,7 @@ class StorageSimulator(Simulator):
     # Arrays, so that code compiled for one curve serves another.
     price_scale: Float[np.ndarray, ""] | None = None
     rate_scale: Float[np.ndarray, ""] | None = None
+    fully_observed = True
 
     def __post_init__(self):
         if self.price_scale is None:
