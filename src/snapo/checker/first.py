@@ -47,8 +47,8 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
             repeatable(notes, simulator, inputs, schedule)
             loops(notes, simulator, inputs, schedule)
             lost_derivatives(notes, simulator, inputs)
+            tables(notes, simulator, schedule)
         within(notes, simulator, inputs, schedule)
-        tables(notes, simulator, schedule)
 
     return _looked(simulator, inputs, look)
 

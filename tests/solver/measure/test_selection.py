@@ -59,6 +59,16 @@ def test_a_better_policy_replaces_the_start_and_a_worse_one_does_not(problem):
     assert kept.words.startswith("The starting rule was kept: training is -")
 
 
+def test_a_history_that_begins_at_its_best_says_what_training_ended_at(problem):
+    best, worse = rule(V / (V + W)), rule(0.4)
+    kept = select(problem, best, {NEWEST: worse, HIGHEST: rule(V / (V + W))}, 16384, ENGINE)
+    assert kept.kind == START
+    loss = (0.4 - V / (V + W)) ** 2 * (V + W)
+    assert abs(kept.gain + loss) < 4 * kept.error
+    same = select(problem, best, {HIGHEST: rule(V / (V + W))}, 16384, ENGINE)
+    assert same.kind == START and same.gain == 0.0
+
+
 def test_a_candidate_that_is_not_surely_better_leaves_the_start(problem):
     near = {NEWEST: rule(V / (V + W) - 0.003)}
     found = select(problem, rule(V / (V + W) + 0.003), near, 4096, ENGINE)

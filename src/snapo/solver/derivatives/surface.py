@@ -85,8 +85,14 @@ class _Value:
         return self._at(place) - self.origin
 
     def _at(self, place: np.ndarray) -> np.ndarray:
-        policy, totals = self.coordinates.at(place), path_totals
-        found = totals(self.problem, policy, self.paths, engine=self.engine, source=self.source)
+        found = path_totals(
+            self.problem,
+            self.coordinates.at(place),
+            self.paths,
+            engine=self.engine,
+            source=self.source,
+            controls=False,
+        )
         return block_means(self.problem.objective, found, self.blocks)
 
 

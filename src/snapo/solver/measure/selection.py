@@ -113,6 +113,9 @@ def _selected(
     finite = [name for name in names if np.isfinite(shares[name]).all()]
     if not finite:
         return Selection(names[0], candidates[names[0]]), level
+    # A history whose highest policy is the starting rule itself has no other one to offer.
+    trained = [name for name in finite if not np.array_equal(shares[name], shares[START])]
+    finite = trained or finite
     search = (0.0, 0.0)
     if TOP in finite and NEWEST in finite:
         difference = above(shares[TOP], shares[NEWEST])

@@ -8,6 +8,7 @@ from snapo.problem.scenarios import Sobol, Sources
 
 SCENARIOS = ("pseudo-random", "sobol")
 SMALL = 4e6  # steps of paths, which take a second or so and are spent in any case
+PURPOSES = 3  # the surface, its margin, the bumps
 FEWEST = 512  # paths of a surface and of a margin
 BACK = 4  # paths valued in the time of one path that is gone back over
 PAIR = 2  # coordinates that a surface has in any case
@@ -59,9 +60,10 @@ class Effort(NamedTuple):
     """How many paths the derivatives of a policy may take beside its training.
 
     The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
-    them; the surface around the policy, its margin and the bumps each take about as much work, and
-    a little more where a path is short. The numbers follow the problem and the settings alone,
-    never a clock: a run that is repeated has the same bits.
+    them; the surface around the policy, its margin and the bumps each value a third as many paths,
+    so that together they take less time than the training, and more where a path is short. The
+    numbers follow the problem and the settings alone, never a clock: a run that is repeated has the
+    same bits.
 
     - `work`: the paths that may be valued for one purpose; `most`: paths on which it is done.
     """
@@ -72,7 +74,7 @@ class Effort(NamedTuple):
     @classmethod
     def beside(cls, trained: int, horizon: int, most: int) -> "Effort":
         """That of a training on so many paths in all, of so many steps each."""
-        return cls(trained + SMALL / max(horizon, 1), most)
+        return cls(trained / PURPOSES + SMALL / max(horizon, 1), most)
 
     def valued(self, times: int) -> int:
         """Paths that can be valued so many times."""
