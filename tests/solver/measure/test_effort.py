@@ -4,15 +4,15 @@ import numpy as np
 import pytest
 
 from snapo.solver.derivatives.bump import PRECISE, Reaction, settled
-from snapo.solver.measure.settings import BACK, FEWEST, SMALL, Effort
+from snapo.solver.measure.settings import BACK, FEWEST, PURPOSES, SMALL, Effort
 
 
 @pytest.mark.parametrize("horizon", [1, 365])
-def test_the_work_is_that_of_the_training_and_a_little_more(horizon):
+def test_the_work_is_a_part_of_the_training_and_a_little_more(horizon):
     effort = Effort.beside(100_000, horizon, 16384)
-    assert effort.work == 100_000 + SMALL / horizon
+    assert effort.work == pytest.approx(100_000 / PURPOSES + SMALL / horizon)
     assert effort.valued(40) == min(16384, int(effort.work / 40))
-    assert effort.gone_back(40) == min(16384, int(effort.work / 40 / BACK))
+    assert effort.gone_back(20) == min(16384, int(effort.work / 20 / BACK))
 
 
 def test_a_search_has_a_least_number_of_paths_unless_fewer_are_asked_for():
