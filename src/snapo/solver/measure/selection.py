@@ -113,9 +113,6 @@ def _selected(
     finite = [name for name in names if np.isfinite(shares[name]).all()]
     if not finite:
         return Selection(names[0], candidates[names[0]]), level
-    # A history whose highest policy is the starting rule itself has no other one to offer.
-    trained = [name for name in finite if not np.array_equal(shares[name], shares[START])]
-    finite = trained or finite
     search = (0.0, 0.0)
     if TOP in finite and NEWEST in finite:
         difference = above(shares[TOP], shares[NEWEST])
@@ -123,8 +120,10 @@ def _selected(
     if not np.isfinite(level):  # the starting rule ends in ruin
         best = max(finite, key=lambda name: float(np.mean(shares[name])))
         return Selection(best, candidates[best], search=search), level
-    gains = {name: above(shares[name], shares[START]) for name in finite}
-    best = max(finite, key=lambda name: gains[name].value)
+    # A history whose highest policy is the starting rule itself has no other one to offer.
+    trained = [name for name in finite if not np.array_equal(shares[name], shares[START])]
+    gains = {name: above(shares[name], shares[START]) for name in trained or finite}
+    best = max(gains, key=lambda name: gains[name].value)
     gain, error = gains[best].value, _error(gains[best])
     if gain > SURE * error:
         return Selection(best, candidates[best], gain, error, search), level

@@ -61,9 +61,8 @@ class Effort(NamedTuple):
 
     The unit is one path that is valued. A training has valued and gone back over `steps * paths` of
     them; the surface around the policy, its margin and the bumps each value a third as many paths,
-    so that together they take less time than the training, and more where a path is short. The
-    numbers follow the problem and the settings alone, never a clock: a run that is repeated has the
-    same bits.
+    and more where a path is short. The numbers follow the problem and the settings alone, never a
+    clock: a run that is repeated has the same bits.
 
     - `work`: the paths that may be valued for one purpose; `most`: paths on which it is done.
     """
