@@ -102,7 +102,7 @@ class EvaluationTable(Table):
     sensitivity_paths: Annotated[int, Field(ge=64, le=MOST_PATHS)] = Field(16384, description=PATHS)
     judge_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
     search_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
-    selection_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(65536, description=AT_MOST)
+    selection_paths: Annotated[int, Field(ge=0, le=MOST_PATHS)] = Field(16384, description=AT_MOST)
     scenarios: Literal["pseudo-random", "sobol"] = Field(
         "pseudo-random", description='"pseudo-random" or "sobol"'
     )

@@ -24,6 +24,7 @@ from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.scenarios import BLOCKS
 from snapo.problem.simulator import Schedule
 from snapo.problem.smooth import Exact, Smooth
 
@@ -195,6 +196,8 @@ HEAD = (
 )  # fmt: skip
 SHOWN = 12  # numbers of one input that are printed
 LEFT = (0, 1, 5, 6)  # columns of words
+LEAST, MOST = 256, 64  # paths of a block where there are more than 32; blocks at most
+DRIFT = 4  # a share of the blocks, one in four, is enough for the drift
 
 
 def _columns(found: Mapping[str, Estimate] | None, name: str) -> tuple:
@@ -233,22 +236,28 @@ def sensitivities(
 ) -> Sensitivities:
     """Held derivatives on `paths`, and if `smooth` is given, smooth ones on `smooth_paths`.
 
-    On the problem's evaluation scenarios. Standard errors come from 32 independent blocks of
-    paths. `earlier` is a policy from halfway through training: its held derivatives on the same
-    paths tell how far they still moved. `actions` [T, paths, A] are the policy's decisions on
-    these paths, and `totals` {output: [paths]} their totals, where they were recorded before.
+    On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
+    paths. `earlier` is a policy from halfway through training: its held derivatives on the first
+    of the same paths tell how far they still moved. `actions` [T, paths, A] are the policy's
+    decisions on these paths, and `totals` {output: [paths]} their totals, where they were recorded
+    before.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     source = problem.sources.evaluation
     paths = source.available(paths)
-    blocks = source.blocks(paths)
+    blocks = source.blocks(paths, int(np.clip(paths // LEAST, BLOCKS, MOST)))
     if bound.simulator is not problem.simulator:
         totals = None  # a program without control variates may round in another way
     held = Way(problem, bound, policy, Exact(), True, actions, totals=totals).derivatives(blocks)
     moved = None
     if earlier is not None:
-        before = Way(problem, bound, earlier, Exact(), held=True).derivatives(blocks).inputs
-        moved = {name: Estimate(held.inputs[name].blocks - before[name].blocks) for name in before}
+        # Paired, so that a few blocks tell; the weights of another objective are those of all.
+        few = blocks[: len(blocks) // DRIFT] if problem.objective.linear else blocks
+        before = Way(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
+        moved = {
+            name: Estimate(held.inputs[name].blocks[: len(few)] - each.blocks)
+            for name, each in before.items()
+        }
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if smooth is None:
         return _without(result, problem.lost)

@@ -8,8 +8,10 @@ the moved input (`Problem.moved`); a table that stands still would pass for a ba
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from typing import Any, NamedTuple
 
+import jax
 import numpy as np
 from scipy import stats
 
@@ -18,6 +20,7 @@ from snapo.problem.inputs import Input
 from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.scenarios import BLOCKS
 
 from ..by_block.passes import DECIDED
 from ..evaluate import path_totals, worth
@@ -26,7 +29,7 @@ from ..statistics import Estimate
 
 MOVE = 0.01  # of every number of an input
 WIDE = 3.0  # times that: the second size, with less noise and more curvature
-FEW = 8  # a share of the paths, one in eight, is enough where the reaction is plainly nothing
+FEW = 16  # a share of the paths, one in 16, is enough where the reaction is plainly nothing
 FEWEST = 4  # blocks in any case
 COARSE = 0.03  # of the held derivative: a standard error at which a reaction may be nothing
 PRECISE = 0.0025  # that at which it needs no more paths, where there is time for them
@@ -133,7 +136,8 @@ def reactions(
     are all where the value is no number, as after a ruin. A held derivative that is not a number,
     as one that is lost in a rounding, counts as zero: all of the bump is reaction.
     """
-    bumper = _Bumper(problem, policy, paths, most, centre, engine)
+    count = max((len(each.blocks) for each in held.values()), default=BLOCKS)
+    bumper = _Bumper(problem, policy, paths, count, most, centre, engine)
     if not np.isfinite(bumper.value):
         return {}
     moves = {name: one_percent(given) for name, given in problem.named.items()}
@@ -183,13 +187,14 @@ class _Bumper:
         problem: Problem,
         policy: Policy,
         paths: int,
+        count: int,
         most: int | None,
         centre: Totals | None,
         engine: Engine | None,
     ):
         source = problem.sources.evaluation
         self.problem, self.policy, self.engine = problem, policy, engine
-        blocks = source.blocks(source.available(paths))
+        blocks = source.blocks(source.available(paths), count)
         # Interleaved blocks, as those of Sobol points are, can only be taken together.
         apart = np.array_equal(np.concatenate(blocks), np.arange(sum(map(len, blocks))))
         ends = np.cumsum([len(block) for block in blocks])
@@ -207,11 +212,12 @@ class _Bumper:
         What was built from the inputs stands still at first, which is soon done: where that shows
         no reaction, a rebuilt one, at a near-optimal policy, has none to first order either.
         """
-        if self.problem.rebuild is not None:
-            found = self._moved(name, by, held, self.few, self.problem.at)
-            if settled(found, COARSE, NEGLIGIBLE * abs(self.value)) and not self._two_sided(found):
-                return found
-        return self._moved(name, by, held, self.few)
+        if self.problem.rebuild is None:
+            return self._moved(name, by, held, self.few)
+        still = self._moved(name, by, held, self.few, self.problem.at)
+        if settled(still, COARSE, NEGLIGIBLE * abs(self.value)) and not self._two_sided(still):
+            return still
+        return self._moved(name, by, held, self.few, mirrored=True)
 
     def refined(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
         """The same with all paths and, where that is not enough, with a wider move."""
@@ -229,12 +235,18 @@ class _Bumper:
         held: np.ndarray,
         count: int,
         moved: Callable[[dict[str, Any]], Problem] | None = None,
+        mirrored: bool = False,
     ) -> Reaction:
-        """Both bumps on the first `count` blocks; `moved` by default rebuilds what it can."""
+        """Both bumps on the first `count` blocks.
+
+        `moved` by default rebuilds what it can; `mirrored`: for one side alone, see `opposite`.
+        """
         blocks, objective = self.blocks[:count], self.problem.objective
         value = self.problem.named[name].value
         moved = moved or self.problem.moved
-        sides = (moved({name: value + move}) for move in (-by, by))
+        more = moved({name: value + by})
+        less = opposite(self.problem, more, {name: value - by}) if mirrored else None
+        sides = (less or moved({name: value - by}), more)
         low, high = (block_means(objective, self._totals(x, count), blocks) for x in sides)
         size = sum(map(len, blocks))
         base = {name: total[:size] for name, total in self.centre.items()}
@@ -261,7 +273,8 @@ class _Bumper:
     def _two_sided(self, found: Reaction) -> bool:
         """Whether more and less of the input differ by much."""
         size = max(abs(found.up), abs(found.down))
-        return abs(found.up - found.down) > max(SIGNIFICANT * found.side_error, MATERIAL * size)
+        least = max(MATERIAL * size, NEGLIGIBLE * abs(self.value))
+        return abs(found.up - found.down) > max(SIGNIFICANT * found.side_error, least)
 
     def cornered(self, name: str, by: np.ndarray, found: Reaction) -> Reaction:
         """With the kind of a corner, where both sides differ by much."""
@@ -280,6 +293,27 @@ class _Bumper:
         return path_totals(
             problem, self.policy, paths, engine=self.engine, controls=False, record=DECIDED
         )
+
+
+def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:
+    """The problem at `values`, on the other side of `more`, with what was built from the inputs
+    mirrored: 2 x - y for a number that is x here and y there. None where it has another form.
+
+    A build takes longer than a few paths. What is mirrored is off by its curvature, which moves a
+    value near its top by far less.
+    """
+    here, there = (jax.tree.flatten(each.simulator) for each in (problem, more))
+    if here[1] != there[1] or list(map(np.shape, here[0])) != list(map(np.shape, there[0])):
+        return None
+    leaves = []
+    for x, y in zip(here[0], there[0]):
+        if np.issubdtype(np.asarray(x).dtype, np.floating):
+            leaves.append(2 * np.asarray(x) - np.asarray(y))
+        elif np.array_equal(x, y):
+            leaves.append(x)
+        else:
+            return None
+    return replace(problem.at(dict(values)), simulator=jax.tree.unflatten(here[1], leaves))
 
 
 def _joined(near: Reaction, wide: Reaction) -> Reaction:

@@ -31,7 +31,7 @@ from ..train import Progress
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
 from .settings import FEWEST, PAIR, Effort, Evaluation
 
-GAP_PATHS = 16384  # at most: paths are paired, so the gap is known far better than the value
+GAP_PATHS = 4096  # at most: paths are paired, so the gap is known far better than the value
 TAIL = 200  # paths in a tail, below which the error of its measure is not known well
 KEPT = "start kept"  # how a training ended whose starting rule is reported
 WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sensitivities"}

@@ -22,7 +22,7 @@ from .. import statistics
 from ..evaluate import of_groups, path_totals, shares_of, worth
 
 SURE = 2.0  # standard errors above the starting rule
-FIRST, PLAIN = 4096, 4.0  # paths that are enough for a gain of so many standard errors,
+STAGES, PLAIN = (2048, 8192), 4.0  # paths that are enough for a gain of so many standard errors,
 NOTHING = 5e-5  # and where not even this share of the value can be gained
 FINAL = 1  # of the validation's streams
 START, NEWEST, HIGHEST, TOP = "start", "newest", "highest", "top of the surface"
@@ -71,8 +71,10 @@ def select(
     """
     source = fresh(problem.sources.validation)
     paths = source.available(paths)
-    if paths >= 2 * FIRST:
-        found, level = _selected(problem, start, candidates, source, FIRST, engine)
+    for few in STAGES:
+        if paths < 2 * few:
+            break
+        found, level = _selected(problem, start, candidates, source, few, engine)
         plain = found.gain > PLAIN * found.error
         if plain or found.gain + SURE * found.error <= NOTHING * abs(level):
             return found

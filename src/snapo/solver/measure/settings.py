@@ -34,7 +34,7 @@ class Evaluation:
     smooth_paths: int = 4096
     judge_paths: int = 16384
     search_paths: int = 16384
-    selection_paths: int = 65536
+    selection_paths: int = 16384
     scenarios: str = "pseudo-random"
 
     def __post_init__(self):

@@ -1,0 +1,88 @@
+"""Bumps of a problem whose simulator holds a table that was built from the inputs."""
+
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+import snapo
+from snapo.engine import Xla
+from snapo.problem.scenarios import Sources
+from snapo.solver.derivatives.bump import opposite, reactions
+
+ENGINE = Xla("float64")
+
+
+class Follows(snapo.Simulator):
+    """The cost is the squared distance of the action from the target; a table names the target."""
+
+    table: jax.Array
+    horizon: int = 1
+    noise_size: int = 1
+    action: snapo.Box = snapo.Box(1)
+
+    def prepare(self, inputs):
+        return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
+
+    def initial(self, constants, noise):
+        return jnp.asarray(0.0)
+
+    def observe(self, constants, now, state):
+        return self.table
+
+    def step(self, constants, now, state, action, noise, smooth):
+        far = action[0] - constants["target"] ** 2
+        return state, {"reward": 5.0 - far**2 + 0.1 * noise[0]}
+
+
+class Reads(snapo.Policy):
+    """The action is the only feature."""
+
+    def __call__(self, features, smooth):
+        return features
+
+
+def built(problem):
+    target = problem.named["target"].value
+    return replace(problem, simulator=replace(problem.simulator, table=np.array([target**2])))
+
+
+def follows(rebuild=built):
+    inputs = {"target": snapo.Input(2.0)}
+    bare = snapo.Problem(
+        Follows(np.zeros(1)), inputs, snapo.Mean("reward"), Sources.of(None, 0), rebuild=rebuild
+    )
+    return built(bare)
+
+
+def test_what_was_built_for_more_of_an_input_is_mirrored_for_less():
+    problem = follows()
+    less = opposite(problem, problem.moved({"target": 2.02}), {"target": 1.98})
+    assert less.named["target"].value == 1.98
+    np.testing.assert_allclose(less.simulator.table, 2 * 4.0 - 2.02**2, rtol=1e-15)
+    np.testing.assert_allclose(less.simulator.table, 1.98**2, rtol=3e-4)
+
+
+def test_what_was_built_in_another_form_is_not_mirrored():
+    problem, more = follows(), follows().moved({"target": 2.02})
+    longer = replace(more, simulator=replace(more.simulator, table=np.zeros(2)))
+    assert opposite(problem, longer, {"target": 1.98}) is None
+    whole = replace(more, simulator=replace(more.simulator, table=np.array([4])))
+    counted = replace(problem, simulator=replace(problem.simulator, table=np.array([5])))
+    assert opposite(counted, whole, {"target": 1.98}) is None
+
+
+def test_a_table_that_is_built_anew_shows_no_reaction_of_an_optimal_policy():
+    """The held derivative is 0, and so is the bump; a table that stands still costs (2 x h)^2."""
+    builds = []
+
+    def counted(problem):
+        builds.append(problem)
+        return built(problem)
+
+    problem = follows(counted)
+    held = snapo.sensitivities(problem, Reads(), 4096, engine=ENGINE).held
+    found = reactions(problem, Reads(), 4096, held, rollouts=0, engine=ENGINE)["target"]
+    assert abs(found.estimate[0]) < 1e-6
+    assert len(builds) == 1
