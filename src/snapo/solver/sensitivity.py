@@ -252,7 +252,7 @@ def sensitivities(
     moved = None
     if earlier is not None:
         # Paired, so that a few blocks tell; the weights of another objective are those of all.
-        few = blocks[: len(blocks) // DRIFT] if problem.objective.linear else blocks
+        few = blocks[: max(DRIFT, len(blocks) // DRIFT)] if problem.objective.linear else blocks
         before = Way(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
         moved = {
             name: Estimate(held.inputs[name].blocks[: len(few)] - each.blocks)
