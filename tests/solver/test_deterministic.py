@@ -63,6 +63,18 @@ def test_equal_paths_are_as_few_as_have_an_error_whatever_is_asked_for():
     assert given.training.size == 120 and given.evaluation.available(40) == 2
 
 
+def test_the_drift_is_known_from_as_few_paths():
+    newer, earlier = (snapo.Constant(np.array([share])) for share in (0.2, -0.1))
+    table = snapo.sensitivities(PROBLEM, newer, earlier=earlier)
+    before = snapo.sensitivities(PROBLEM, earlier)
+    for name in INPUTS:
+        moved = table.moved[name]
+        expected = table.held[name].value - before.held[name].value
+        np.testing.assert_allclose(moved.value, expected, rtol=1e-12, atol=1e-12)
+        assert not moved.standard_error.any()
+    assert table.moved["price"].value.any()
+
+
 class Plan(Relaxation):
     """The best plan of every path, which is known: no penalty."""
 

@@ -30,7 +30,7 @@ from snapo.problem.smooth import Exact, Smooth
 
 from .adjoint import float64
 from .by_block.passes import Way
-from .derivatives.bump import one_percent
+from .derivatives.bump import FEWEST, one_percent
 from .derivatives.interval import Interval, Reported
 from .derivatives.verdict import Verdict, plain
 from .show import html
@@ -252,7 +252,7 @@ def sensitivities(
     moved = None
     if earlier is not None:
         # Paired, so that a few blocks tell; the weights of another objective are those of all.
-        few = blocks[: max(DRIFT, len(blocks) // DRIFT)] if problem.objective.linear else blocks
+        few = blocks[: max(FEWEST, len(blocks) // DRIFT)] if problem.objective.linear else blocks
         before = Way(problem, bound, earlier, Exact(), held=True).derivatives(few).inputs
         moved = {
             name: Estimate(held.inputs[name].blocks[: len(few)] - each.blocks)
