@@ -1,10 +1,11 @@
 """What a policy is worth: path totals on fresh scenarios, and the value with its standard error."""
 
+import math
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine import Engine, Xla
+from snapo.engine import Engine, Rollout, Xla
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import takes_problem
 from snapo.problem.objective import Objective, Totals
@@ -16,6 +17,9 @@ from snapo.problem.smooth import Exact
 from . import statistics
 from .adjoint import float64
 from .finite_paths import DROPPED, finite
+
+DECIDED = ("action",)  # recorded where decisions are held
+MOST_BYTES = 2**28  # of decisions that are kept
 
 
 class Value(NamedTuple):
@@ -58,24 +62,48 @@ def path_totals(
     engine: Engine | None = None,
     source: Scenarios | None = None,
     controls: bool = True,
-    record: tuple[str, ...] = (),
 ) -> dict[str, np.ndarray]:
     """{output: [paths]} in the order of the path numbers, in chunks of independent blocks.
 
     On the scenarios of `source`, by default those of the evaluation; as many as there are.
-    `controls`: with the outputs that are control variates alone. `record`: of a call before, whose
-    program then serves here as well.
+    `controls`: with the outputs that are control variates alone.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
     source, smooth = source or problem.sources.evaluation, smooth or Exact()
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
-        draws = source.draws(block, problem.simulator)
-        rolled = bound.values(policy, draws, smooth, record=record)
-        for name, total in float64(rolled.totals).items():
-            totals.setdefault(name, np.full(paths, np.nan))[block] = total
+        rolled = bound.values(policy, source.draws(block, problem.simulator), smooth)
+        _keep(rolled, block, paths, totals)
     return totals
+
+
+@reading_once()
+def totals_and_decisions(
+    problem: Problem, policy: Policy, paths: int, first: int, *, engine: Engine
+) -> tuple[dict[str, np.ndarray], np.ndarray | None]:
+    """`path_totals` of the exact simulator, and the decisions [T, first, A] on the first of these
+    paths; None where they would take too much memory."""
+    bound, source = engine.bind(problem), problem.sources.evaluation
+    paths = source.available(paths)
+    shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
+    decisions = np.full(shape, np.nan) if 0 < 8 * math.prod(shape) <= MOST_BYTES else None
+    totals: dict[str, np.ndarray] = {}
+    for block in chunks(source, paths):
+        own = block < (0 if decisions is None else shape[1])
+        record = DECIDED if own.any() else ()
+        draws = source.draws(block, problem.simulator)
+        rolled = bound.values(policy, draws, Exact(), record=record)
+        _keep(rolled, block, paths, totals)
+        if decisions is not None and record:
+            decisions[:, block[own]] = np.asarray(rolled.record["action"])[:, own]
+    return totals, decisions
+
+
+def _keep(rolled: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.ndarray]) -> None:
+    """Puts the totals of some paths among those of all."""
+    for name, total in float64(rolled.totals).items():
+        totals.setdefault(name, np.full(paths, np.nan))[block] = total
 
 
 def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:

@@ -15,12 +15,12 @@ from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
 from ..adjoint import float64, pull_back
+from ..evaluate import DECIDED
 from ..finite_paths import DROPPED, adjoint_of_good_weights, all_finite, finite
 from ..statistics import Estimate
 from .changes import Plan, plan
 
 CHUNK = 8192  # paths in one call of an engine, where a block has no more
-DECIDED = ("action",)  # recorded where decisions are held; a call alike uses the same program
 
 
 class Found(NamedTuple):
@@ -159,7 +159,9 @@ class Way(NamedTuple):
         if not self.held:
             return draws, self.policy, {} if self.inputs else {"wrt": ("policy",)}
         if self.recorded is None:
-            rolled = self.bound.values(self.policy, draws, self.smooth, record=DECIDED)
+            # By the program that records those of the value, which is compiled already.
+            valued = self.bound.engine.bind(self.problem)
+            rolled = valued.values(self.policy, draws, self.smooth, record=DECIDED)
             actions = rolled.record["action"]
         else:
             actions = self.recorded[:, paths]

@@ -22,7 +22,6 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
 
-from ..by_block.passes import DECIDED
 from ..evaluate import path_totals, worth
 from ..finite_paths import DROPPED, finite
 from ..statistics import Estimate
@@ -290,9 +289,7 @@ class _Bumper:
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
-        return path_totals(
-            problem, self.policy, paths, engine=self.engine, controls=False, record=DECIDED
-        )
+        return path_totals(problem, self.policy, paths, engine=self.engine, controls=False)
 
 
 def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:

@@ -20,7 +20,7 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact
 
-from ..by_block.passes import DECIDED, Way
+from ..by_block.passes import Way
 from ..evaluate import path_totals
 from .bump import block_means, one_percent
 from .coordinates import moved
@@ -137,9 +137,7 @@ class _Derivatives:
         return self._value(self.problem, policy)
 
     def _value(self, problem: Problem, policy: Policy) -> float:
-        found = path_totals(
-            problem, policy, self.paths, engine=self.engine, controls=False, record=DECIDED
-        )
+        found = path_totals(problem, policy, self.paths, engine=self.engine, controls=False)
         return float(np.mean(block_means(problem.objective, found, self.blocks)))
 
 

@@ -21,7 +21,7 @@ from snapo.problem.smooth import Exact
 
 from .. import statistics
 from ..adjoint import float64
-from ..evaluate import chunks, worth
+from ..evaluate import DECIDED, chunks, worth
 from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
@@ -75,6 +75,9 @@ class Gain(NamedTuple):
         return f"{self.value:,.3g} ± {self.error:,.2g}"
 
 
+NONE = Gain(0.0, 0.0)  # over itself
+
+
 def ending(
     problem: Problem,
     untrained: Policy,
@@ -82,6 +85,7 @@ def ending(
     training: TrainingPlan,
     exact: Totals,
     held_paths: int,
+    decisions: np.ndarray | None,
     engine: Engine,
     gradient: tuple[float, float] | None = None,
 ) -> Ending:
@@ -93,17 +97,19 @@ def ending(
     - `progress`: its `best` is the policy that is reported; `training`: with numbers for all that
       follows the problem.
     - `exact`: {output: [paths]} of that policy on the evaluation's paths.
-    - `held_paths`: of the held derivatives, which record decisions; 0 leaves out what needs them.
+    - `held_paths`: of the held derivatives; 0 leaves out what needs decisions.
+    - `decisions` [T, held_paths, A] of that policy there, where they were recorded before.
     - `gradient`: the norm of the policy's gradient and that of its noise, where they are known.
     """
     if not np.isfinite(worth(problem.objective, exact)):
         return Ending("")
     does_nothing = idle.equal_on_all_paths(problem, exact)
-    over_start = _over(problem, untrained, exact, engine)
+    kept = untrained is progress.best
+    over_start = NONE if kept else _over(problem, untrained, exact, engine)
     notes = [idle.advice(worth(problem.objective, exact))] if does_nothing else []
     still, of, over_constant = [], len(problem.action.together()), None
     if held_paths:
-        taken = _decisions(problem, progress.best, held_paths, engine)
+        taken = _decisions(problem, progress.best, held_paths, decisions, engine)
         actions = np.concatenate([each[2] for each in taken], axis=1)
         still = constant_decisions(problem.action, actions)
         constant, over_constant = _over_constants(problem, exact, taken, engine)
@@ -240,14 +246,21 @@ def _over(
 
 
 def _decisions(
-    problem: Problem, policy: Policy, held_paths: int, engine: Engine
+    problem: Problem,
+    policy: Policy,
+    held_paths: int,
+    recorded: np.ndarray | None,
+    engine: Engine,
 ) -> list[tuple[np.ndarray, Draws, np.ndarray]]:
     """The paths, their scenarios and the decisions [T, paths, size], by block."""
-    bound, source = engine.bind(problem, controls=False), problem.sources.evaluation
+    bound, source = engine.bind(problem), problem.sources.evaluation
     found = []
     for paths in _first(source.blocks(source.available(held_paths))):
         draws = source.draws(paths, problem.simulator)
-        taken = bound.values(policy, draws, Exact(), record=("action",)).record["action"]
+        if recorded is None:
+            taken = bound.values(policy, draws, Exact(), record=DECIDED).record["action"]
+        else:
+            taken = recorded[:, paths]
         found.append((paths, draws, np.asarray(taken)))
     return found
 

@@ -19,7 +19,15 @@ from ..derivatives.coordinates import coordinates
 from ..derivatives.margin import floor_of, margin_of, passes, with_margin
 from ..derivatives.surface import Surface, rollouts, surface_of
 from ..derivatives.verdict import held_alone, reported, verdicts
-from ..evaluate import Value, estimate, path_totals, ruined, shares_of, worth
+from ..evaluate import (
+    Value,
+    estimate,
+    path_totals,
+    ruined,
+    shares_of,
+    totals_and_decisions,
+    worth,
+)
 from ..learning.convergence import AS_BEGUN, ending
 from ..learning.settings import TrainingPlan
 from ..learning.told import chosen
@@ -74,16 +82,18 @@ def measure(run: Run) -> dict[str, Any]:
     selection = _selection(run, surface)
     run = run._replace(progress=replace(run.progress, best=selection.policy))
     progress, policy = run.progress, selection.policy
-    exact = path_totals(problem, policy, evaluation.paths, engine=engine)
+    given = problem, policy, evaluation.paths, run.held_paths
+    exact, decisions = totals_and_decisions(*given, engine=engine)
     value = estimate(objective, exact, source, controls)
     gap, gap_error = _smoothing_gap(problem, policy, exact, run.smooth, engine)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
     if problem.limits:
         surface = _surface(run, within)
-    table = _sensitivities(run, within, selection, surface, exact)
+    table = _sensitivities(run, within, selection, surface, exact, decisions)
     gradient = table and table.policy_gradient
-    ended = ending(problem, run.start, progress, training, exact, run.held_paths, engine, gradient)
+    given = problem, run.start, progress, training, exact, run.held_paths, decisions
+    ended = ending(*given, engine, gradient)
     norm, noise = gradient or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),
@@ -158,10 +168,15 @@ def _selection(run: Run, surface: Surface | None) -> Selection:
 
 
 def _sensitivities(
-    run: Run, problem: Problem, selection: Selection, surface: Surface | None, exact: Totals
+    run: Run,
+    problem: Problem,
+    selection: Selection,
+    surface: Surface | None,
+    exact: Totals,
+    decisions: np.ndarray | None,
 ) -> Sensitivities | None:
-    """The table of the reported policy, whose totals are `exact`; None where no paths are given to
-    it."""
+    """The table of the reported policy, whose totals are `exact` and whose first decisions are
+    known, unless they are many; None where no paths are given to it."""
     evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
     policy, paths = progress.best, run.held_paths
     if not paths:
@@ -174,6 +189,7 @@ def _sensitivities(
         smooth_paths=evaluation.smooth_paths,
         earlier=progress.halfway if progress.step > 1 else None,
         engine=engine,
+        actions=decisions,
     )
     if not evaluation.judge_paths:
         return table._replace(reported=held_alone(problem, table.held))

@@ -1,7 +1,7 @@
 """The regression of values of a store on a basis: everything of it that the prices do not move.
 
-Nodes, functions and normal equations follow from the price factors alone. A page that moves a curve
-asks for the same ones again and again: those of the last factors are kept.
+Nodes, functions and normal equations follow from the price factors alone: those of the last
+factors are kept.
 """
 
 from functools import cached_property
@@ -13,6 +13,7 @@ from scipy.stats import qmc
 
 from .basis import REACH, Basis
 from .product import product
+from .recent import Recent
 
 ALONE, FAST = 121, 37  # uniform nodes of the fast factor, to REACH standard deviations
 COUNTS = {
@@ -24,6 +25,7 @@ POINTS = 1024
 LEVELS = 2  # nodes of the factor in the exponential
 RIDGE = 1e-11  # of the regression, against the sum of squares of the functions
 MOST_KEPT = 128 << 20  # bytes; of longer contracts nothing is kept
+LAST = 3  # factors: those of the case, and others that sensitivities move to
 
 
 class Day(NamedTuple):
@@ -82,27 +84,28 @@ class Regression:
         bare = basis.of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
         here = scaled(basis, t, bare, level)
         plain = scaled(basis, t, bare[: len(basis.powers)], level)
-        smooth = _fit(plain, self.weight).T
         if t + 1 == len(basis.of.decay):
-            none = np.zeros((0, level.size))
-            return Day(_fit(here, self.weight), none, here @ smooth, none @ smooth)
-        ahead = basis.ahead_of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
-        ahead = scaled(basis, t, ahead, level)
-        return Day(_fit(here, self.weight), ahead, here @ smooth, ahead @ smooth)
+            ahead = np.zeros((0, level.size))
+        else:
+            ahead = basis.ahead_of_whitened(self.y[None], slice(t, t + 1), self._polynomials)[0]
+            ahead = scaled(basis, t, ahead, level)
+        weighed, bare = here * self.weight, plain * self.weight
+        smooth = product(bare, plain.T)
+        return Day(
+            _solved(product(weighed, here.T), weighed),
+            ahead,
+            _solved(smooth, product(bare, here.T)).T,
+            _solved(smooth, product(bare, ahead.T)).T,
+        )
 
 
-_last: list[tuple[tuple, Regression]] = []
+_last: Recent[Regression] = Recent(LAST)
 
 
 def regression(basis: Basis) -> Regression:
-    """The regression of a basis: that of the last one, where the factors are the same."""
+    """The regression of a basis: one of the last, where the factors are the same."""
     key = *basis.key(), basis.of.loading.tobytes(), basis.of.variance.tobytes()
-    for known, found in _last:
-        if known == key:
-            return found
-    found = Regression(basis)
-    _last[:] = [(key, found)]
-    return found
+    return _last.of(key, lambda: Regression(basis))
 
 
 def states_of(basis: Basis) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -136,9 +139,7 @@ def scaled(basis: Basis, t: int, found: np.ndarray, level: np.ndarray) -> np.nda
     return np.concatenate([scale * found, np.ones((1, found.shape[1]))])
 
 
-def _fit(functions: np.ndarray, weight: np.ndarray) -> np.ndarray:
-    """[K, Q] of weighted least squares on functions [K, Q]; small where undetermined."""
-    weighed = functions * weight
-    normal = product(weighed, functions.T)
-    normal[np.diag_indices_from(normal)] += RIDGE * np.trace(normal)
-    return np.linalg.solve(normal, weighed)
+def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """[K, …] of weighted least squares with these normal equations; small where undetermined."""
+    ridge = RIDGE * np.trace(normal) * np.eye(len(normal))
+    return np.linalg.solve(normal + ridge, right)

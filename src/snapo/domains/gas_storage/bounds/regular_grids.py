@@ -1,7 +1,4 @@
-"""The days of a store on regular nodes alone: its contract decides about them, and no price.
-
-A page that moves a curve asks for the same ones again and again: the last ones are kept.
-"""
+"""The days of a store on regular nodes alone: its contract decides about them, and no price."""
 
 import numpy as np
 
@@ -9,6 +6,7 @@ from ..references.day_terms import Interpolation, rates
 from ..references.lattice_day import inventory_nodes
 from ..references.piecewise import visited
 from .day_grid import DayGrid, one_day, spacing_of
+from .recent import Recent
 
 # All that the grids follow from. A name that is missing here would leave old grids in use.
 STEPS = (
@@ -17,7 +15,7 @@ STEPS = (
 )  # fmt: skip
 CONSTANTS = ("inventory", "end_levels")
 
-_last: list[tuple[tuple, list[DayGrid]]] = []
+_last: Recent[list[DayGrid]] = Recent(2)  # those of the case, and of another input
 
 
 def regular_grids(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:
@@ -26,12 +24,7 @@ def regular_grids(schedule, interpolation: Interpolation, inventories: int) -> l
     Only inventories that the one in store can become.
     """
     key = interpolation, inventories, *_numbers(schedule)
-    for known, found in _last:
-        if known == key:
-            return found
-    found = _made(schedule, interpolation, inventories)
-    _last[:] = [(key, found)]
-    return found
+    return _last.of(key, lambda: _made(schedule, interpolation, inventories))
 
 
 def _made(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:

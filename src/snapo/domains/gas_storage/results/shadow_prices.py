@@ -49,7 +49,7 @@ class _Replay:
     def __init__(self, setup: Setup, policy: Policy):
         self.problem, self.engine = beside(setup), setup.engines.evaluate
         source = self.problem.sources.evaluation
-        bound = self.engine.bind(self.problem, controls=False)
+        bound = self.engine.bind(self.problem)
         paths = source.available(PATHS)
         blocks = source.blocks(paths, max(1, paths // 512))
         self.draws = [source.draws(block, self.problem.simulator) for block in blocks]
