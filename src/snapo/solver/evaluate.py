@@ -87,7 +87,7 @@ def totals_and_decisions(
     bound, source = engine.bind(problem), problem.sources.evaluation
     paths = source.available(paths)
     shape = problem.simulator.horizon, source.available(min(first, paths)), problem.action.size
-    decisions = np.full(shape, np.nan) if 0 < 8 * math.prod(shape) <= MOST_BYTES else None
+    decisions = np.empty(shape) if 0 < 8 * math.prod(shape) <= MOST_BYTES else None
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):
         own = block < (0 if decisions is None else shape[1])
@@ -96,7 +96,8 @@ def totals_and_decisions(
         rolled = bound.values(policy, draws, Exact(), record=record)
         _keep(rolled, block, paths, totals)
         if decisions is not None and record:
-            decisions[:, block[own]] = np.asarray(rolled.record["action"])[:, own]
+            few = in_a_row(np.flatnonzero(own))
+            decisions[:, in_a_row(block[own])] = np.asarray(rolled.record["action"])[:, few]
     return totals, decisions
 
 
@@ -104,6 +105,13 @@ def _keep(rolled: Rollout, block: np.ndarray, paths: int, totals: dict[str, np.n
     """Puts the totals of some paths among those of all."""
     for name, total in float64(rolled.totals).items():
         totals.setdefault(name, np.full(paths, np.nan))[block] = total
+
+
+def in_a_row(numbers: np.ndarray) -> slice | np.ndarray:
+    """Numbers that follow one another as a slice, which copies nothing."""
+    first, count = int(numbers[0]), len(numbers)
+    follow = np.array_equal(numbers, np.arange(first, first + count))
+    return slice(first, first + count) if follow else numbers
 
 
 def chunks(source: Scenarios, paths: int) -> list[np.ndarray]:

@@ -21,7 +21,7 @@ from snapo.problem import inputs as inputs_
 from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
@@ -242,6 +242,25 @@ def sensitivities(
     decisions on these paths, and `totals` {output: [paths]} their totals, where they were recorded
     before.
     """
+    return sensitivities_and_totals(
+        problem, policy, paths, smooth, smooth_paths, earlier, engine, actions, totals
+    )[0]
+
+
+@reading_once()
+def sensitivities_and_totals(
+    problem: Problem,
+    policy: Policy,
+    paths: int,
+    smooth: Any,
+    smooth_paths: int,
+    earlier: Policy | None,
+    engine: Engine | None = None,
+    actions: np.ndarray | None = None,
+    totals: Mapping[str, np.ndarray] | None = None,
+) -> tuple[Sensitivities, Totals | None]:
+    """`sensitivities`, and the smooth simulator's totals {output: [smooth_paths]}; None where they
+    were not asked for, or are not all finite."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     source = problem.sources.evaluation
     paths = source.available(paths)
@@ -260,14 +279,18 @@ def sensitivities(
         }
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
     if smooth is None:
-        return _without(result, problem.lost)
+        return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
     soft = Way(problem, bound, policy, smooth, held=False).derivatives(blocks)
     dropped = held.dropped + soft.dropped
     result = result._replace(
         smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped
     )
-    return _without(result, problem.lost)
+    found = soft.totals if not soft.dropped else None
+    if found is not None:
+        order = np.argsort(np.concatenate(blocks))
+        found = {name: total[order] for name, total in found.items()}
+    return _without(result, problem.lost), found
 
 
 def _without(found: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:

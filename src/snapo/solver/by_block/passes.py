@@ -10,12 +10,12 @@ from jaxtyping import PyTree
 
 from snapo.engine import Adjoint, Bound
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Weights
+from snapo.problem.objective import Objective, Totals, Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
 
 from ..adjoint import float64, pull_back
-from ..evaluate import DECIDED
+from ..evaluate import DECIDED, in_a_row
 from ..finite_paths import DROPPED, adjoint_of_good_weights, all_finite, finite
 from ..statistics import Estimate
 from .changes import Plan, plan
@@ -24,19 +24,25 @@ CHUNK = 8192  # paths in one call of an engine, where a block has no more
 
 
 class Found(NamedTuple):
-    """Derivatives by every input and by the policy, and the number of paths left out."""
+    """Derivatives by every input and by the policy, and the number of paths left out.
+
+    `totals` {output: [paths]} in the order of the blocks; None where some were passed one by one.
+    """
 
     inputs: dict[str, Estimate]
     policy: Estimate
     dropped: int
+    totals: Totals | None = None
 
 
 class Pulled(NamedTuple):
-    """One adjoint pass: derivatives at the schedule, of the policy [P], and its bad paths."""
+    """One adjoint pass: derivatives at the schedule, of the policy [P], its bad paths, and the
+    totals of its paths where they are known."""
 
     schedule: PyTree
     policy: np.ndarray
     bad: int
+    totals: Totals | None = None
 
 
 class Way(NamedTuple):
@@ -89,7 +95,8 @@ class Way(NamedTuple):
         found = {n: Estimate(plan.estimate(scale * sums[n], pieces[n])) for n in sums}
         slopes = np.stack([each.policy for each in passes])
         others = np.reshape([e.policy for e in further], (len(further), slopes.shape[1]))
-        return Found(found, Estimate(plan.estimate(scale * slopes, others)), dropped)
+        policy = Estimate(plan.estimate(scale * slopes, others))
+        return Found(found, policy, dropped, _joined_totals(passes))
 
     def _plans(
         self, objectives: Sequence[Objective], blocks: list[np.ndarray]
@@ -141,7 +148,11 @@ class Way(NamedTuple):
             sizes = [len(block) for block in blocks]
             result = self.bound.adjoints(decider, draws, self.smooth, joined, sizes, **options)
             if all_finite(result, joined):
-                return [self._pulled(_row(result, k), 0, 1) for k in range(len(blocks))]
+                totals = _split(float64(result.totals), sizes)
+                return [
+                    [self._pulled(_row(result, k), 0, 1)[0]._replace(totals=totals[k])]
+                    for k in range(len(blocks))
+                ]
         return [self._pull(block, part) for block, part in zip(blocks, weights)]
 
     def _pull(self, paths: np.ndarray, weights: list[Weights]) -> list[Pulled]:
@@ -164,7 +175,7 @@ class Way(NamedTuple):
             rolled = valued.values(self.policy, draws, self.smooth, record=DECIDED)
             actions = rolled.record["action"]
         else:
-            actions = self.recorded[:, paths]
+            actions = self.recorded[:, in_a_row(paths)]
         return draws, None, {"actions": actions, "wrt": ("schedule",)}
 
     def _pulled(self, result: Adjoint, bad: int, count: int) -> list[Pulled]:
@@ -206,6 +217,21 @@ def _batches(blocks: list[np.ndarray]) -> Iterator[slice]:
         last = first + max(1, int(np.searchsorted(paths, CHUNK, side="right")))
         yield slice(first, last)
         first = last
+
+
+def _split(totals: Totals, sizes: list[int]) -> list[Totals]:
+    """The totals of each part of the paths."""
+    edges = np.cumsum(sizes)[:-1]
+    parts = {name: np.split(total, edges) for name, total in totals.items()}
+    return [{name: part[k] for name, part in parts.items()} for k in range(len(sizes))]
+
+
+def _joined_totals(passes: list[Pulled]) -> Totals | None:
+    """Those of all passes, where all are known."""
+    known = [each.totals for each in passes if each.totals is not None]
+    if len(known) < len(passes):
+        return None
+    return {name: np.concatenate([each[name] for each in known]) for name in known[0]}
 
 
 def _row(result: Adjoint, k: int) -> Adjoint:

@@ -21,7 +21,7 @@ from snapo.problem.smooth import Exact
 
 from .. import statistics
 from ..adjoint import float64
-from ..evaluate import DECIDED, chunks, worth
+from ..evaluate import DECIDED, chunks, in_a_row, worth
 from ..finite_paths import finite
 from ..limits.found import NEARLY
 from ..train import Progress
@@ -260,7 +260,7 @@ def _decisions(
         if recorded is None:
             taken = bound.values(policy, draws, Exact(), record=DECIDED).record["action"]
         else:
-            taken = recorded[:, paths]
+            taken = recorded[:, in_a_row(paths)]
         found.append((paths, draws, np.asarray(taken)))
     return found
 

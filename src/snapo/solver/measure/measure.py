@@ -33,7 +33,7 @@ from ..learning.settings import TrainingPlan
 from ..learning.told import chosen
 from ..limits.found import limits_found, notes_of
 from ..provenance.broken import why_broken
-from ..sensitivity import Sensitivities, sensitivities
+from ..sensitivity import Sensitivities, sensitivities_and_totals
 from ..statistics import of_shares
 from ..train import Progress
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
@@ -85,12 +85,12 @@ def measure(run: Run) -> dict[str, Any]:
     given = problem, policy, evaluation.paths, run.held_paths
     exact, decisions = totals_and_decisions(*given, engine=engine)
     value = estimate(objective, exact, source, controls)
-    gap, gap_error = _smoothing_gap(problem, policy, exact, run.smooth, engine)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
     if problem.limits:
         surface = _surface(run, within)
-    table = _sensitivities(run, within, selection, surface, exact, decisions)
+    table, soft = _sensitivities(run, within, selection, surface, exact, decisions)
+    gap, gap_error = _smoothing_gap(problem, policy, exact, soft, run.smooth, engine)
     gradient = table and table.policy_gradient
     given = problem, run.start, progress, training, exact, run.held_paths, decisions
     ended = ending(*given, engine, gradient)
@@ -174,25 +174,23 @@ def _sensitivities(
     surface: Surface | None,
     exact: Totals,
     decisions: np.ndarray | None,
-) -> Sensitivities | None:
+) -> tuple[Sensitivities | None, Totals | None]:
     """The table of the reported policy, whose totals are `exact` and whose first decisions are
-    known, unless they are many; None where no paths are given to it."""
+    known, unless they are many, and the totals of the smooth simulator, where they are known.
+
+    None where no paths are given to it.
+    """
     evaluation, progress, engine = run.evaluation, run.progress, run.engines.evaluate
     policy, paths = progress.best, run.held_paths
     if not paths:
-        return None
-    table = sensitivities(
-        problem,
-        policy,
-        paths,
-        smooth=run.smooth if evaluation.smooth_paths else None,
-        smooth_paths=evaluation.smooth_paths,
-        earlier=progress.halfway if progress.step > 1 else None,
-        engine=engine,
-        actions=decisions,
+        return None, None
+    smooth = run.smooth if evaluation.smooth_paths else None
+    earlier = progress.halfway if progress.step > 1 else None
+    table, soft = sensitivities_and_totals(
+        problem, policy, paths, smooth, evaluation.smooth_paths, earlier, engine, decisions
     )
     if not evaluation.judge_paths:
-        return table._replace(reported=held_alone(problem, table.held))
+        return table._replace(reported=held_alone(problem, table.held)), soft
     bumped = reactions(
         problem, policy, paths, table.held,
         most=evaluation.judge_paths, rollouts=run.effort.work, centre=exact, engine=engine,
@@ -204,7 +202,7 @@ def _sensitivities(
         margin = margin_of(problem, policy, surface, paths, run.training.seed, engine)
         gap = _gap(problem, progress, selection, surface)
         derivatives = with_margin(problem, policy, derivatives, margin, gap, engine)
-    return table._replace(verdicts=found, reported=derivatives)
+    return table._replace(verdicts=found, reported=derivatives), soft
 
 
 def _gap(problem: Problem, progress: Progress, selection: Selection, surface: Surface) -> float:
@@ -225,13 +223,19 @@ def _spread(progress: Progress) -> float:
 
 
 def _smoothing_gap(
-    problem: Problem, policy: Policy, exact: Totals, smooth: Smooth, engine: Engine
+    problem: Problem,
+    policy: Policy,
+    exact: Totals,
+    soft: Totals | None,
+    smooth: Smooth,
+    engine: Engine,
 ) -> tuple[float, float]:
     """Exact less smooth with its standard error, on the first of the paths whose exact totals are
-    known."""
+    known; `soft`: the smooth totals on as many, where the derivatives have them."""
     objective, source = problem.objective, problem.sources.evaluation
     paths = min(GAP_PATHS, len(exact[objective.outputs[0]]))
-    soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
+    if soft is None or len(soft[objective.outputs[0]]) < paths:
+        soft = path_totals(problem, policy, paths, smooth=smooth, engine=engine, controls=False)
     same = {name: total[: len(soft[name])] for name, total in exact.items() if name in soft}
     with np.errstate(invalid="ignore"):
         gap = float(np.subtract(worth(objective, same), worth(objective, soft)))
