@@ -22,8 +22,9 @@ from .study import Part, Study, StudyRun, Tell
 from .training import TRAINING
 
 NOT_OF_A_PART = (run_folder.RUN, run_folder.RESULT, run_folder.REPORT, run_folder.CHECKPOINT)
-# A report is written again when the work since took so many times its own time, or that of any.
-OFTEN, SHORT = 30.0, 0.1
+# A report is written before the end where the work since took so many times its own time, and no
+# less than so many seconds: one costs a second or two, and an interrupted run writes its own.
+OFTEN, LEAST = 30.0, 60.0
 DONE, FAILED, SKIPPED = "done", "failed", "skipped"
 
 
@@ -151,7 +152,7 @@ class _Writer:
 
     def part_done(self) -> None:
         """Writes where the last time is long enough ago."""
-        if time.perf_counter() - self.last > OFTEN * max(self.took, SHORT):
+        if time.perf_counter() - self.last > max(OFTEN * self.took, LEAST):
             self.write()
 
     def write(self) -> dict[str, Any]:
