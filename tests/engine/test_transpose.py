@@ -15,7 +15,7 @@ INPUTS = {"rate": Input([0.1, 0.3], "1/year")}
 
 
 class Grown:
-    """All that `pull_back` asks of a simulator."""
+    """All that `prepare` and `pull_back` ask of a simulator."""
 
     def __eq__(self, other):
         return isinstance(other, Grown)
@@ -25,6 +25,9 @@ class Grown:
 
     def prepare(self, inputs):
         return Schedule({"whole": jnp.prod(jnp.exp(inputs["rate"]))}, {})
+
+    def prepared_apart(self):
+        return self, lambda schedule: schedule
 
 
 def test_what_is_compiled_meanwhile_is_not_compiled_again():

@@ -1,9 +1,7 @@
 """From derivatives at the schedule back to the inputs: the end of every adjoint's road."""
 
-from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
-from threading import Thread
+from contextlib import AbstractContextManager
 
 import equinox as eqx
 import jax
@@ -11,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.lanes.machine.threads import cores
+from snapo.lanes.machine.threads import beside, cores
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.version import following, of_preparation
 from snapo.problem.quickly import compiled_sooner
@@ -45,24 +43,15 @@ def pull_back(
     return {name: np.stack(leaves) for name, leaves in zip(names, zip(*moved))}
 
 
-@contextmanager
-def compiled_meanwhile(simulator: Simulator, inputs: PyTree, schedule: PyTree) -> Iterator[None]:
+def compiled_meanwhile(
+    simulator: Simulator, inputs: PyTree, schedule: PyTree
+) -> AbstractContextManager[None]:
     """Compiles the transpose for a schedule like this one beside the work of the block.
 
     A failure is silent here: `pull_back` tells of it.
     """
-
-    def compiled() -> None:
-        with suppress(Exception):
-            nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
-            pull_back(simulator, inputs, [nothing])
-
-    beside = Thread(target=compiled, name="transpose")
-    beside.start()
-    try:
-        yield
-    finally:
-        beside.join()
+    nothing = jax.tree.map(np.zeros_like, eqx.filter(schedule, eqx.is_inexact_array))
+    return beside(lambda: pull_back(simulator, inputs, [nothing]))
 
 
 @compiled_sooner

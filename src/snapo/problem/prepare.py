@@ -15,8 +15,9 @@ from .simulator import Schedule, Simulator
 def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
     """The schedule in float64 NumPy."""
     with jax.enable_x64(True), following(of_preparation(simulator, inputs)):
-        schedule = _prepare(simulator, inputs, inputs_.values(inputs))
-        return jax.tree.map(np.asarray, schedule)
+        part, completed = simulator.prepared_apart()
+        schedule = _prepare(part, inputs, inputs_.values(inputs))
+        return jax.tree.map(np.asarray, completed(schedule))
 
 
 def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:

@@ -78,6 +78,14 @@ class Simulator(eqx.Module):
     def prepare(self, inputs: PyTree) -> Schedule:
         """Turns inputs into the schedule. `inputs` holds plain arrays in place of every `Input`."""
 
+    def prepared_apart(self) -> tuple["Simulator", Callable[[Schedule], Schedule]]:
+        """A simulator that prepares a part of the schedule, and what adds the rest to it.
+
+        The rest are arrays of this simulator that `prepare` hands on as they are, such as a fitted
+        guide: the compiled `prepare` of the part serves before the guide is fitted, and after.
+        """
+        return self, lambda schedule: schedule
+
     @abc.abstractmethod
     def initial(self, constants: PyTree, noise: Float[Array, " initial_noise"]) -> State:
         """The state before the first decision: a tree of small arrays (integers allowed)."""

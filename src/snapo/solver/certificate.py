@@ -317,7 +317,8 @@ def feasibility(
     problem: Problem, policy: Policy, paths: int = 4096, *, engine: Engine | None = None
 ) -> list[Feasibility]:
     """The smallest slack of every limit that the simulator declares, in the exact simulator."""
-    bound, source = (engine or Xla(precision="float64")).bind(problem), problem.sources.evaluation
+    bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
+    source = problem.sources.evaluation
     worst: dict[str, Feasibility] = {}
     for block in source.blocks(source.available(paths)):
         draws = source.draws(block, problem.simulator)

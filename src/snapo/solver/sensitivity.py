@@ -281,7 +281,7 @@ def sensitivities_and_totals(
     if smooth is None:
         return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
-    soft = Way(problem, bound, policy, smooth, held=False).derivatives(blocks)
+    soft = through_policy(problem, policy, smooth, engine).derivatives(blocks)
     dropped = held.dropped + soft.dropped
     result = result._replace(
         smooth=soft.inputs, policy_gradient=soft.policy.norm(), dropped=dropped
@@ -291,6 +291,12 @@ def sensitivities_and_totals(
         order = np.argsort(np.concatenate(blocks))
         found = {name: total[order] for name, total in found.items()}
     return _without(result, problem.lost), found
+
+
+def through_policy(problem: Problem, policy: Policy, smooth: Any, engine: Engine | None) -> Way:
+    """How `sensitivities` differentiates the smooth simulator."""
+    bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
+    return Way(problem, bound, policy, smooth, held=False)
 
 
 def _without(found: Sensitivities, lost: tuple[str, ...]) -> Sensitivities:

@@ -89,7 +89,7 @@ def rebuilt(problem: Problem) -> Problem:
 def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
     """The problem with its guide."""
     simulator = simulator_of(problem)
-    # No hedge yet, but its place: the compiled `prepare` serves before and after.
+    # No hedge yet, but its place: what is compiled serves before and after.
     beside = {"surprises": _surprises(problem, fitted), "hedge": np.zeros(simulator.horizon)}
     return replace(problem, simulator=replace(simulator, guide=guide(problem, fitted), **beside))
 

@@ -2,8 +2,8 @@
 
 import os
 import threading
-from collections.abc import Callable
-from contextlib import AbstractContextManager
+from collections.abc import Callable, Iterator
+from contextlib import AbstractContextManager, contextmanager, suppress
 from typing import TypeVar
 
 import numpy as np
@@ -16,6 +16,25 @@ def cores() -> int:
     if hasattr(os, "sched_getaffinity"):
         return len(os.sched_getaffinity(0))
     return os.cpu_count() or 1
+
+
+@contextmanager
+def beside(work: Callable[[], object]) -> Iterator[None]:
+    """Does the work in a thread of its own, beside the block, which waits for it at its end.
+
+    It is for what is done again where it is missing, such as compiling: a failure is silent.
+    """
+
+    def done() -> None:
+        with suppress(Exception):
+            work()
+
+    thread = threading.Thread(target=done, name="beside")
+    thread.start()
+    try:
+        yield
+    finally:
+        thread.join()
 
 
 def spread(

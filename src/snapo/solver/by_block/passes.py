@@ -66,6 +66,12 @@ class Way(NamedTuple):
         """From one pass for each block of paths, and a few on a sample of all."""
         return self.of((self.problem.objective,), blocks)[0]
 
+    def compile(self) -> None:
+        """Has the program of a pass ready, where it serves any number of paths."""
+        draws, decider, options = self._asked(np.arange(2))
+        nothing = {name: np.zeros(2) for name in self.problem.objective.outputs}
+        self.bound.adjoints(decider, draws, self.smooth, nothing, [1, 1], **options)
+
     def of(self, objectives: Sequence[Objective], blocks: list[np.ndarray]) -> list[Found]:
         """Derivatives of several objectives, whose cotangents share every forward sweep."""
         plans, blocks, dropped = self._plans(objectives, blocks)

@@ -289,7 +289,7 @@ class _Bumper:
     def _totals(self, problem: Problem, count: int) -> dict[str, np.ndarray]:
         paths = sum(map(len, self.blocks[:count]))
         self.spent += paths
-        return path_totals(problem, self.policy, paths, engine=self.engine, controls=False)
+        return path_totals(problem, self.policy, paths, engine=self.engine)
 
 
 def opposite(problem: Problem, more: Problem, values: Mapping[str, Any]) -> Problem | None:

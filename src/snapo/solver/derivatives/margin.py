@@ -137,7 +137,7 @@ class _Derivatives:
         return self._value(self.problem, policy)
 
     def _value(self, problem: Problem, policy: Policy) -> float:
-        found = path_totals(problem, policy, self.paths, engine=self.engine, controls=False)
+        found = path_totals(problem, policy, self.paths, engine=self.engine)
         return float(np.mean(block_means(problem.objective, found, self.blocks)))
 
 

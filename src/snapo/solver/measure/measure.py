@@ -1,12 +1,14 @@
 """What a training is worth: the policy that is reported, its value, and its derivatives."""
 
 from collections.abc import Mapping
+from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.engine import Engine, Engines
+from snapo.engine import Engine, Engines, Native
+from snapo.lanes.machine.threads import beside
 from snapo.problem.objective import Totals
 from snapo.problem.policies.memory import Memory, remembered
 from snapo.problem.policy import Policy
@@ -33,7 +35,7 @@ from ..learning.settings import TrainingPlan
 from ..learning.told import chosen
 from ..limits.found import limits_found, notes_of
 from ..provenance.broken import why_broken
-from ..sensitivity import Sensitivities, sensitivities_and_totals
+from ..sensitivity import Sensitivities, sensitivities_and_totals, through_policy
 from ..statistics import of_shares
 from ..train import Progress
 from .selection import HIGHEST, NEWEST, START, TOP, Selection, select
@@ -79,11 +81,12 @@ def measure(run: Run) -> dict[str, Any]:
     objective, evaluation = problem.objective, run.evaluation
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
     surface = _surface(run, problem) if not problem.limits else None
-    selection = _selection(run, surface)
-    run = run._replace(progress=replace(run.progress, best=selection.policy))
-    progress, policy = run.progress, selection.policy
-    given = problem, policy, evaluation.paths, run.held_paths
-    exact, decisions = totals_and_decisions(*given, engine=engine)
+    with _compiled_meanwhile(run):
+        selection = _selection(run, surface)
+        run = run._replace(progress=replace(run.progress, best=selection.policy))
+        progress, policy = run.progress, selection.policy
+        given = problem, policy, evaluation.paths, run.held_paths
+        exact, decisions = totals_and_decisions(*given, engine=engine)
     value = estimate(objective, exact, source, controls)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
@@ -139,6 +142,16 @@ def measure(run: Run) -> dict[str, Any]:
         "convergence": KEPT if kept and ended.word == AS_BEGUN else ended.word,
         "status": _status(value.value, progress.status),
     }
+
+
+def _compiled_meanwhile(run: Run) -> AbstractContextManager:
+    """Compiles the smooth derivatives beside the work of the block, where the engine's programs
+    serve any number of paths and the objective is known already."""
+    problem, engine = run.problem, run.engines.evaluate
+    wanted = run.held_paths and run.evaluation.smooth_paths and not problem.limits
+    if not wanted or not isinstance(engine, Native):
+        return nullcontext()
+    return beside(through_policy(problem, run.progress.best, run.smooth, engine).compile)
 
 
 def _surface(run: Run, problem: Problem) -> Surface | None:

@@ -9,6 +9,7 @@ valuation date.
 """
 
 from collections.abc import Mapping
+from dataclasses import replace
 from typing import Any
 
 import equinox as eqx
@@ -84,14 +85,27 @@ class StorageSimulator(Simulator):
         prices = self.process.prepare(inputs)
         last = jax.tree.map(lambda leaf: leaf[-1], prices.steps)
         steps = self._days(inputs, jax.tree.map(lambda leaf: leaf[:-1], prices.steps))
-        return Schedule(self._terms(inputs, prices.constants, last), steps)
+        return self._completed(Schedule(self._terms(inputs, prices.constants, last), steps))
+
+    def prepared_apart(self):
+        return replace(self, guide=None, hedge=None, surprises=None), self._completed
+
+    def _completed(self, schedule: Schedule) -> Schedule:
+        """With the guide, the hedge and the surprises, which no input makes here."""
+        guide, hedge, found = self.guide, self.hedge, self.surprises
+        steps = schedule.steps._replace(
+            guide=None if guide is None else guide.knots,
+            hedge=np.zeros(self.horizon) if hedge is None else hedge,
+            surprise=None if found is None else found.days,
+        )
+        end = None if found is None else found.end
+        return Schedule(schedule.constants._replace(surprise=end), steps)
 
     def _days(self, inputs: dict[str, Any], prices) -> Day:
         case, contract, market = self.case, self.case.contract, self.case.market
         t, discount = self.horizon, _discounts(case, inputs)
         forward, limits = use(inputs, market.forward_curve)[:t], self.limits(inputs)
         low, high = reachable(limits, *self.end_interval(inputs), contract.ratchets.interpolation)
-        found = self.surprises
         return Day(
             day=jnp.asarray(case.day, float),
             forward=forward,
@@ -111,14 +125,11 @@ class StorageSimulator(Simulator):
             next_high=high[1:],
             price=prices,
             ahead=curve_ahead(forward, self.price_scale),
-            guide=None if self.guide is None else jax.tree.map(jnp.asarray, self.guide.knots),
-            hedge=jnp.zeros(t) if self.hedge is None else jnp.asarray(self.hedge),
-            surprise=None if found is None else jax.tree.map(jnp.asarray, found.days),
             **{name: use(inputs, getattr(contract, name)) for name in _PER_DAY},
         )
 
     def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
-        case, contract, found = self.case, self.case.contract, self.surprises
+        case, contract = self.case, self.case.contract
         discount = _discounts(case, inputs)
         end = contract.at_end.terms(inputs)
         fixed = use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
@@ -135,7 +146,6 @@ class StorageSimulator(Simulator):
             end_price=last,
             price_scale=jnp.asarray(self.price_scale),
             rate_scale=jnp.asarray(self.rate_scale),
-            surprise=None if found is None else jax.tree.map(jnp.asarray, found.end),
         )
 
     def limits(self, inputs: dict[str, Any]) -> Limits:

@@ -79,7 +79,8 @@ def working_volume(case: StorageCase) -> float:
 def _paths(setup: Setup, solution: Solution) -> tuple[np.ndarray, np.ndarray]:
     """Inventories [T + 1, paths] and net injections [T, paths] of the exact simulator."""
     problem = beside(setup)
-    bound, source = setup.engines.evaluate.bind(problem), problem.sources.evaluation
+    source = problem.sources.evaluation
+    bound = setup.engines.evaluate.bind(problem, controls=False)
     inventories, flows = [], []
     for block in source.blocks(source.available(PATHS), 8):
         draws = source.draws(block, problem.simulator)
