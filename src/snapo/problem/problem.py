@@ -12,7 +12,7 @@ from jaxtyping import PyTree
 from . import inputs as inputs_
 from .actions import Actions
 from .code.lost import lost
-from .code.version import Version, following, of_preparation, of_rollout
+from .code.version import Version, following, of_preparation, of_rollout, reading_once
 from .limits import Limit, priced
 from .noise import base as noise
 from .objective import Objective
@@ -52,8 +52,9 @@ class Problem:
     @property
     def schedule(self) -> Schedule:
         """The numbers that all paths share."""
-        version = of_preparation(self.simulator, self.inputs)
-        return self._kept("schedule", version, lambda: prepare(self.simulator, self.inputs))
+        with reading_once():
+            version = of_preparation(self.simulator, self.inputs)
+            return self._kept("schedule", version, lambda: prepare(self.simulator, self.inputs))
 
     @property
     def interface(self) -> Interface:

@@ -1,6 +1,7 @@
 """Versions of a user's code: new where it reads other things, the same where it does not."""
 
 from dataclasses import dataclass
+from types import ModuleType, SimpleNamespace
 
 import jax
 import jax.numpy as jnp
@@ -9,6 +10,7 @@ import pytest
 
 import snapo
 from snapo.problem.code.version import of, reading_once
+from snapo.problem.code.walk import Walk
 from snapo.problem.process import Schwartz
 from snapo.problem.simulator import Schedule
 
@@ -19,6 +21,7 @@ NUMBERS = {"a": 1.0}
 SETTINGS = 1.0
 USED = 0
 FILE = ""
+MODULE_OR_OBJECT = SimpleNamespace(factor=1.0)
 
 
 class Own(snapo.Simulator):
@@ -81,6 +84,14 @@ class Files(Own):
         return Schedule({"x": jnp.asarray(np.loadtxt(FILE)) * inputs["x"]}, {})
 
 
+class MadeName(Own):
+    """A member of what its code names, by a name that it makes."""
+
+    def cash(self, x, smooth):
+        TRACED.append("step")
+        return getattr(MODULE_OR_OBJECT, "fac" + "tor") * x
+
+
 def test_counters_and_what_a_trace_keeps_make_no_new_version():
     given = problem(Counts)
     first = given.version
@@ -119,6 +130,38 @@ def test_what_no_name_shows_is_traced(monkeypatch):
     assert given.version == first
     monkeypatch.setitem(globals(), "SETTINGS", 2.0)
     assert given.version not in (None, first)
+
+
+def test_attributes_of_an_object_are_read_without_tracing(monkeypatch):
+    monkeypatch.setitem(globals(), "MODULE_OR_OBJECT", SimpleNamespace(factor=1.0))
+    given = problem(MadeName)
+    first, before = given.version, len(TRACED)
+    assert given.version == first
+    assert len(TRACED) == before
+    MODULE_OR_OBJECT.factor = 2.0
+    assert given.version not in (None, first)
+
+
+def test_attributes_of_a_users_module_by_a_name_that_is_made_are_followed(monkeypatch):
+    module = ModuleType("of_a_user")
+    monkeypatch.setattr(module, "factor", 1.0, raising=False)
+    monkeypatch.setitem(globals(), "MODULE_OR_OBJECT", module)
+    given = problem(MadeName)
+    first = given.version
+    monkeypatch.setattr(module, "factor", 2.0)
+    assert given.version not in (None, first)
+
+
+def test_two_readings_of_the_same_code_print_alike():
+    """Seen to fail: what is equal to itself alone had the address of its wrapper in its print,
+    which is compared where a program has a derivative by hand: compiled anew at every call."""
+
+    class Custom(Own):
+        def cash(self, x, smooth):
+            return jax.nn.relu(x)
+
+    first, second = Walk((Custom(),)), Walk((Custom(),))
+    assert repr(first.fixed) == repr(second.fixed)
 
 
 def test_within_one_reading_code_is_read_once(monkeypatch):

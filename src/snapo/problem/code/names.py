@@ -16,7 +16,7 @@ CONTAINERS = (list, set, deque)
 # By these a function reads what no name in it shows: names that are made, files, the environment.
 UNSEEN = frozenset(
     (
-        *("eval", "exec", "globals", "locals", "vars", "getattr", "__import__", "import_module"),
+        *("eval", "exec", "globals", "locals", "__import__", "import_module"),
         *("open", "read_text", "read_bytes", "load", "loads", "loadtxt", "genfromtxt", "fromfile"),
         *(
             "memmap",
@@ -29,6 +29,7 @@ UNSEEN = frozenset(
         ),
     )
 )
+MADE = frozenset(("getattr", "vars"))  # by these, attributes by names that are made
 
 
 class Names(NamedTuple):
@@ -38,6 +39,7 @@ class Names(NamedTuple):
     - `written`: globals that it sets itself.
     - `members`: of attributes, and every text that may be the name of one.
     - `modules`: those that it imports, with the level of a relative import.
+    - `made`: whether it reads attributes by names that it makes: of what else it names, that is.
     - `unseen`: whether it reads in a way that no name shows.
     """
 
@@ -46,6 +48,7 @@ class Names(NamedTuple):
     written: frozenset[str]
     members: frozenset[str]
     modules: frozenset[tuple[int, str]]
+    made: bool
     unseen: bool
 
 
@@ -69,10 +72,10 @@ def names(code: CodeType) -> Names:
             elif kind.startswith("LOAD_") and type(name) is int:
                 level = name  # the last whole number before an import is its level
         members |= {x for x in each.co_consts if isinstance(x, str) and x.isidentifier()}
-    unseen = not UNSEEN.isdisjoint(read | members)
+    made, unseen = (not each.isdisjoint(read | members) for each in (MADE, UNSEEN))
     only_added = frozenset(added - read)
     sets = frozenset(written), frozenset(members), frozenset(modules)
-    return Names(frozenset(read), only_added, *sets, unseen)
+    return Names(frozenset(read), only_added, *sets, made, unseen)
 
 
 def _codes(code: CodeType) -> Iterator[CodeType]:

@@ -42,7 +42,7 @@ class Walk:
     def __init__(self, trees: Iterable[Any]):
         self.fixed: list[Hashable] = []
         self.moving: list[Hashable] = []
-        self.unseen, self.own = False, False
+        self.unseen, self.own, self._made = False, False, False
         self._opened: set[str] = set()
         self._numbers: dict[int, int] = {}
         self._waiting: deque[Any] = deque()
@@ -160,6 +160,7 @@ class Walk:
         self.own = True
         named = names(x.__code__)
         self.unseen |= named.unseen
+        self._made |= named.made
         self._members |= named.members
         self.fixed.append(x.__code__)
         self._several((x.__defaults__, tuple((x.__kwdefaults__ or {}).items())), self.fixed)
@@ -223,9 +224,11 @@ class Walk:
             self.unseen |= alone and (isinstance(x, Iterator) or not _is_known(x))
 
     def _ask_modules(self) -> None:
-        """The members of modules that any function names."""
+        """The members of modules that any function names. Of one of the user's, a member by a name
+        that is made is not known; of all else, every attribute is looked at."""
         for module in list(self._modules.values()):
             library = self._closed(module)
+            self.unseen |= self._made and not library
             for name in sorted(self._members & vars(module).keys()):
                 if (id(module), name) not in self._asked:
                     self._asked.add((id(module), name))
@@ -252,6 +255,9 @@ class _Same:
 
     def __hash__(self) -> int:
         return id(self.x)
+
+    def __repr__(self) -> str:
+        return f"_Same({id(self.x)})"
 
 
 def _content(cell: CellType) -> Any:
