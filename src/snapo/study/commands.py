@@ -1,40 +1,18 @@
 """The work of every command, the same for all domains; the command line only prints it."""
 
 import time
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
-from snapo.case.error import CaseError, Unquoted
+from snapo.case.error import CaseError
 
-from .domain import Domain, RunsCode, find, installed
+from .domain import Asked, Domain, RunsCode, find, installed, load, remarks
 
 if TYPE_CHECKING:
     from snapo.solver.bound import Penalty
 
     from .study import Tell
-
-
-class Asked(NamedTuple):
-    """What a command asks of a case.
-
-    - `path`: a TOML file, or a folder with case.toml.
-    - `assignments`: keys that have another value for this run, "contract.inventory=2000".
-    - `simulator`: (module, class) of the user's own, named on the command line only.
-    """
-
-    path: Path
-    assignments: tuple[str, ...] = ()
-    simulator: tuple[str, str] | None = None
-
-
-class Loaded(NamedTuple):
-    """A case that was read: its domain, its file, its tables as they count, and its records."""
-
-    domain: Domain
-    file: Path
-    data: Mapping[str, Any]
-    case: Any
 
 
 def kinds() -> list[tuple[str, str, tuple[str, ...]]]:
@@ -110,30 +88,6 @@ def next_command(kind: str, folder: Path) -> str:
     domain = find(kind, "KIND", "")
     code = f" --simulator {domain.example}" if isinstance(domain, RunsCode) else ""
     return f"snapo check {folder}{code}"
-
-
-def load(asked: Asked) -> Loaded:
-    """Reads a case with the domain that its `kind` names."""
-    from snapo.case.table import load as load_tables
-
-    from .assign import OPTION, assigned
-
-    file, tables = load_tables(asked.path)
-    data, paths = assigned(tables, asked.assignments)
-    domain = find(data.get("kind"), str(file))
-    if asked.simulator is not None:
-        if not isinstance(domain, RunsCode):
-            got = Unquoted(":".join(asked.simulator))
-            what = f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
-            raise CaseError("--simulator", "", got, what + '"own"')
-        domain = domain.with_simulator(*asked.simulator)
-    try:
-        return Loaded(domain, file, data, domain.read(file, data))
-    except CaseError as error:
-        for each in (error, *error.others):
-            if each.where in paths:
-                each.file = f"{each.file} with {OPTION}"
-        raise
 
 
 def check(asked: Asked, tell: "Tell") -> list[str]:
@@ -299,10 +253,3 @@ def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
                 raise
             tell(f"{each}: {error.allowed}")
     return found
-
-
-def remarks(notes: Iterable[str], tell: "Tell", known: Collection[str] = ()) -> None:
-    """Prints the remarks that the owner of a case should see, without those `known` already."""
-    for note in notes:
-        if note not in known:
-            tell(f"note: {note}")

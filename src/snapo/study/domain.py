@@ -1,18 +1,18 @@
-"""A domain: how a file becomes a study in its owner's terms, and how the result is told.
+"""A domain: how a file becomes a study in its owner's terms, and a case that is read with it.
 
 Domains are found by the entry-point group `snapo.domains`, those of this package and anyone's
 alike. An entry point names an object with the attributes of `Domain`; its module imports nothing
 heavy, so that `snapo new` answers at once.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.metadata import EntryPoint, entry_points
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple, Protocol, runtime_checkable
 
-from snapo.case.error import CaseError, nearest
+from snapo.case.error import CaseError, Unquoted, nearest
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
@@ -158,3 +158,56 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
 
 
 _MEMBERS = ("kind", "words", "templates", "read", "check", "study", "report", "bench")
+
+
+class Asked(NamedTuple):
+    """What a command asks of a case.
+
+    - `path`: a TOML file, or a folder with case.toml.
+    - `assignments`: keys that have another value for this run, "contract.inventory=2000".
+    - `simulator`: (module, class) of the user's own, named on the command line only.
+    """
+
+    path: Path
+    assignments: tuple[str, ...] = ()
+    simulator: tuple[str, str] | None = None
+
+
+class Loaded(NamedTuple):
+    """A case that was read: its domain, its file, its tables as they count, and its records."""
+
+    domain: Domain
+    file: Path
+    data: Mapping[str, Any]
+    case: Any
+
+
+def load(asked: Asked) -> Loaded:
+    """Reads a case with the domain that its `kind` names."""
+    from snapo.case.table import load as load_tables
+
+    from .assign import OPTION, assigned
+
+    file, tables = load_tables(asked.path)
+    data, paths = assigned(tables, asked.assignments)
+    domain = find(data.get("kind"), str(file))
+    if asked.simulator is not None:
+        if not isinstance(domain, RunsCode):
+            got = Unquoted(":".join(asked.simulator))
+            what = f'a case of kind "{domain.kind}" has its own simulator; one of yours is of kind '
+            raise CaseError("--simulator", "", got, what + '"own"')
+        domain = domain.with_simulator(*asked.simulator)
+    try:
+        return Loaded(domain, file, data, domain.read(file, data))
+    except CaseError as error:
+        for each in (error, *error.others):
+            if each.where in paths:
+                each.file = f"{each.file} with {OPTION}"
+        raise
+
+
+def remarks(notes: Iterable[str], tell: "Tell", known: Collection[str] = ()) -> None:
+    """Prints the remarks that the owner of a case should see, without those `known` already."""
+    for note in notes:
+        if note not in known:
+            tell(f"note: {note}")

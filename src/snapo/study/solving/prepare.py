@@ -10,10 +10,9 @@ from snapo.case.error import CaseError, Unquoted
 
 from .. import run_folder
 from ..cores import use_every_core
-from ..domain import Options, RunsCode
+from ..domain import Loaded, Options, RunsCode
 
 if TYPE_CHECKING:
-    from ..commands import Loaded
     from ..study import Study, Tell
 
 
@@ -36,13 +35,13 @@ class Wanted(NamedTuple):
 class Ready:
     """A run that can be carried out: its case, its folder, what decides it, and its study."""
 
-    loaded: "Loaded"
+    loaded: Loaded
     out: Path
     decides: Mapping[str, Any]
     study: "Study"
 
 
-def place(loaded: "Loaded", out: Path | None) -> Path:
+def place(loaded: Loaded, out: Path | None) -> Path:
     """The folder of the run, which can be written.
 
     **Raises:** `CaseError` where it cannot, or is that of the case.
@@ -60,7 +59,7 @@ def place(loaded: "Loaded", out: Path | None) -> Path:
     return out
 
 
-def made_ready(loaded: "Loaded", out: Path, wanted: Wanted) -> Ready:
+def made_ready(loaded: Loaded, out: Path, wanted: Wanted) -> Ready:
     """The study of a case, beginning with a given policy where one is named.
 
     **Raises:** `CaseError` where the policy does not fit, or the run to resume is another one;

@@ -17,6 +17,7 @@ from snapo.case.error import CaseError
 from snapo.solver.files import write_csv
 
 from .. import run_folder
+from ..domain import Asked, Loaded, load, remarks
 from ..parts.choice import chosen
 from ..run_folder import SEEDS
 from ..study import Part, Study, StudyRun
@@ -26,14 +27,13 @@ from .by_seed import Comparison, Row, Trained, compared, words
 from .prepare import Ready, Wanted, carried_out, made_ready, place
 
 if TYPE_CHECKING:
-    from ..commands import Asked, Loaded
     from ..study import Tell
 
 TABLE = "seeds"  # the name of the part, and of the folder with the runs
 
 
 def solve_seeds(
-    asked: "Asked", tell: "Tell", out: Path | None, wanted: Wanted, seeds: int | Sequence[int]
+    asked: Asked, tell: "Tell", out: Path | None, wanted: Wanted, seeds: int | Sequence[int]
 ) -> dict[str, Any]:
     """Trains every seed, and carries out the run of the best; returns what result.json says.
 
@@ -41,8 +41,6 @@ def solve_seeds(
 
     **Raises:** `CaseError` where the case trains nothing, or another run lies in the folder.
     """
-    from ..commands import load, remarks
-
     began = time.perf_counter()
     loaded = load(asked)
     remarks(loaded.case.notes, tell)
@@ -69,7 +67,7 @@ def solve_seeds(
     return carried_out(best, True, tell, time.perf_counter(), beside)
 
 
-def _numbers(loaded: "Loaded", seeds: int | Sequence[int]) -> list[int]:
+def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
     if not isinstance(seeds, int):
         return list(seeds)
     training = loaded.data.get("training")
@@ -79,7 +77,7 @@ def _numbers(loaded: "Loaded", seeds: int | Sequence[int]) -> list[int]:
     return list(range(first, first + seeds))
 
 
-def _ready(loaded: "Loaded", out: Path, seed: int, wanted: Wanted) -> Ready:
+def _ready(loaded: Loaded, out: Path, seed: int, wanted: Wanted) -> Ready:
     """The run of one seed in its own folder."""
     folder = out / TABLE / str(seed)
     kept, given = folder / run_folder.START, wanted.policy

@@ -13,8 +13,7 @@ from snapo.case.error import CaseError
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import read_case, resolve
 from snapo.domains.pharma.recipe.optimise import optimise, varies
-from snapo.domains.pharma.recipe.optimum import ACTIVE, Traced, best, optimum
-from snapo.domains.pharma.recipe.watch import Limits
+from snapo.domains.pharma.recipe.optimum import ACTIVE, Limits, Traced, best, optimum
 
 EXAMPLE = Path(__file__).parents[4] / "examples" / "plug_flow"
 

@@ -6,7 +6,7 @@ those by numbers that act on it.
 """
 
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import Any, Literal, NamedTuple, Protocol
 
 import equinox as eqx
 import jax
@@ -25,10 +25,8 @@ from snapo.problem.smooth import Exact
 from ..given import Entry
 from ..time.marching import mesh_march
 from ..units.operation import Timed, timed
+from .case import PharmaCase
 from .flow import flow, problem_of
-
-if TYPE_CHECKING:
-    from .process import Process
 
 ENGINE = Native("float64", threads=1)  # threads work on chunks of batches
 
@@ -81,13 +79,26 @@ class _Leg(NamedTuple):
     enter: Callable
 
 
+class Batches(Protocol):
+    """What marching asks of a process: `flowsheet.process.Process`."""
+
+    @property
+    def case(self) -> PharmaCase: ...
+
+    def given(self) -> dict[str, Any]: ...
+
+    def shifted(self, changes: Any, entries: Sequence[Entry], inputs: Any) -> dict: ...
+
+    def of_measures(self, measures: dict[str, Any]) -> Any: ...
+
+
 class Marches:
     """Attributes of many batches on the mesh, and their derivatives by `by`, at draws of `entries`.
 
     Raises `engine.Unsupported`, when called, where the native engine cannot run a unit.
     """
 
-    def __init__(self, process: "Process", entries: Sequence[Entry], by: Sequence[Entry]):
+    def __init__(self, process: Batches, entries: Sequence[Entry], by: Sequence[Entry]):
         self.process, self.entries, self.by = process, tuple(entries), tuple(by)
         self.legs: dict[str, _Leg] = {}
         with jax.enable_x64(True):
