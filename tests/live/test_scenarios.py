@@ -87,10 +87,10 @@ def test_there_is_an_end_to_them(kept, monkeypatch):
 
 
 def test_a_scenario_alone_holds_every_number(kept):
-    rows = [{"label": "2021-05", "value": 7.0, "standard_error": 0.5}]
-    deltas = [{"input": "curve", "effect": 3.0, "standard_error": 0.2, "rows": rows}]
+    rows = [{"label": "2021-05", "value": 7.0, "low": 6.0, "high": 8.0}]
+    deltas = [{"input": "curve", "effect": 3.0, "low": 2.5, "high": 3.5, "rows": rows}]
     found = kept.keep("a", {"curve": [1.0, 2.5]}, {"value": VALUE, "deltas": deltas})
     table = list(csv.reader(io.StringIO(kept.one(found))))
-    assert table[1] == ["value", "", "", "12.5", "0.5"]
-    assert ["moved", "curve", "2", "2.5", ""] in table
-    assert table[-1] == ["delta", "curve", "2021-05", "7.0", "0.5"]
+    assert table[1] == ["value", "", "", "12.5", "0.5", "", ""]
+    assert ["moved", "curve", "2", "2.5", "", "", ""] in table
+    assert table[-1] == ["delta", "curve", "2021-05", "7.0", "", "6.0", "8.0"]

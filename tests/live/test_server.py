@@ -230,9 +230,9 @@ def test_what_is_shown_is_taken_away(tmp_path):
                     return await answer.read()
 
             table = (await got(f"shown/{name}-4.csv")).decode().splitlines()
-            assert table[1] == "value,,,1.0,0.1" and "chosen,unmet,waits,," in table
-            assert "moved,'=a,1,2.5," in table
-            assert (await got("shown/run.csv")).decode().splitlines()[1] == "value,,,2.0,0.5"
+            assert table[1] == "value,,,1.0,0.1,," and "chosen,unmet,waits,,,," in table
+            assert "moved,'=a,1,2.5,,," in table
+            assert (await got("shown/run.csv")).decode().splitlines()[1] == "value,,,2.0,0.5,,"
             packed = zipfile.ZipFile(io.BytesIO(await got(f"case/{name}-4.zip")))
             assert packed.namelist() == ["case/case.toml"]
             assert await got("case/run.xlsx") == b'kind = "x"\n'

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from tests.miniatures import MINIATURES
 
-from snapo.live.terms import derivatives
+from snapo.live.terms import Deltas, derivatives
 from snapo.solver.measure.measure import Run, measure
 from snapo.solver.solution import Solution
 from snapo.solver.train import begin
@@ -93,21 +93,29 @@ def test_the_page_shows_what_solve_finds(kind, worker, solved, tmp_path):
         name: (factor * np.array(inputs[name])).tolist() for name, factor in MOVED[kind].items()
     }
     found = worker.tables(1, moved)
-    worker.ask(do="write", n=1, values=moved, folder=str(tmp_path / "case"))
-    assert worker.hear("written", "refused")["stage"] == "written"
-
-    loaded = commands.load(commands.Asked(tmp_path / "case", (), MINIATURES[kind].simulator))
-    setup = loaded.domain.study(loaded.case, Options()).setup()
-    policy = Solution.load(solved(kind) / "run", like=setup.policy).policy
-    state = replace(begin(policy, setup.training), best=policy)
-    # The figures of the page alone: no smooth derivatives and no moves that judge.
-    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
-    solved_anew = measure(Run(setup.problem, policy, state, setup.training, asked, setup.engines))
+    run = solved(kind) / "run"
+    solution, _, at_run = measured(worker, kind, run, {}, tmp_path / "case")
+    _, setup, solved_anew = measured(worker, kind, run, moved, tmp_path / "moved")
     assert found["value"]["value"] == solved_anew["value"]
     assert found["value"]["standard_error"] == solved_anew["standard_error"]
-    held = derivatives(solved_anew["sensitivities"].held, setup.problem.named)
-    assert found["deltas"] == json.loads(json.dumps(plain_json(held)))
+    held = [each["sensitivities"].held for each in (at_run, solved_anew)]
+    table = derivatives(Deltas(solution.sensitivities, *held), setup.problem.named)
+    assert found["deltas"] == json.loads(json.dumps(plain_json(table)))
     assert found["value"]["value"] != worker.ready["base"]["value"]["value"]
+
+
+def measured(worker, kind, run, values, folder):
+    """The run's solution, and the page's case with these values as `solve` measures it."""
+    worker.ask(do="write", n=1, values=values, folder=str(folder))
+    assert worker.hear("written", "refused")["stage"] == "written"
+    loaded = commands.load(commands.Asked(folder, (), MINIATURES[kind].simulator))
+    setup = loaded.domain.study(loaded.case, Options()).setup()
+    solution = Solution.load(run, like=setup.policy)
+    state = replace(begin(solution.policy, setup.training), best=solution.policy)
+    # The figures of the page alone: no smooth derivatives and no moves that judge.
+    asked = replace(setup.evaluation, smooth_paths=0, judge_paths=0, selection_paths=0)
+    of = Run(setup.problem, solution.policy, state, setup.training, asked, setup.engines)
+    return solution, setup, measure(of)
 
 
 def test_refusals_come_in_the_words_of_the_case_format(worker):

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-HEADER = ("what", "input", "label", "number", "standard_error")
+HEADER = ("what", "input", "label", "number", "standard_error", "low", "high")
 
 
 def csv_of(rows: Iterable[Sequence[Any]]) -> str:
@@ -28,9 +28,16 @@ def _cell(value: Any) -> Any:
 def shown(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     """Everything that the page shows, one number in each row, under `HEADER`.
 
-    `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen".
+    `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen". A derivative
+    has the limits of its interval in place of a standard error.
     """
     yield HEADER
+    for row in _numbers(tables):
+        yield (*row, *(None,) * (len(HEADER) - len(row)))
+
+
+def _numbers(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
+    """The rows, without the columns that end them empty."""
     found = tables.get("value") or {}
     yield ("value", "", "", found.get("value"), found.get("standard_error"))
     yield ("change", "", "", found.get("change"), found.get("change_error"))
@@ -42,9 +49,9 @@ def shown(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     yield from _sections(tables)
     for each in tables.get("deltas") or []:
         of = f"{each['of']} by {each['input']}" if "of" in each else each["input"]
-        yield ("move", of, "", each["effect"], each["standard_error"])
+        yield ("move", of, "", each["effect"], None, each["low"], each["high"])
         for row in each["rows"]:
-            yield ("delta", of, row["label"], row["value"], row["standard_error"])
+            yield ("delta", of, row["label"], row["value"], None, row["low"], row["high"])
     for each in tables.get("fans") or []:
         for key in ("mean", "p05", "p25", "p75", "p95"):
             for i, number in enumerate(each[key]):

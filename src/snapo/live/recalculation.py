@@ -12,6 +12,8 @@ from .case.places import Places
 from .moves import NONE, Anew, Chosen, Moves, Values
 from .terms import handles
 
+EXACT = {"low": None, "high": None}  # a derivative without noise has no interval
+
 
 class Recalculation(Moves):
     """A run that trains nothing: its figures at other inputs, as its domain calculates them."""
@@ -67,7 +69,7 @@ class Recalculation(Moves):
         """Derivatives by what is moved together."""
         numbers = [each["value"] for each in row["rows"]]
         rows = [
-            {"label": label, "value": sum(numbers[i] for i in at), "standard_error": None}
+            {"label": label, "value": sum(numbers[i] for i in at), **EXACT}
             for label, at in handles(self.named[row["input"]])
         ]
         return row | {"rows": rows}

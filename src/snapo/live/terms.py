@@ -3,15 +3,17 @@
 import datetime
 import re
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.problem.inputs import Input
 from snapo.report.quantity import raised
-from snapo.solver.derivatives.interval import Reported
+from snapo.solver.derivatives.bump import one_percent
+from snapo.solver.derivatives.interval import Interval, Reported
+from snapo.solver.derivatives.verdict import plain
 from snapo.solver.sensitivity import Sensitivities
-from snapo.solver.statistics import Estimate
+from snapo.solver.statistics import LEVEL, Estimate, critical
 
 MOST_DAYS = 62  # dates that are handles of their own; more of them are moved by month
 MOST_ROWS = 60  # of one input in a table of derivatives
@@ -89,9 +91,49 @@ def _slopes(derivative: Reported) -> np.ndarray:
     return by * (whole / square) if square and np.isfinite(whole) else np.zeros(by.size)
 
 
-def derivatives(held: Mapping[str, Estimate], named: Mapping[str, Input]) -> list[dict[str, Any]]:
+class Deltas(NamedTuple):
+    """The derivatives at moved inputs: those that the run reports, and by how much the held ones
+    changed since, on the same paths.
+
+    - `table`: of the run, None where it has none.
+    - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at these;
+      the same where nothing moved.
+    """
+
+    table: Sensitivities | None
+    before: Mapping[str, Estimate]
+    now: Mapping[str, Estimate]
+
+    def along(self, name: str, direction: np.ndarray, by: np.ndarray) -> Interval:
+        """The derivative along a direction of an input, with its 95 % interval; `by`: a bump.
+
+        What the run knows of its policy's error, and of a reaction that held derivatives miss,
+        stands as it is at the run's inputs.
+        """
+        now, before = self.now[name], self.before.get(name)
+        known = self.table is not None and name in self.table.inputs
+        if not known or before is None or before.blocks.shape != now.blocks.shape:
+            return plain(now, by).along(direction)
+        reported = self.table.of(name).along(direction)
+        if now is before:
+            return reported
+        change, error = Estimate(now.blocks - before.blocks).along(direction)
+        blocks = len(now.blocks)
+        error = critical(blocks - 1, LEVEL) * error if blocks > 1 else 0.0
+        sampling = float(np.hypot(reported.sampling, error))
+        wider = sampling - reported.sampling
+        return Interval(
+            reported.value + change,
+            reported.low + change - wider,
+            reported.high + change + wider,
+            sampling,
+            reported.policy,
+        )
+
+
+def derivatives(deltas: Deltas, named: Mapping[str, Input]) -> list[dict[str, Any]]:
     """A row for each input: the effect of its move, and of one unit more at every handle."""
-    return [_derivative(name, given, held[name]) for name, given in named.items()]
+    return [_derivative(name, deltas, named[name]) for name in named]
 
 
 def usual(given: Input) -> np.ndarray:
@@ -101,13 +143,16 @@ def usual(given: Input) -> np.ndarray:
     return np.full(given.value.shape, given.move)
 
 
-def _derivative(name: str, given: Input, found: Estimate) -> dict[str, Any]:
-    shape, size = given.value.shape, given.value.size
-    effect, error = found.along(usual(given))
-    rows = []
-    for label, at in handles(given)[:MOST_ROWS]:
-        direction = np.zeros(size)
-        direction[at] = 1.0
-        value, spread = found.along(direction.reshape(shape))
-        rows.append({"label": label, "value": value, "standard_error": spread})
-    return {"input": name, "effect": effect, "standard_error": error, "rows": rows}
+def _derivative(name: str, deltas: Deltas, of: Input) -> dict[str, Any]:
+    bump, rows = one_percent(of), []
+    for label, positions in handles(of)[:MOST_ROWS]:
+        direction = np.zeros(of.value.size)
+        direction[positions] = 1.0
+        interval = deltas.along(name, direction.reshape(of.value.shape), bump)
+        rows.append({"label": label, "value": interval.value, **_limits(interval)})
+    effect = deltas.along(name, usual(of), bump)
+    return {"input": name, "effect": effect.value, **_limits(effect), "rows": rows}
+
+
+def _limits(interval: Interval) -> dict[str, float]:
+    return {"low": interval.low, "high": interval.high}

@@ -1,8 +1,8 @@
 """The trained policy of a run, valued at other inputs: what the page shows.
 
-Every number is that of `snapo solve` of the moved case with the same policy, seed and numbers of
+The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
 paths, to the bits: the same functions on the same scenarios, with guide and control variate of the
-new case.
+new case. The derivatives are those that the run reports, and what the held ones change by.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -23,6 +23,7 @@ from snapo.solver.evaluate import Value, estimate, kept, worth_of_groups
 from snapo.solver.finite_paths import finite
 from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
+from snapo.solver.statistics import Estimate
 from snapo.solver.train import begin, train
 from snapo.study.parts.profile import KINDS, MOST_ENTRIES, bands, leaves
 from snapo.study.study import Measured, Setup, Study
@@ -32,7 +33,7 @@ from .case.refusals import MOST, no_value
 from .counts import Counts
 from .moves import NONE, Anew, Chosen, Moves, Values
 from .rolled import Rolled, roll, totals_of
-from .terms import derivatives, slopes
+from .terms import Deltas, derivatives, slopes
 
 HEALTH_PATHS, BOUND_PATHS = 1024, 512
 TOLD = 12  # times that a training tells how far it is
@@ -50,6 +51,7 @@ class Valuation(Moves):
         self.solution, self.counts = solution, counts
         self.slopes = slopes(solution.sensitivities, self.named)
         self._base: np.ndarray | None = None
+        self._held: dict[str, Estimate] | None = None
         self._trained: tuple[float, float] | None = None
         self._variants: dict[str, tuple[Study, Setup]] = {}
         self._last = self.setup
@@ -79,7 +81,7 @@ class Valuation(Moves):
             groups = source.groups(np.arange(source.available(self.counts.value)))
             found = study.shown(Measured(setup, rolled.totals, groups))
             yield "sections", [each._asdict() for each in found]
-        yield "deltas", self._deltas(setup, rolled)
+        yield "deltas", self._deltas(setup, rolled, bool(changed or chosen))
         if study.today is not None:
             yield "today", study.today(setup, policy)._asdict()
         yield "fans", fans(rolled.shown)
@@ -199,15 +201,26 @@ class Valuation(Moves):
         assert policy is not None
         return _worth(setup, totals_of(setup, policy, self.counts.value))
 
-    def _deltas(self, setup: Setup, rolled: Rolled) -> list[dict[str, Any]]:
+    def _deltas(self, setup: Setup, rolled: Rolled, differs: bool) -> list[dict[str, Any]]:
+        """The reported derivatives, with their intervals."""
+        if differs and self._held is None:
+            policy = self.solution.policy
+            assert policy is not None
+            self._held = self._held_at(self.setup, roll(self.setup, policy, self.counts))
+        now = self._held_at(setup, rolled) if differs or self._held is None else self._held
+        self._held = now if self._held is None else self._held
+        return derivatives(
+            Deltas(self.solution.sensitivities, self._held, now), setup.problem.named
+        )
+
+    def _held_at(self, setup: Setup, rolled: Rolled) -> dict[str, Estimate]:
         policy = self.solution.policy
         assert policy is not None
-        found = sensitivities(
+        return sensitivities(
             setup.problem, policy, self.counts.deltas,
             engine=setup.engines.evaluate, actions=rolled.actions,
             totals=None if rolled.actions is None else rolled.totals,
-        )  # fmt: skip
-        return derivatives(found.held, setup.problem.named)
+        ).held  # fmt: skip
 
     def _health(self, setup: Setup) -> dict[str, Any]:
         """How far the policy is from its best here, against where it was trained.

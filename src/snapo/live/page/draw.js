@@ -90,19 +90,18 @@ export function fan(width, series, before, labels) {
   return chart.svg;
 }
 
-// A bar for each row, with its standard error, and the run's own as an outline.
+// A bar for each row, with its interval, and the run's own as an outline.
 export function bars(width, rows, before, label) {
-  const numbers = rows.flatMap((row, i) => [row.value - 2 * (row.standard_error || 0), row.value + 2 * (row.standard_error || 0), before?.[i]?.value ?? 0]);
+  const numbers = rows.flatMap((row, i) => [row.value ?? 0, row.low ?? 0, row.high ?? 0, before?.[i]?.value ?? 0]);
   const low = Math.min(0, ...numbers), high = Math.max(0, ...numbers), pad = (high - low || 1) * 0.03;
   const chart = frame(width, 230, low - (low < 0 ? pad : 0), high + (high > 0 ? pad : 0), label);
   const slot = (chart.right - chart.left) / rows.length, wide = Math.min(46, slot * 0.66);
   const x = (i) => chart.left + (i + 0.5) * slot;
   const bar = (v, i, name) => chart.svg.append(node("rect", { class: name, x: x(i) - wide / 2, width: wide, y: Math.min(chart.y(0), chart.y(v)), height: Math.max(0.5, Math.abs(chart.y(v) - chart.y(0))) }));
   rows.forEach((row, i) => {
-    bar(row.value, i, "bar");
-    if (before?.[i]) bar(before[i].value, i, "ghost");
-    const half = 2 * (row.standard_error || 0);
-    chart.svg.append(node("line", { class: "whisker", x1: x(i), x2: x(i), y1: chart.y(row.value - half), y2: chart.y(row.value + half) }));
+    if (row.value !== null) bar(row.value, i, "bar");
+    if (Number.isFinite(before?.[i]?.value)) bar(before[i].value, i, "ghost");
+    if (row.low !== null) chart.svg.append(node("line", { class: "whisker", x1: x(i), x2: x(i), y1: chart.y(row.low), y2: chart.y(row.high) }));
   });
   below(chart.svg, rows.map((row) => row.label || ""), x, chart.bottom, chart.right - chart.left);
   return chart.svg;
@@ -112,9 +111,9 @@ export function bars(width, rows, before, label) {
 export function tornado(width, rows) {
   // Where a name would be cut off, names stand above their bars.
   const side = Math.max(44, ...rows.map((row) => row.shown.length * 6.2 + 8)); // beside a bar: its number
-  const up = rows.some((row) => row.effect > 0), down = rows.some((row) => row.effect < 0);
+  const up = rows.some((row) => row.effect > 0 || row.high > 0), down = rows.some((row) => row.effect < 0 || row.low < 0);
   const over = rows.some((row) => row.short.length > Math.floor((width * 0.5) / 6.1)) || width * 0.5 < (up && down ? 2 : 1) * side + 24;
-  const line = over ? 40 : 24, drop = over ? 16 : 0, most = Math.max(1e-300, ...rows.map((row) => Math.abs(row.effect)));
+  const line = over ? 40 : 24, drop = over ? 16 : 0, most = Math.max(1e-300, ...rows.flatMap((row) => [row.effect, row.low ?? 0, row.high ?? 0].map(Math.abs)));
   const names = over ? 0 : width * 0.5, room = width - names - 8;
   const middle = names + (up && down ? room / 2 : down ? room : 4);
   const half = (up && down ? room / 2 : room - 4) - side;
@@ -131,7 +130,9 @@ export function tornado(width, rows) {
     text.append(node("title", {}, row.name));
     svg.append(text);
     svg.append(node("rect", { class: "bar", x: row.effect < 0 ? middle - length : middle, width: length, y, height: 15 }));
-    const after = row.effect < 0 ? middle - length - 5 : middle + length + 5;
+    const reach = (effect) => middle + (effect / most) * Math.max(6, half);
+    if (row.low !== null) svg.append(node("line", { class: "whisker", x1: reach(row.low), x2: reach(row.high), y1: y + 7.5, y2: y + 7.5 }));
+    const after = row.effect < 0 ? Math.min(middle - length, reach(row.low ?? 0)) - 5 : Math.max(middle + length, reach(row.high ?? 0)) + 5;
     svg.append(node("text", { x: after, y: y + 12, "text-anchor": row.effect < 0 ? "end" : "start" }, row.shown));
   });
   return svg;

@@ -308,23 +308,23 @@ function deltas(found) {
   at("deltas").hidden = false;
   const name = at("delta-input").value, input = page.inputs.find((each) => each.name === name), of = at("delta-of").value;
   const mine = found.filter((each) => !of || each.of === of);
-  const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, value: row.value / input.factor, standard_error: row.standard_error === null ? null : row.standard_error / input.factor }));
+  const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, ...Object.fromEntries(["value", "low", "high"].map((key) => [key, row[key] === null ? null : row[key] / input.factor])) }));
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}, decisions held; outlines: the run's inputs; lines: two standard errors.${reported(input)}`;
+  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${page.unit || "Value"} per ${per}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
   const number = alike([...rows, ...base].map((row) => row.value));
-  const head = element("tr", {}, ...["", "now", "standard error", "the run's"].map((text) => element("th", { scope: "col" }, text)));
-  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), number(row.value), shown(row.standard_error, 3), number(base[i].value)].map((text) => element("td", {}, text)))));
+  const head = element("tr", {}, ...["", "now", "low", "high", "the run's"].map((text) => element("th", { scope: "col" }, text)));
+  at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), ...[row.value, row.low, row.high, base[i].value].map(number)].map((text) => element("td", {}, text)))));
   const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
-  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, shown: signed(each.effect, 4) }))));
+  drawn(at("tornado"), (width) => tornado(width, effects.slice(0, 14).map(({ each, input }) => ({ name: `${label(input)}, ${by(input)}`, short: label(input), effect: each.effect, low: each.low, high: each.high, shown: signed(each.effect, 4) }))));
 }
 
-// What the run reported for an input, where that is not the derivative with the decisions held.
+// Where the derivative of an input comes from, unless it is that with the decisions held.
 const reported = (input) => ({
-  "through the policy": " At the run's inputs a bump refuted this derivative: the run reports the bump, which the first-order change here follows.",
-  "range": " At the run's inputs more and less of this input differ: the run reports the range between them.",
-  "not known": " At the run's inputs the derivative with respect to this input is not known.",
+  "through the policy": " With the decisions held it was refuted by a bump: the run's is the bump, elsewhere it changes as the held one does.",
+  "range": " More and less of this input differ at the run's inputs: the interval holds both.",
+  "not known": " The derivative with respect to this input is not known.",
 })[input.source] ?? "";
 
 const by = (input) => (input.move === null ? "+1 %" : `${signed(input.move * input.factor, 3)} ${one(unit(input), input.move * input.factor)}`.trim());

@@ -146,10 +146,10 @@ def _deltas(process: Process) -> Iterator[dict[str, Any]]:
             slope = np.array([by[name, i] for i in range(each.value.size)])
             move = 0.01 * each.value if each.move is None else np.full(each.value.size, each.move)
             rows = [
-                {"label": label, "value": value, "standard_error": None}
+                {"label": label, "value": value, "low": None, "high": None}
                 for label, value in zip(each.names(), slope.tolist())
             ]
             yield {
                 "of": attribute.name, "of_unit": attribute.unit, "input": name,
-                "effect": float(slope @ move.ravel()), "standard_error": None, "rows": rows,
+                "effect": float(slope @ move.ravel()), "low": None, "high": None, "rows": rows,
             }  # fmt: skip
