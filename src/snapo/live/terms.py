@@ -114,6 +114,7 @@ class Deltas(NamedTuple):
         known = self.table is not None and name in self.table.inputs
         if not known or before is None or before.blocks.shape != now.blocks.shape:
             return plain(now, by).along(direction)
+        assert self.table is not None
         reported = self.table.of(name).along(direction)
         if now is before:
             return reported
