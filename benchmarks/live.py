@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
-from snapo.live.reopen import open_run
 from snapo.live.terms import handles, usual
+from snapo.live.worker import open_run
 
 MOVES = 50
 SHOWN = ("value", "deltas", "today", "fans")

@@ -14,8 +14,8 @@ from snapo.live.case.files import read_files
 from snapo.live.case.places import Places
 from snapo.live.moves import Moves
 from snapo.live.recalculation import Recalculation
-from snapo.live.reopen import open_run
 from snapo.live.valuation import Valuation
+from snapo.live.worker import open_run
 from snapo.solver.measure.measure import Run, measure
 from snapo.solver.train import begin
 from snapo.study import commands

@@ -10,9 +10,8 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.live.case.refusals import no_value, stopped
 from snapo.live.counts import Counts
-from snapo.live.reopen import open_run
 from snapo.live.valuation import Valuation
-from snapo.live.worker import in_words
+from snapo.live.worker import in_words, open_run
 from snapo.problem.inputs import Input
 
 POINTS = Input(0.1, "1", trade_unit="points", trade_factor=100)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from snapo.live.case.titles import title
+from snapo.live.case.choices import title
 
 TABLES = {
     "kind": "pharma",

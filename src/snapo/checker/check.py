@@ -9,10 +9,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import jax
+import numpy as np
 from jaxtyping import PyTree
 
+from snapo.engine import Xla
 from snapo.problem.code.version import following
 from snapo.problem.limits import Limit
+from snapo.problem.noise import Stored
 from snapo.problem.objective import Mean, Objective, Weighted
 from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
@@ -24,19 +27,33 @@ from snapo.problem.unseen import words
 from .arrays.indices import within
 from .arrays.moving import moving_indices
 from .arrays.slices import short_slices
-from .arrays.tables import tables
+from .arrays.tables import TABLE, tables
 from .bumps import bumped
 from .effects import reached, stopped_once, used
 from .findings import Findings, Notes, Stop
 from .jumps import jumps
 from .loops import loops
 from .lost import lost_derivatives
-from .precision import both_precisions
 from .program.points import moments
 from .repeatable import repeatable
-from .rollout import observed, rolled
+from .rollout import Run, observed, rolled
 from .shapes import declared, one_step, prepared
 from .wanted import wanted
+
+
+def both_precisions(notes: Notes, simulator: Simulator, run: Run) -> None:
+    """Rolls two of the paths in float32, then in float64, as training and evaluation do."""
+    draws = Stored(run.draws.initial_noise[:2], run.draws.step_noise[:, :2])  # pyright: ignore
+    weights = {name: np.full(2, 0.5) for name in run.totals}
+    given = (simulator, run.policy, run.schedule, draws, run.smooth, weights)
+    for precision in ("float32", "float64"):
+        engine = Xla(precision=precision)
+        try:
+            jax.block_until_ready(engine.adjoint(*given).totals)
+        except Exception as error:
+            where, what, _ = notes.explained(error, "step")
+            notes.error(where, f"It fails in {precision} after the other precision. {what}", TABLE)
+            return
 
 
 def check(

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.solver.relaxations.basis import MOST, exponents
 from snapo.solver.relaxations.decisions import NotStopping, decisions
 from snapo.solver.relaxations.known import relaxation_of
+from snapo.solver.relaxations.value import MOST, exponents
 
 STRIKE, RATE, VOLATILITY, DATES = 40.0, 0.06, 0.2, 4
 STEP = 1 / DATES

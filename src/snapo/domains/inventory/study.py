@@ -8,18 +8,35 @@ from snapo.study.parts.certificate import CERTIFICATE
 from snapo.study.parts.distribution import distribution_part
 from snapo.study.parts.moves import MOVES
 from snapo.study.parts.profile import profile_part
-from snapo.study.study import Study
+from snapo.study.study import Part, Study, StudyRun
 from snapo.study.training import TRAINING
 
 from .item.records import InventoryCase
 from .item.simulator import AVERAGES, OUTPUTS, InventorySimulator, inputs_of
 from .results.lead_time import LEAD_TIME
 from .results.levels import LEVELS, today
+from .results.measured import Measured
 from .results.rivals import RIVALS
-from .results.service import SERVICE
 from .results.shown import service_and_costs
-from .setup import make_setup, moved_setup
+from .setup import case_of, make_setup, moved_setup
 from .told import about, result, without_references
+
+COSTS = ("holding", "shortage", "purchase", "ordering")
+
+
+def work(run: StudyRun) -> dict[str, Any]:
+    """ "service": {name: {"value", "standard_error"}} of fill rate (demand met from stock at once),
+    cycle service (replenishment cycles without unmet demand), periods without unmet demand, stock
+    at the end of a period, orders a period, units of an order, demand a period; "costs": one row
+    per part of the cost."""
+    case, found = case_of(run.setup), Measured.of(run)
+    more = {"orders": found.total("orders"), "order_size": found.ratio("ordered", "orders")}
+    kept = [name for name in COSTS if case.item.cost(name) > 0]
+    costs = [{"name": name, **found.total(name)} for name in kept]
+    return {"service": found.service() | more, "costs": costs}
+
+
+SERVICE = Part("service", work, needs=("training",))
 
 KIND = "inventory"
 

@@ -7,7 +7,7 @@ from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 from snapo.case.error import CaseError
 from snapo.domains.pharma.control.parts import better, rates
 from snapo.domains.pharma.control.stages import decided, staged
-from snapo.domains.pharma.results.headline import verdict
+from snapo.domains.pharma.study import verdict
 from snapo.problem.scenarios import Pseudo
 
 

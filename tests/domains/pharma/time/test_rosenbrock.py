@@ -11,7 +11,7 @@ from tests.domains.pharma.process_cases import constant
 
 from snapo.domains.pharma.time import rosenbrock
 from snapo.domains.pharma.time.dynamics import Dynamics
-from snapo.domains.pharma.time.linear import WRITTEN_OUT, factorised, solve
+from snapo.domains.pharma.time.rosenbrock import WRITTEN_OUT, factorised, solve
 from snapo.domains.pharma.time.step_choice import choose, times_of
 from snapo.domains.pharma.time.stiff import limit_of, stepped, steps_of
 
