@@ -18,7 +18,7 @@ from ..prices.registry import check_curve, read_prices
 from .contract import decision_days, pays_by_price, read_contract
 from .limits import read_limits
 from .market import read_market
-from .plausible import check_plausible, free_money
+from .plausible import check_plausible, end_too_early, free_money, unit_slips
 from .tables import ContractTable, MarketTable, StorageTable
 
 
@@ -72,7 +72,9 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     check_plausible(case)
     if not expired:
         check_feasible(case)
-    return dataclasses.replace(case, notes=(*case.notes, *free_money(case)))
+    early = end_too_early(case.start, case.end)
+    more = (*([early] if early else []), *unit_slips(case, data), *free_money(case))
+    return dataclasses.replace(case, notes=(*case.notes, *more))
 
 
 def _parse_both(top: StorageTable, file: str) -> tuple[ContractTable, MarketTable]:

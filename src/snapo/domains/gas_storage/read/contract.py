@@ -10,6 +10,7 @@ import numpy as np
 from snapo.case.csv import Mention, read_rows
 from snapo.case.dates import dated, ordinals, single
 from snapo.case.given import Given
+from snapo.case.plausible import more
 from snapo.case.table import Section
 
 from ..contract.end import EndRule, LevelAtEnd, PriceAtEnd, ValueAtEnd
@@ -111,6 +112,12 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[Given, 
     when = ordinals(dates) - valuation.toordinal()
     # Nothing is owed any more when the contract has ended, nor amounts due before today.
     due = np.flatnonzero((when >= 0) & (valuation <= table.end))
+    before = [row for row, day in zip(rows, when) if day < 0 and valuation <= table.end]
+    if before:
+        section.notes.append(
+            f"{table.fixed_costs}, line {before[0].line}: the amount of {before[0].day('date')} is "
+            f"due before the valuation date, {valuation}{more(len(before) - 1)}: it does not count."
+        )
     labels = tuple(date.isoformat() for date in dates)
     said: dict[str, Any] = {"group": "cost", "words": "amounts owed in any case"}
     return Given("fixed_costs", values, labels, table.currency, due, **said), when[due]

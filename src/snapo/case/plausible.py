@@ -1,0 +1,295 @@
+"""Ranges outside which a number is likely to be in another unit: a note, never a refusal.
+
+A domain declares `Plausible` ranges by name, or by group and unit; `implausible` walks the numbers
+of a case and writes one note for each input that has a number outside of its range, or, along a
+curve, far from its neighbours.
+
+    RATE = Plausible(-0.02, 0.2, "fractions are meant, 0.02 is 2 %", group="interest rate")
+    notes = implausible(inputs, [RATE], CaseFiles(file, data))
+
+A zero is the same number in every unit and is never noted. The position of a number is found among
+the cells of the case's files: the one that holds it and has the most in common with its input.
+"""
+
+import math
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from .csv import NUMBER, Mention, read_rows
+from .error import CaseError
+from .table import Section
+
+AROUND = 4  # neighbours along a curve with which a number is compared
+FRACTION = "fractions are meant, 0.02 is 2 %"
+EXACT = 1e-9  # relative, between a number and its text
+TABLES = (".csv", ".parquet")
+
+
+class Numbers(NamedTuple):
+    """The numbers of an input, as all checks of this module read them.
+
+    - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
+    - `display_unit`, `display_factor`: the unit of the trade, and how many of it make one `unit`.
+    - `source`: the input that they are made from; they are not noted where that one is.
+    """
+
+    name: str
+    values: np.ndarray
+    labels: tuple[str, ...]
+    unit: str = ""
+    group: str = ""
+    display_unit: str = ""
+    display_factor: float = 1.0
+    written: np.ndarray | None = None
+    source: str = ""
+
+
+def numbers(entry: Any, name: str = "") -> Numbers:
+    """The numbers of an input of a case or of a simulator; `name` where it has none of its own."""
+    if isinstance(entry, Numbers):
+        return entry
+    values = entry.values if hasattr(entry, "values") else entry.value
+    values = np.asarray(values, np.float64).ravel()
+    labels = tuple(entry.labels)
+    if not labels:
+        labels = ("",) if values.size == 1 else tuple(map(str, range(values.size)))
+    return Numbers(
+        getattr(entry, "name", "") or name,
+        values,
+        labels,
+        entry.unit,
+        entry.group,
+        getattr(entry, "display_unit", "") or getattr(entry, "trade_unit", ""),
+        getattr(entry, "display_factor", None) or getattr(entry, "trade_factor", 1.0),
+    )
+
+
+@dataclass(frozen=True)
+class Plausible:
+    """The range of a kind of numbers, in the unit of the input.
+
+    It is of the inputs among `names`, of its `group` and `unit`, and with a name that ends in one
+    of `endings`, as far as these are set.
+
+    - `hint`: a clause that says which unit is meant.
+    - `ratio`: the largest ratio between a number and its neighbours along the curve.
+    - `by_size`: the range is of absolute values: the sign means something else.
+    """
+
+    low: float
+    high: float
+    hint: str
+    names: tuple[str, ...] = ()
+    group: str = ""
+    unit: str = ""
+    endings: tuple[str, ...] = ()
+    ratio: float = math.inf
+    by_size: bool = False
+
+    def fits(self, entry: Numbers) -> bool:
+        """Whether the range is of this input."""
+        return (
+            (not self.names or entry.name in self.names)
+            and self.group in ("", entry.group)
+            and self.unit in ("", entry.unit)
+            and (not self.endings or entry.name.endswith(self.endings))
+        )
+
+    def outside(self, values: np.ndarray) -> np.ndarray:
+        """Positions of the numbers outside of the range."""
+        size = np.abs(values) if self.by_size else values
+        return np.flatnonzero(~((size >= self.low) & (size <= self.high)) & (values != 0))
+
+
+def implausible(
+    entries: Iterable[Any], ranges: Sequence[Plausible], files: "CaseFiles"
+) -> Iterator[str]:
+    """One note for each input that has implausible numbers; the first range that fits counts."""
+    noted: set[str] = set()
+    for entry in map(numbers, entries):
+        range_ = next((each for each in ranges if each.fits(entry)), None)
+        if range_ is None or not noted.isdisjoint((entry.name, entry.source)):
+            continue
+        note = _outside(entry, range_, files) or _apart(entry, range_, files)
+        if note:
+            noted.add(entry.name)
+            yield note
+
+
+def _outside(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
+    """The note on numbers outside of the range; "" without one."""
+    rows = range_.outside(entry.values)
+    if not rows.size:
+        return ""
+    low, high = (_plain(x * entry.display_factor) for x in (range_.low, range_.high))
+    if math.isinf(range_.high):
+        limits = f"below {low}"
+    elif math.isinf(range_.low):
+        limits = f"above {high}"
+    else:
+        limits = f"outside {low} to {high}"
+    what = f"{limits} {_unit(entry)}".rstrip() + more(rows.size - 1, " of its numbers")
+    return f"{_start(entry, int(rows[0]), files)}, {what}: {range_.hint}."
+
+
+def _apart(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
+    """The note on the number that is the farthest from its neighbours; "" without one."""
+    if math.isinf(range_.ratio):
+        return ""
+    usual = around(entry.values)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        gap = np.abs(np.log(entry.values / usual))
+    gap = np.where(np.isfinite(gap), gap, 0.0)
+    row = int(np.argmax(gap)) if gap.size else 0
+    if not gap.size or gap[row] <= math.log(range_.ratio):
+        return ""
+    near = f"{_plain(usual[row] * entry.display_factor)} {_unit(entry)}".rstrip()
+    return (
+        f"{_start(entry, row, files)}, {_plain(entry.values[row] / usual[row])} times its "
+        f"neighbours of about {near}: is it in the same unit?"
+    )
+
+
+def around(values: np.ndarray) -> np.ndarray:
+    """[n] the median of the neighbours along a curve; equal numbers in a row count once.
+
+    Where there are no more than three numbers it is the median of all the others.
+    """
+    if not values.size:
+        return values
+    first = np.flatnonzero(np.concatenate([[True], values[1:] != values[:-1]]))
+    runs = values[first]
+    usual = np.full(runs.size, np.nan)
+    for i in range(runs.size):
+        near = sorted((j for j in range(runs.size) if j != i), key=lambda j: (abs(j - i), j))
+        if near:
+            usual[i] = np.median(runs[near[:AROUND]])
+    return usual[np.cumsum(np.isin(np.arange(values.size), first)) - 1]
+
+
+def _start(entry: Numbers, row: int, files: "CaseFiles") -> str:
+    """Position, name and number of the entry, in the unit of the trade and as it is written."""
+    written = entry.values if entry.written is None else entry.written
+    label = f" {entry.labels[row]}" if entry.labels[row] else ""
+    position = files.position(entry.source or entry.name, entry.labels[row], float(written[row]))
+    shown = f"{_plain(entry.values[row] * entry.display_factor)} {_unit(entry)}".rstrip()
+    if entry.display_factor != 1 and entry.written is None:
+        shown += f" ({entry.values[row]:.6g})"
+    return f"{position}: {entry.name}{label} is {shown}"
+
+
+def more(count: int, of: str = "") -> str:
+    """The clause on further numbers; "" without any."""
+    return "" if not count else f", as {'is' if count == 1 else 'are'} {count} more{of}"
+
+
+def _unit(entry: Numbers) -> str:
+    """The unit of the trade in the plural: "percentage points a day"."""
+    unit = entry.display_unit or entry.unit
+    plural = unit if re.search("[/(]", unit) else re.sub(r"\b(point|year)\b", r"\1s", unit)
+    return "" if unit == "1" else plural
+
+
+def _plain(number: float) -> str:
+    """A number with six digits and commas."""
+    size = abs(number)
+    return f"{number:.6g}" if not 1e3 <= size < 1e15 else f"{float(f'{number:.6g}'):,.10g}"
+
+
+class Cell(NamedTuple):
+    """A number in a file: its position in words, the terms of its key and column, the texts of its
+    row, and its value (NaN where a text in quotation marks holds it)."""
+
+    position: str
+    terms: frozenset[str]
+    row: tuple[str, ...]
+    value: float
+
+
+@dataclass(frozen=True)
+class CaseFiles:
+    """The files of a case, read for the position of a number when the first one is looked up.
+
+    - `data`: the tables of the TOML file `file`; the CSVs that they name are beside it.
+    """
+
+    file: Path
+    data: Mapping[str, Any]
+
+    def position(self, name: str, label: str, value: float) -> str:
+        """The position of a number of the input `name`; the name where no file has it.
+
+        Of the cells that hold the number, the one whose key, column and row have the most in
+        common with the input's name and label. Annual rates of a file are continuous in the
+        records of some cases.
+        """
+        terms = _terms(name)
+        written = (value, math.expm1(value) if abs(value) < 100 else value)
+        equal = [each for each in self._cells if _equal(each.value, written)]
+        if equal:
+            best = max(equal, key=lambda each: _likeness(each, terms, label))
+            if _likeness(best, terms, label) > (0, 0):
+                return best.position
+        keys = [each for each in self._cells if terms <= each.terms]
+        return min(keys, key=lambda each: len(each.terms)).position if keys else name
+
+    @cached_property
+    def _cells(self) -> list[Cell]:
+        return list(self._walk(self.data, ()))
+
+    def _walk(self, value: Any, path: tuple[str, ...]) -> Iterator[Cell]:
+        if isinstance(value, Mapping):
+            for key, each in value.items():
+                yield from self._walk(each, (*path, str(key)))
+        elif isinstance(value, list):
+            for i, each in enumerate(value):
+                name = each.get("name", each.get("of")) if isinstance(each, Mapping) else None
+                key = f"[{i}]" if name is None else f"[{name}]"
+                yield from self._walk(each, (*path[:-1], f"{path[-1]}{key}"))
+        elif isinstance(value, str) and value.lower().endswith(TABLES):
+            yield from self._table(value, path)
+        elif isinstance(value, int | float | str) and not isinstance(value, bool):
+            number = math.nan if isinstance(value, str) else float(value)
+            yield Cell(".".join(path), _terms(".".join(path)), (), number)
+
+    def _table(self, name: str, path: tuple[str, ...]) -> Iterator[Cell]:
+        """The cells of a CSV that the case names; none where it cannot be read as one."""
+        section = Section(self.file, ".".join(path[:-1]), [])
+        try:
+            rows = read_rows(Mention(section, path[-1], name), ())
+        except CaseError:
+            return
+        for row in rows:
+            texts = tuple(row.label(column) for column in row.cells)
+            for column, text in row.cells.items():
+                if NUMBER.fullmatch(text):
+                    terms = _terms(".".join((*path, column)))
+                    where = f"{name}, line {row.line}, column {column}"
+                    yield Cell(where, terms, texts, float(text))
+
+
+def _terms(text: str) -> frozenset[str]:
+    """The terms of a name, in the singular: "asset_cost" has "asset" and "cost"."""
+    return frozenset(
+        each.removesuffix("s") for each in re.split(r"[^a-z0-9]+", text.lower()) if each
+    )
+
+
+def _equal(value: float, written: tuple[float, ...]) -> bool:
+    return any(math.isclose(value, each, rel_tol=EXACT) for each in written)
+
+
+def _likeness(cell: Cell, terms: frozenset[str], label: str) -> tuple[int, int]:
+    """How much a cell has in common with an input: texts of its row in the label, and terms."""
+    inside = _terms(label)
+    rows = sum(
+        bool(text) and (label.startswith(text) or _terms(text) <= inside or f"{text}y" == label)
+        for text in cell.row
+    )
+    return (len(terms & cell.terms) + rows, rows)
