@@ -5,7 +5,7 @@ of a case and writes one note for each input that has a number outside of its ra
 curve, far from its neighbours.
 
     RATE = Plausible(-0.02, 0.2, "fractions are meant, 0.02 is 2 %", group="interest rate")
-    notes = implausible(inputs, [RATE], CaseFiles(file, data))
+    notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
 A zero is the same number in every unit and is never noted. The position of a number is found among
 the cells of the case's files: the one that holds it and has the most in common with its input.
@@ -29,6 +29,7 @@ AROUND = 4  # neighbours along a curve with which a number is compared
 FRACTION = "fractions are meant, 0.02 is 2 %"
 EXACT = 1e-9  # relative, between a number and its text
 TABLES = (".csv", ".parquet")
+LARGEST = 4 << 20  # bytes of a table in which a number is looked up
 
 
 class Numbers(NamedTuple):
@@ -109,17 +110,17 @@ class Plausible:
 
 def implausible(
     entries: Iterable[Any], ranges: Sequence[Plausible], files: "CaseFiles"
-) -> Iterator[str]:
-    """One note for each input that has implausible numbers; the first range that fits counts."""
-    noted: set[str] = set()
+) -> dict[str, str]:
+    """{name: note} of the inputs with implausible numbers; the first range that fits counts."""
+    notes: dict[str, str] = {}
     for entry in map(numbers, entries):
         range_ = next((each for each in ranges if each.fits(entry)), None)
-        if range_ is None or not noted.isdisjoint((entry.name, entry.source)):
+        if range_ is None or entry.name in notes or entry.source in notes:
             continue
         note = _outside(entry, range_, files) or _apart(entry, range_, files)
         if note:
-            noted.add(entry.name)
-            yield note
+            notes[entry.name] = note
+    return notes
 
 
 def _outside(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
@@ -262,8 +263,11 @@ class CaseFiles:
         """The cells of a CSV that the case names; none where it cannot be read as one."""
         section = Section(self.file, ".".join(path[:-1]), [])
         try:
+            if (self.file.parent / name).stat().st_size > LARGEST:
+                yield Cell(name, _terms(".".join(path)), (), math.nan)
+                return
             rows = read_rows(Mention(section, path[-1], name), ())
-        except CaseError:
+        except (CaseError, OSError, ValueError):
             return
         for row in rows:
             texts = tuple(row.label(column) for column in row.cells)

@@ -3,7 +3,7 @@
 import calendar
 import datetime
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -44,11 +44,11 @@ RANGES = (
 )  # fmt: skip
 
 
-def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterator[str]:
+def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
     """Notes on numbers that are likely to be in another unit; `data`: the tables of the case."""
-    inputs = {name: numbers(each, name) for name, each in storage_inputs(case).items()}
+    inputs = [numbers(each, name) for name, each in storage_inputs(case).items()]
     ranges = [*RANGES, *_by_price(case), *_by_size(case)]
-    yield from implausible(inputs.values(), ranges, CaseFiles(case.file, data))
+    return implausible(inputs, ranges, CaseFiles(case.file, data)).values()
 
 
 def _by_price(case: StorageCase) -> Iterator[Plausible]:

@@ -21,6 +21,7 @@ from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.parts import PARTS, lacking
 from ..records.plan import Plan
+from ..records.plausible import unit_slips
 from ..regulation.bases import read_funding
 from ..regulation.read import read_regulation
 from . import people, plan, tables, tables_people
@@ -33,7 +34,7 @@ from .holdings import read_credit, read_currencies, read_overlay
 from .mortality import read_lee_carter, read_mortality
 from .objective import read_objectives
 from .scenarios import read_scenarios
-from .stress import parse_shocks
+from .stress import parse_shocks, shock_sizes
 from .tables import PensionTable
 
 AnyTable = TypeVar("AnyTable", bound=Table)
@@ -197,8 +198,8 @@ def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
     kinds = [term.objective.kind for term in case.objective]
     check_window(case.training, [*kinds, *(["cvar"] if case.frontier else [])], str(file))
     known_words(str(file), "policy.observation", case.observation, tuple(FEATURES))
-    parse_shocks(case, top.stress)
-    return case
+    slips = unit_slips(case, data, shock_sizes(parse_shocks(case, top.stress)))
+    return replace(case, notes=(*case.notes, *slips.values()), slips=tuple(slips))
 
 
 def _market(reader: _Reader, grid: Grid, amount: float) -> dict[str, Any]:

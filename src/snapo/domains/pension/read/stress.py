@@ -6,12 +6,14 @@ is linear and beyond them constant; no label moves all nodes alike; "multiply" i
 or any other input of the case by its name and label.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
+from snapo.case.plausible import Numbers
 from snapo.case.table import Section, load, nearest, parse
 
 from ..records.case import PensionCase
@@ -54,6 +56,16 @@ def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
     mention = Mention(Section(case.file, "stress", []), "file", table.file)
     rows = read_rows(mention, ("scenario", "input", "label", "kind", "size"))
     return tuple(_shock(case, row) for row in rows)
+
+
+def shock_sizes(shocks: Iterable[Shock]) -> Iterator[Numbers]:
+    """The sizes of shocks as numbers to be checked: shifts of curves, and factors."""
+    for shock in shocks:
+        value, label = np.array([shock.size]), (shock.scenario,)
+        if shock.kind == "multiply":
+            yield Numbers("stress factor", value, label)
+        elif shock.target in CURVES:
+            yield Numbers("stress shift", value, label, "1/year", "", "bp", 1e4)
 
 
 def _shock(case: PensionCase, row: Row) -> Shock:

@@ -55,6 +55,7 @@ class PensionCase:
     - `observation`: names that the policy sees (see `fund.observation.FEATURES`), in order.
     - `pots`: personal pots in place of promised rights; None where these are promised.
     - `held`: names of `Given`s that are no inputs. `notes`: remarks for the owner of the case.
+    - `slips`: names of numbers that one of the notes supposes to be in another unit.
     - `parts`: names of those parts of a run that are wanted, () for all.
     """
 
@@ -93,6 +94,7 @@ class PensionCase:
     pots: Pots | None = None
     held: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    slips: tuple[str, ...] = ()
     parts: tuple[str, ...] = ()
 
     @property

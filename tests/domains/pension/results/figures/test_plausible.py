@@ -37,7 +37,6 @@ def small(tmp_path_factory):
         ({"assets": 325.0, "funding": 325 / 308.3e6}, "the members' pensions"),
         ({"duration": 120.0}, "the duration of the liability is 120 years"),
         ({"hedge_ratio": 40.0}, "the notionals of the swaps"),
-        ({"rate": {1: 2.1}}, "0.02 is 2 %"),
         ({"rate_volatility": {10: 0.69}}, "the volatility of the 10-year rate is 69.00% a year"),
         ({"returns": {"Equity": 0.54}}, "Equity grows by 54.0% a year"),
     ],
@@ -105,13 +104,22 @@ def test_check_remarks_on_slips(tmp_path):
         ("case.toml", "assets = 325000000.0", "assets = 325.0"),
         ("case.toml", "volatility = 0.008", "volatility = 0.8"),
     ]
-    found = [
-        each
-        for each in DOMAIN.check(read_case(short_case(tmp_path / "case", slips)))
-        if each.startswith("note: ")
-    ]
-    assert any("is fund.assets in the unit" in each for each in found)
-    assert any("the volatility of the 10-year rate is 69" in each for each in found)
+    case = read_case(short_case(tmp_path / "case", slips))
+    (remark,) = [each for each in DOMAIN.check(case) if each.startswith("note: ")]
+    assert "is fund.assets in the unit" in remark
+    (note,) = case.notes
+    assert note.startswith("rates.volatility: rate_volatility is 8,000 bp (0.8)")
+
+
+@pytest.mark.prove
+def test_a_high_volatility_of_rates_by_little_reversion_is_remarked(tmp_path):
+    """Each number is plausible, and the 10-year rate moves by 0.05 (1 - exp(-0.005)) / 0.005."""
+    high = [("case.toml", "volatility = 0.008", "volatility = 0.05")]
+    high += [("case.toml", "mean_reversion = 0.03 ", "mean_reversion = 0.0005 ")]
+    case = read_case(short_case(tmp_path / "case", high))
+    assert not case.notes
+    found = [each for each in DOMAIN.check(case) if each.startswith("note: ")]
+    assert any("the volatility of the 10-year rate is 4.99% a year" in each for each in found)
 
 
 @pytest.mark.prove

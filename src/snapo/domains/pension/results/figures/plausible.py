@@ -11,23 +11,27 @@ import numpy as np
 from ...fund.contributions import CONTRIBUTIONS
 from ...fund.recovery import log_discount
 from ...records.case import PensionCase
+from ...records.inputs import every_given
 from ...records.people import ACTIVE
 from .human import Human
 
 FUNDING = (0.4, 2.5)
 DURATION = (2.0, 40.0)  # years, of the liability
 HEDGE = (-0.25, 1.5)
-RATE = (-0.02, 0.15)  # continuous zero rates
 RATE_VOLATILITY = (0.001, 0.025)  # a year; since 1970 the 10-year rates of G7 countries lie within
 RETURN = (-0.03, 0.12)  # geometric, a year
-ASSET_VOLATILITY = (0.01, 0.6)
+# Groups of numbers on which these figures depend: where a note supposes that one of them is in
+# another unit, it is the only note.
+PROMISED = {"people", "curve", "plan"}
+MARKETS = {"curve", "volatility", "premium", "model", "assets", "credit"}
 
 
 def remarks(case: PensionCase, found: Human) -> list[str]:
     """A sentence for each figure outside its range, and for a deficit that nothing will close."""
-    return [
-        *_size(case, found), *_market(case, found), *_unpaid(case, found), *_rolling(case, found)
-    ]  # fmt: skip
+    slips = {each.group for each in every_given(case) if each.name in case.slips}
+    size = () if slips & PROMISED else _size(case, found)
+    market = () if slips & MARKETS else _market(case, found)
+    return [*size, *market, *_unpaid(case, found), *_rolling(case, found)]
 
 
 def _outside(value: float, allowed: tuple[float, float]) -> bool:
@@ -52,9 +56,6 @@ def _size(case: PensionCase, found: Human) -> Iterator[str]:
 
 
 def _market(case: PensionCase, found: Human) -> Iterator[str]:
-    for tenor, rate in found.rate.items():
-        if _outside(rate, RATE):
-            yield f"the zero rate at {tenor} years is {rate:.1%}: fractions are meant, 0.02 is 2 %"
     for tenor, volatility in found.rate_volatility.items():
         # Mean reversion leaves little of a volatility at 30 years.
         low = RATE_VOLATILITY[0] if tenor <= 10 else 0.0
@@ -70,12 +71,6 @@ def _market(case: PensionCase, found: Human) -> Iterator[str]:
                 f"{name} grows by {mean:.1%} a year where nothing happens, seldom "
                 f"{_percent(RETURN)}: see its mean, return_kind and prices of risk"
             )
-    volatility = case.assets.volatility
-    for place, rank in zip(case.assets.shocks, range(len(case.assets.shocks))):
-        size = float(volatility.used()[0, rank])
-        if case.scenarios is None and _outside(size, ASSET_VOLATILITY):
-            name = case.assets.classes[place].name
-            yield f"the volatility of {name} is {size:.1%}, seldom {_percent(ASSET_VOLATILITY)}"
 
 
 def _percent(allowed: tuple[float, float]) -> str:
