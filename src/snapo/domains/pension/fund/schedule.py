@@ -100,14 +100,14 @@ def make_schedule(case: PensionCase, inputs: dict[str, Any]) -> Schedule:
             due=jnp.asarray(due, float),
             averaging=jnp.asarray(averaging, float),
             time=jnp.arange(case.steps) / case.steps,
-            agreed=_agreed(case, inputs),
+            agreed=agreed(case, inputs),
             annuity=annuity(case, inputs),
         ),
     )
 
 
-def _agreed(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
-    """Payments agreed in money, by step."""
+def agreed(case: PensionCase, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
+    """Payments agreed in money, by step; None without any."""
     plan = case.plan.contribution.schedule
     if plan is None:
         return None

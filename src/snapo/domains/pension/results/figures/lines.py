@@ -1,7 +1,8 @@
 """The case in a few lines, and its reconciliation with the actuary's own figures."""
 
+from collections.abc import Callable
 from functools import lru_cache
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -17,6 +18,7 @@ from .in_words import in_words
 from .monthly import against_months
 from .plausible import remarks
 from .reconcile import Figures, Line, check, figures
+from .status import Group, groups, pace
 
 SCENARIOS = {"P": "P (real-world)", "Q": "Q (risk-neutral)"}
 MONEY = ("liability", "liability on payment nodes")
@@ -57,6 +59,7 @@ def lines(case: PensionCase) -> list[str]:
         f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity; "
         f"{len(case.held)} held",
         *_human(case, found.human),
+        *_status(case, plain(inputs), found.figures.liability),
         *in_words(case),
         *_leverage(case),
         *_regulation(case),
@@ -88,6 +91,39 @@ def _human(case: PensionCase, found: Human) -> list[str]:
     grown = ", ".join(f"{name} {each:.1%}" for name, each in found.returns.items())
     told.append(f"returns a year, without shocks: {grown}")
     return told
+
+
+def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list[str]:
+    """Members by status, the cost of what they earn and what is paid in, and payments of today."""
+
+    def money(amount: float) -> str:
+        return readable(amount, case.currency)
+
+    def of_payroll(amount: float) -> str:
+        return f"{money(amount)}{f', {amount / now.payroll:.1%} of payroll' if now.payroll else ''}"
+
+    told = []
+    if members := groups(case, inputs):
+        told.append("members: " + "; ".join(_group(each, money) for each in members))
+    now = pace(case, inputs, liability)
+    cost, earned = f"a year's accrual costs {of_payroll(now.accrual)}; ", ""
+    increase = (
+        f", increase {now.increase:.2%}: {money(now.raised)} of benefits and "
+        f"{money(now.liability_raised)} of liability"
+    )
+    if case.pots is not None:  # what is paid follows the pots, and nothing accrues
+        cost, earned, increase = "", " as earned", ""
+    told.append(f"{cost}today's contribution is {of_payroll(now.contribution)}")
+    paid = f"benefits {money(now.benefits)}{earned}, expenses {money(now.expenses)}{increase}"
+    return [*told, f"payments of today, a year: {paid}"]
+
+
+def _group(found: Group, money: Callable[[float], str]) -> str:
+    salaries = f", payroll {money(found.payroll)}" if found.payroll else ""
+    return (
+        f"{found.members:,.10g} {found.name} with pensions of {money(found.pensions)}{salaries},"
+        f" liability {money(found.liability)}"
+    )
 
 
 def _leverage(case: PensionCase) -> list[str]:

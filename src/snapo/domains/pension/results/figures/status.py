@@ -1,0 +1,148 @@
+"""Members and liability by status, and the fund's payments of today, in money per year."""
+
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.problem.smooth import Exact
+
+from ...fund.plan import contribution, indexation
+from ...fund.recovery import annuity
+from ...fund.schedule import agreed, basis_log_bond
+from ...fund.terms import plan_terms
+from ...market.curve import log_bond
+from ...people.cash_flows import horizon, project, reserved
+from ...people.liability import paid_at, people
+from ...records.case import PensionCase
+from ...records.people import ACTIVE, DEFERRED, PENSIONER, SPOUSE
+
+STATUSES = {
+    ACTIVE: "active",
+    DEFERRED: "deferred",
+    PENSIONER: "pensioners",
+    SPOUSE: "spouses",
+}
+
+
+class Group(NamedTuple):
+    """The members of one status: their number; pensions earned and salaries, money per year; their
+    liability, that to their spouses included."""
+
+    name: str
+    members: float
+    pensions: float
+    payroll: float
+    liability: float
+
+
+class Pace(NamedTuple):
+    """Payments of the first step, as money per year.
+
+    - `accrual`: the value of the rights that are earned, on the basis of the liability.
+    - `contribution`: by the rule and with its limits; `agreed` payments in money are in it.
+    - `benefits`, `expenses`: paid. `payroll`: salaries.
+    - `increase`: less cuts, of a year in which prices grow as the one-year break-even: a share; the
+      fixed one where increases are fixed. `raised`: what it adds to a year's benefits;
+      `liability_raised`: what it adds to the liability, 0 where its payments hold the increase.
+    """
+
+    accrual: float
+    contribution: float
+    benefits: float
+    expenses: float
+    payroll: float
+    increase: float
+    raised: float
+    liability_raised: float
+
+
+def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
+    """Every status that has members; none where the case has cash flows instead."""
+    members = case.members
+    if members is None:
+        return []
+    with jax.enable_x64(True):
+        value = np.asarray(jax.jit(lambda given: _by_cohort(case, given))(_double(inputs)))
+    number, pension, salary = (
+        each.used() if each.values.size else np.zeros(len(members.status))
+        for each in (members.number, members.pension, members.salary)
+    )
+    salary = np.where(members.status == ACTIVE, salary, 0.0)
+    return [
+        Group(
+            name,
+            float(number[rows].sum()),
+            float(number[rows] @ pension[rows]),
+            float(number[rows] @ salary[rows]),
+            float(value[rows].sum()),
+        )
+        for status, name in STATUSES.items()
+        if (rows := members.status == status).any()
+    ]
+
+
+def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
+    """[C] the liability to each cohort and its spouses: of rights earned by now."""
+    assert case.members is not None
+    case = replace(case, scenarios=None)
+    bond = basis_log_bond(case, inputs)
+    streams = project(case, inputs, bond).streams
+    assert streams is not None
+    within = np.arange(horizon(case) - case.steps)
+    value = streams.held * (streams.unit[:, within] @ jnp.exp(bond[paid_at(case, within)]))
+    count = len(case.members.status)
+    earned = jnp.zeros(len(streams.lives.age)).at[streams.group].add(value)
+    return reserved(case, inputs) * earned[:count]
+
+
+def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
+    """The payments of today; `liability`: the case's own."""
+    case = replace(case, scenarios=None)
+    with jax.enable_x64(True):
+        found = jax.jit(lambda given: _pace(case, given, liability))(_double(inputs))
+    return Pace(*(float(each) for each in found))
+
+
+def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
+    lives, terms = people(case, inputs, basis_log_bond(case, inputs)), plan_terms(case, inputs)
+    assets = jnp.asarray(float(case.assets.amount.used()))
+    level, sums = annuity(case, inputs), agreed(case, inputs)
+    accrual, payroll = jnp.sum(lives.accrual[0]), lives.payroll[0]
+    paid = contribution(
+        case.plan,
+        terms,
+        assets=assets,
+        liability=liability,
+        normal_cost=accrual,
+        payroll=payroll,
+        wage=1.0,
+        step=case.step,
+        smooth=Exact(),
+        annuity=None if level is None else level[0],
+    )
+    paid = paid if sums is None else paid + sums[0]
+    growth = jnp.expm1(-log_bond(case.inflation.break_even, inputs, np.ones(1))[0])
+    ratio = assets / liability if liability else jnp.inf
+    granted, cut = indexation(case.plan, terms, ratio=ratio, price_growth=growth, smooth=Exact())
+    fixed = case.plan.indexation.rate if case.plan.indexation.kind == "fixed" else None
+    increase = granted - cut if fixed is None else jnp.asarray(float(fixed.used()))
+    benefits = lives.benefit[0] / case.step
+    # Payments that follow prices in the valuation hold what is granted, and lose what is cut.
+    risen = granted if case.liability.future_indexation == "none" else jnp.zeros(())
+    return Pace(
+        accrual / case.step,
+        paid / case.step,
+        benefits,
+        lives.expenses[0] / case.step,
+        payroll / case.step,
+        increase,
+        increase * benefits,
+        (risen - cut) * liability,
+    )
+
+
+def _double(inputs: dict[str, Any]) -> dict[str, Any]:
+    return {name: np.asarray(values, np.float64) for name, values in inputs.items()}
