@@ -4,7 +4,14 @@ import numpy as np
 import pytest
 
 from snapo.case.given import Given
-from snapo.case.plausible import CaseFiles, Numbers, Plausible, around, implausible, numbers
+from snapo.case.plausible import (
+    CaseFiles,
+    CheckedNumbers,
+    Plausible,
+    around,
+    checked_numbers,
+    implausible,
+)
 from snapo.problem.inputs import Input
 
 CURVE = "# quotes\ndate,price\n2025-01,20\n2025-02,2000\n2025-03,21\n"
@@ -54,13 +61,15 @@ def test_a_note_has_position_number_unit_range_and_hint(files):
     assert note == (
         "market.interest_rate: interest_rate is 9,000 bp (0.9), outside -200 to 2,500 bp: 0.02 is 2 %."
     )
-    (again,) = implausible([numbers(rate.input(), "interest_rate")], [range_], files).values()
+    (again,) = implausible(
+        [checked_numbers(rate.input(), "interest_rate")], [range_], files
+    ).values()
     assert again == note
 
 
 def test_an_input_with_several_such_numbers_has_one_note(files):
     range_ = Plausible(0.0, 0.1, "it is a share", endings=("fee",), unit="1")
-    fees = Numbers("fee", np.array([0.0, 0.5, 0.7, 0.05]), ("a", "b", "c", "d"), "1")
+    fees = CheckedNumbers("fee", np.array([0.0, 0.5, 0.7, 0.05]), ("a", "b", "c", "d"), "1")
     (note,) = implausible([fees], [range_], files).values()
     assert "fee b is 0.5, outside 0 to 0.1, as is 1 more of its numbers: it is a share." in note
     other = fees._replace(unit="1/year")
@@ -69,8 +78,8 @@ def test_an_input_with_several_such_numbers_has_one_note(files):
 
 def test_what_is_made_from_a_noted_input_is_not_noted_again(files):
     range_ = Plausible(0.0, 0.1, "a hint")
-    zero = Numbers("zero", np.array([0.5]), ("",))
-    forward = Numbers("forward", np.array([0.6]), ("",), source="zero")
+    zero = CheckedNumbers("zero", np.array([0.5]), ("",))
+    forward = CheckedNumbers("forward", np.array([0.6]), ("",), source="zero")
     assert len(implausible([zero, forward], [range_], files)) == 1
     assert len(implausible([zero._replace(values=np.array([0.1])), forward], [range_], files)) == 1
 
@@ -80,13 +89,13 @@ def test_what_is_made_from_a_noted_input_is_not_noted_again(files):
 )
 def test_a_zero_has_no_unit_and_a_size_has_no_sign(files, value, noted):
     range_ = Plausible(1e-3, 1.0, "a hint", by_size=True)
-    entry = Numbers("x", np.array([value]), ("",))
+    entry = CheckedNumbers("x", np.array([value]), ("",))
     assert bool(implausible([entry], [range_], files)) == noted
 
 
 def test_a_number_a_hundred_times_its_neighbours_is_noted(files):
     labels = tuple(f"2025-{m:02d}-{d:02d}" for m in (1, 2, 3) for d in range(1, 29))
-    curve = Numbers("forward_curve", np.repeat([20.0, 2000.0, 21.0], 28), labels, "EUR/MWh")
+    curve = CheckedNumbers("forward_curve", np.repeat([20.0, 2000.0, 21.0], 28), labels, "EUR/MWh")
     (note,) = implausible([curve], [Plausible(-np.inf, np.inf, "", ratio=20.0)], files).values()
     assert note == (
         "curve.csv, line 4, column price: forward_curve 2025-02-01 is 2,000 EUR/MWh, "
@@ -113,7 +122,9 @@ def test_neighbours_along_a_curve(values, usual):
 
 
 def test_the_accessor_reads_inputs_of_a_simulator():
-    found = numbers(Input([[1.0, 2.0]], "EUR", trade_unit="cent", trade_factor=100.0), "cost")
+    found = checked_numbers(
+        Input([[1.0, 2.0]], "EUR", trade_unit="cent", trade_factor=100.0), "cost"
+    )
     assert (found.name, found.values.tolist(), found.labels) == ("cost", [1.0, 2.0], ("0", "1"))
     assert (found.display_unit, found.display_factor) == ("cent", 100.0)
-    assert numbers(Input(3.0), "x").labels == ("",)
+    assert checked_numbers(Input(3.0), "x").labels == ("",)

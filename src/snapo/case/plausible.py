@@ -32,7 +32,7 @@ TABLES = (".csv", ".parquet")
 LARGEST = 4 << 20  # bytes of a table in which a number is looked up
 
 
-class Numbers(NamedTuple):
+class CheckedNumbers(NamedTuple):
     """The numbers of an input, as all checks of this module read them.
 
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
@@ -51,16 +51,16 @@ class Numbers(NamedTuple):
     source: str = ""
 
 
-def numbers(entry: Any, name: str = "") -> Numbers:
+def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
     """The numbers of an input of a case or of a simulator; `name` where it has none of its own."""
-    if isinstance(entry, Numbers):
+    if isinstance(entry, CheckedNumbers):
         return entry
     values = entry.values if hasattr(entry, "values") else entry.value
     values = np.asarray(values, np.float64).ravel()
     labels = tuple(entry.labels)
     if not labels:
         labels = ("",) if values.size == 1 else tuple(map(str, range(values.size)))
-    return Numbers(
+    return CheckedNumbers(
         getattr(entry, "name", "") or name,
         values,
         labels,
@@ -93,7 +93,7 @@ class Plausible:
     ratio: float = math.inf
     by_size: bool = False
 
-    def fits(self, entry: Numbers) -> bool:
+    def fits(self, entry: CheckedNumbers) -> bool:
         """Whether the range is of this input."""
         return (
             (not self.names or entry.name in self.names)
@@ -113,7 +113,7 @@ def implausible(
 ) -> dict[str, str]:
     """{name: note} of the inputs with implausible numbers; the first range that fits counts."""
     notes: dict[str, str] = {}
-    for entry in map(numbers, entries):
+    for entry in map(checked_numbers, entries):
         range_ = next((each for each in ranges if each.fits(entry)), None)
         if range_ is None or entry.name in notes or entry.source in notes:
             continue
@@ -123,7 +123,7 @@ def implausible(
     return notes
 
 
-def _outside(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
+def _outside(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
     """The note on numbers outside of the range; "" without one."""
     rows = range_.outside(entry.values)
     if not rows.size:
@@ -139,7 +139,7 @@ def _outside(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
     return f"{_start(entry, int(rows[0]), files)}, {what}: {range_.hint}."
 
 
-def _apart(entry: Numbers, range_: Plausible, files: "CaseFiles") -> str:
+def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
     """The note on the number that is the farthest from its neighbours; "" without one."""
     if math.isinf(range_.ratio):
         return ""
@@ -174,7 +174,7 @@ def around(values: np.ndarray) -> np.ndarray:
     return usual[np.cumsum(np.isin(np.arange(values.size), first)) - 1]
 
 
-def _start(entry: Numbers, row: int, files: "CaseFiles") -> str:
+def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     """Position, name and number of the entry, in the unit of the trade and as it is written."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
@@ -190,7 +190,7 @@ def more(count: int, of: str = "") -> str:
     return "" if not count else f", as {'is' if count == 1 else 'are'} {count} more{of}"
 
 
-def _unit(entry: Numbers) -> str:
+def _unit(entry: CheckedNumbers) -> str:
     """The unit of the trade in the plural: "percentage points a day"."""
     unit = entry.display_unit or entry.unit
     plural = unit if re.search("[/(]", unit) else re.sub(r"\b(point|year)\b", r"\1s", unit)
@@ -226,19 +226,22 @@ class CaseFiles:
     def position(self, name: str, label: str, value: float) -> str:
         """The position of a number of the input `name`; the name where no file has it.
 
-        Of the cells that hold the number, the one whose key, column and row have the most in
-        common with the input's name and label. Annual rates of a file are continuous in the
-        records of some cases.
+        Of the cells that hold the number, or have the key's name, it is the one whose key, column
+        and row have the most in common with the input's name and label. Annual rates of a file are
+        continuous in the records of some cases.
         """
-        terms = _terms(name)
+        terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)
-        equal = [each for each in self._cells if _equal(each.value, written)]
-        if equal:
-            best = max(equal, key=lambda each: _likeness(each, terms, label))
-            if _likeness(best, terms, label) > (0, 0):
-                return best.position
-        keys = [each for each in self._cells if terms <= each.terms]
-        return min(keys, key=lambda each: len(each.terms)).position if keys else name
+        best, best_score = name, (0, False, 0, 0)
+        for each in self._cells:
+            equal = _equal(each.value, written)
+            if not equal and not last <= each.terms:
+                continue
+            common, rows = len(terms & each.terms), _rows(each, label)
+            score = (common + rows + equal, equal, rows, -len(each.terms))
+            if common + rows and score > best_score:
+                best, best_score = each.position, score
+        return best
 
     @cached_property
     def _cells(self) -> list[Cell]:
@@ -289,11 +292,10 @@ def _equal(value: float, written: tuple[float, ...]) -> bool:
     return any(math.isclose(value, each, rel_tol=EXACT) for each in written)
 
 
-def _likeness(cell: Cell, terms: frozenset[str], label: str) -> tuple[int, int]:
-    """How much a cell has in common with an input: texts of its row in the label, and terms."""
+def _rows(cell: Cell, label: str) -> int:
+    """How many texts of the cell's row, or of its key, are in the label of a number."""
     inside = _terms(label)
-    rows = sum(
+    return sum(
         bool(text) and (label.startswith(text) or _terms(text) <= inside or f"{text}y" == label)
         for text in cell.row
-    )
-    return (len(terms & cell.terms) + rows, rows)
+    ) + (not cell.row and bool(inside) and inside <= cell.terms)

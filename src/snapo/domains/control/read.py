@@ -1,6 +1,6 @@
 """From the tables of a case to the plant and its inputs; every mistake is a `CaseError`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +8,7 @@ import numpy as np
 
 from snapo.case.error import CaseError, nearest
 from snapo.case.objective import make_objective
+from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
 from snapo.case.settings import (
     FollowingTable,
     ObjectiveTable,
@@ -28,6 +29,14 @@ from .starts import read_measurement, read_noise, read_starts
 from .tables import CaseTable, PolicyTable, cost_table, plant_table
 
 WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
+RANGES = (  # outside of which a number is likely to be in another unit
+    Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
+    Plausible(0.0, 1e3, "a speed of turning is in radians a second", unit="rad/s", by_size=True),
+    Plausible(0.5, 30.0, "on Earth it is 9.81 m/s2", unit="m/s2", endings=("gravity",)),
+    Plausible(1e-6, 1e4, "1 ms is 0.001 s", unit="s"),
+    Plausible(1e-4, 1e4, "1 mm is 0.001 m", unit="m", by_size=True),
+    Plausible(1e-4, 1e6, "1 g is 0.001 kg", unit="kg"),
+)
 BLIND = (
     "States are measured with errors, and the policy remembers nothing of earlier ones: "
     '`[policy] memory = "GRU"` lets it.'
@@ -51,11 +60,17 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     noise = read_noise(plant, table.noise, name)
     blur = read_measurement(plant, table.measurement, name)
     inputs = make_inputs(plant, _given(parameters), _given(weights), starts, noise, blur)
+    entries = [
+        checked_numbers(each, f"{group}.{key}")
+        for group, found in inputs.items()
+        for key, each in _flat(found)
+    ]
+    slips = implausible(entries, RANGES, CaseFiles(file, data)).values()
     for key, value, what in plant.faults(_values(inputs)):
         raise CaseError(name, key, value, what)
     return ControlCase(
         file=file,
-        notes=(BLIND,) if blur and not isinstance(recipe, Memory) else (),
+        notes=(*([BLIND] if blur and not isinstance(recipe, Memory) else []), *slips),
         title=table.title or plant.words,
         plant=plant(inputs, chosen.horizon, chosen.clock),
         inputs=inputs,
@@ -65,6 +80,15 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         training=training,
         evaluation=evaluation,
     )
+
+
+def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
+    """(name, input) of a group, "angle.mean" within a state."""
+    for key, each in inputs.items():
+        if isinstance(each, Mapping):
+            yield from ((f"{key}.{name}", input_) for name, input_ in _flat(each))
+        else:
+            yield key, each
 
 
 def _recipe(table: PolicyTable, name: str) -> Policy:

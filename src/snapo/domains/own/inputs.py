@@ -1,6 +1,8 @@
 """`[inputs]`: numbers with units, in the file or in a CSV beside it, as differentiable inputs."""
 
-from collections.abc import Mapping
+import math
+import re
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -8,6 +10,7 @@ import numpy as np
 
 from snapo.case.csv import Mention, read_rows
 from snapo.case.error import CaseError
+from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
 from snapo.case.table import Section, parse
 from snapo.problem.inputs import Input
 
@@ -15,10 +18,28 @@ from .tables import InputTable
 
 SAID = ("unit", "words", "group", "bump", "move", "trade_unit", "trade_factor")
 
+APART = Plausible(-math.inf, math.inf, "", ratio=50.0)  # numbers in a row are not so far apart
+PERCENT = re.compile("%|point|percent")
+
 
 def read_inputs(tables: Mapping[str, Any], file: Path, notes: list[str]) -> dict[str, Input]:
     """{name: input} in the order of the file; `prepare` receives arrays under the same names."""
-    return {name: _input(name, table, file, notes) for name, table in tables.items()}
+    found = {name: _input(name, table, file, notes) for name, table in tables.items()}
+    entries = [checked_numbers(each, name) for name, each in found.items()]
+    files = CaseFiles(file, {"inputs": tables})
+    notes += implausible(entries, [*_shares(entries), APART], files).values()
+    return found
+
+
+def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
+    """The ranges of shares: those that are shown as percentage points, or in basis points."""
+    for each in entries:
+        if each.display_factor == 100 and PERCENT.search(each.display_unit):
+            hint = "a fraction is meant, of which the trade unit is a hundredth"
+            yield Plausible(0.0, 5.0, hint, names=(each.name,), ratio=APART.ratio, by_size=True)
+        if each.display_factor == 1e4 and each.display_unit == "bp":
+            hint = "a fraction is meant, 0.0001 is 1 bp"
+            yield Plausible(0.0, 0.5, hint, names=(each.name,), by_size=True)
 
 
 def _input(name: str, data: Any, file: Path, notes: list[str]) -> Input:

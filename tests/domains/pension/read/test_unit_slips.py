@@ -4,7 +4,7 @@ import pytest
 from tests.domains.pension.every_key import CASES, written
 from tests.domains.pension.miniature import short_case
 
-from snapo.case.plausible import numbers
+from snapo.case.plausible import checked_numbers
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.records.inputs import every_given
 from snapo.domains.pension.records.plausible import RANGES, amounts
@@ -161,7 +161,7 @@ def test_every_input_of_every_kind_of_case_has_a_range(tmp_path):
         missing = {
             each.name
             for each in every_given(case)
-            if not any(range_.fits(numbers(each)) for range_ in ranges)
+            if not any(range_.fits(checked_numbers(each)) for range_ in ranges)
         }
         assert missing <= {"assets", "correlation", "gompertz"}
 

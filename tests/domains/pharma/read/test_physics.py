@@ -67,9 +67,24 @@ def test_what_cannot_be_is_refused(mistake):
 
 ODD = {
     "hot": ('temperature = "323.15 K"\nrate', 'temperature = "323.15 degC"\nrate',
-            "dryer.temperature is 596.3 K: processes in liquids mostly run from 200 to 500 K."),
-    "porous": ("porosity = 0.4", "porosity = 0.9", "filter.porosity is 0.9: cakes mostly have"),
+            "units.dryer.temperature: dryer.temperature is 596.3 K, outside 200 to 500 K: processes "
+            "in liquids mostly run from 200 to 500 K."),
+    "porous": ("porosity = 0.4", "porosity = 0.9", "units.filter.porosity: filter.porosity is 0.9, outside 0.25 to 0.75: cakes mostly have"),
     "light": ('density = "1200 kg/m^3"', 'density = "500 kg/m^3"', "crystals mostly have 800"),
+    "minutes for hours": (
+        'duration = "10800 s"', 'duration = "10800 min"',
+        "units.dryer.duration: dryer.duration is 10,800 min (648000), outside 0.0166667 to 10,080 min"),
+    "a seed in millimetres": (
+        'size = "20 um"', 'size = "20 mm"',
+        "units.crystalliser.seed.size: crystalliser.seed.size is 20 mm (0.02)"),
+    "activation in joules": (
+        'activation = "3.0e4 J/mol"', 'activation = "30 J/mol"',
+        "reactions[impurity].activation: kinetics.activation impurity is 30 J/mol"),
+    "pressure in bar": ('pressure = "1e5 Pa"', 'pressure = "1e5 bar"', "units.filter.pressure: "),
+    "a viscosity": ('"4.6e-4 Pa*s"', '"4.6e3 Pa*s"', "units.filter.viscosity: "),
+    "a diffusivity in cm": ('"7e-10 m^2/s"', '"7e-2 m^2/s"', "units.tablet.diffusivity: "),
+    "growth": ('growth = "5 um/s"', 'growth = "5 mm/s"', "units.crystalliser.kinetics.growth: "),
+    "a film": ('film = "30 um"', 'film = "30 mm"', "units.tablet.film: tablet.film is 30 mm"),
     "rare": (GROWTH, GROWTH.replace('"lognormal", spread = 0.1', '"normal", spread = "1.5 um/s"'),
              "uncertainty[1]: 0.043 % of its draws are none that"),
     "solubility where it is studied": (
@@ -85,7 +100,18 @@ def test_what_is_unusual_is_noted(oddity):
     if oddity == "hot":
         changes.append(('range = ["313.15 K", "333.15 K"]\nnormal = ["321.15 K", "325.15 K"]',
                         'range = ["313.15 K", "633.15 K"]\nnormal = ["321.15 K", "600 K"]'))  # fmt: skip
-    assert words in " ".join(read(*changes).notes)
+    (note,) = read(*changes).notes
+    assert words in note
+
+
+def test_molar_masses_in_kilograms_are_noted():
+    """100 g/mol is 0.1 kg/mol; reactions keep their mass only where all are of the same unit."""
+    changes = [(f'molar_mass = "{x} g/mol"', f'molar_mass = "0.{x} g/mol"') for x in (100, 250)]
+    changes += [('molar_mass = "50 g/mol"', 'molar_mass = "0.05 g/mol"')]
+    changes += [('molar_mass = "150 g/mol"', 'molar_mass = "0.15 g/mol"')]
+    notes = read(*changes).notes
+    assert len(notes) == 4
+    assert notes[0].startswith("species.A.molar_mass: species.A.molar_mass is 0.1 g/mol, outside 1")
 
 
 def test_the_template_has_no_remark():

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.plausible import FRACTION, CaseFiles, Plausible, implausible, numbers
+from snapo.case.plausible import FRACTION, CaseFiles, Plausible, checked_numbers, implausible
 
 from ..contract.inputs import storage_inputs
 from ..contract.records import StorageCase
@@ -23,7 +23,7 @@ LIMITS = {
 }
 # Energy of a volume unit in MWh, and minor units of a currency in major ones.
 ENERGY = {"MWh": 1.0, "kWh": 1e-3, "GWh": 1e3, "therm": 0.0293071, "MMBtu": 0.293071, "GJ": 1 / 3.6}
-MONEY = dict.fromkeys(("EUR", "USD", "GBP", "CHF"), 1.0) | dict.fromkeys(("p", "GBp", "ct"), 0.01)
+MONEY = {"EUR": 1.0, "USD": 1.0, "GBP": 1.0, "CHF": 1.0, "p": 0.01, "GBp": 0.01, "ct": 0.01}
 PRICES = (1.0, 1000.0)  # per MWh, in one of these currencies
 APART = 20.0  # a forward price is less than so many times its neighbours
 RANGES = (
@@ -46,7 +46,7 @@ RANGES = (
 
 def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
     """Notes on numbers that are likely to be in another unit; `data`: the tables of the case."""
-    inputs = [numbers(each, name) for name, each in storage_inputs(case).items()]
+    inputs = [checked_numbers(each, name) for name, each in storage_inputs(case).items()]
     ranges = [*RANGES, *_by_price(case), *_by_size(case)]
     return implausible(inputs, ranges, CaseFiles(case.file, data)).values()
 

@@ -7,10 +7,12 @@ from typing import Any
 import numpy as np
 
 from snapo.case.given import Given
+from snapo.case.plausible import CaseFiles
 from snapo.case.table import Section, parse
 
 from ..demand.registry import read_demand
 from ..item.records import InventoryCase, Item
+from .plausible import unit_slips
 from .season import no_season, read_season
 from .settings import read_settings
 from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable
@@ -34,6 +36,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
         table,
         demand.whole or (demand.in_pieces() and len(season.values) == 1),
     )
+    inputs = [*item.given(), *demand.given(), season]
+    notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
     return InventoryCase(
         **read_settings(top, name),
         file=file,

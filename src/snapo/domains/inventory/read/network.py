@@ -1,6 +1,6 @@
 """Reads a case with places: the tables `[network]`, `[[place]]` and `[[transshipment]]`."""
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -8,10 +8,12 @@ import numpy as np
 from pydantic import Field
 
 from snapo.case.given import Given
+from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
 from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
 from ..demand.registry import read_demand
 from ..network.records import NetworkCase, Place, Pool
+from .plausible import unit_slips
 from .season import read_season
 from .settings import read_settings
 from .tables import AMOUNT, LONGEST_LEAD, NAME, HorizonTable, Name, NotNegative
@@ -105,6 +107,9 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     whole = all(_whole(place) for place in places)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
+    costs = [each for each in (held, short, moving) if each is not None]
+    inputs = [*costs, *(x for place in places for x in _demand(place))]
+    notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
     return NetworkCase(
         **read_settings(top, name),
         file=file,
@@ -202,6 +207,14 @@ def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Pl
         most = float(season.values.max()) if season is not None else 1.0
         demand = read_demand(_inner(section, "demand"), row.demand, unit, most)
     return Place(row.name, supplier, row.lead_time, demand, season, row.order > 0)
+
+
+def _demand(place: Place) -> Iterator[CheckedNumbers]:
+    """The numbers of the demand of a place, under its name."""
+    season = [] if place.season is None else [place.season]
+    for each in (*([] if place.demand is None else place.demand.given()), *season):
+        numbers = checked_numbers(each)
+        yield numbers._replace(name=f"{place.name}.{numbers.name}")
 
 
 def _inner(section: Section, name: str) -> Section:

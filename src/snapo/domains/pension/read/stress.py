@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.plausible import Numbers
+from snapo.case.plausible import CheckedNumbers
 from snapo.case.table import Section, load, nearest, parse
 
 from ..records.case import PensionCase
@@ -58,14 +58,14 @@ def parse_shocks(case: PensionCase, data: Any) -> tuple[Shock, ...]:
     return tuple(_shock(case, row) for row in rows)
 
 
-def shock_sizes(shocks: Iterable[Shock]) -> Iterator[Numbers]:
+def shock_sizes(shocks: Iterable[Shock]) -> Iterator[CheckedNumbers]:
     """The sizes of shocks as numbers to be checked: shifts of curves, and factors."""
     for shock in shocks:
         value, label = np.array([shock.size]), (shock.scenario,)
         if shock.kind == "multiply":
-            yield Numbers("stress factor", value, label)
+            yield CheckedNumbers("stress factor", value, label)
         elif shock.target in CURVES:
-            yield Numbers("stress shift", value, label, "1/year", "", "bp", 1e4)
+            yield CheckedNumbers("stress shift", value, label, "1/year", "", "bp", 1e4)
 
 
 def _shock(case: PensionCase, row: Row) -> Shock:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from snapo.case.plausible import FRACTION, CaseFiles, Numbers, Plausible, implausible
+from snapo.case.plausible import FRACTION, CaseFiles, CheckedNumbers, Plausible, implausible
 
 from .case import PensionCase
 from .inputs import every_given
@@ -90,7 +90,7 @@ RANGES = (
 
 
 def unit_slips(
-    case: PensionCase, data: Mapping[str, Any], shocks: Iterable[Numbers]
+    case: PensionCase, data: Mapping[str, Any], shocks: Iterable[CheckedNumbers]
 ) -> dict[str, str]:
     """{input: note} of numbers that are likely to be in another unit.
 
@@ -142,51 +142,53 @@ def _salaries(case: PensionCase) -> Plausible:
     return _by_name(0.0, np.inf, "", "salary")
 
 
-def _derived(case: PensionCase) -> Iterator[Numbers]:
+def _derived(case: PensionCase) -> Iterator[CheckedNumbers]:
     """Forward rates between nodes, and numbers of the case that have no sensitivity."""
     yield from _forwards(case.curve, "forward rate", "curve tenor")
     yield from _forwards(case.inflation.break_even, "forward break-even", "break-even tenor")
     if case.members is not None:
-        yield Numbers("service", case.members.service, case.members.names, "year")
+        yield CheckedNumbers("service", case.members.service, case.members.names, "year")
     if case.mortality is not None and case.mortality.gompertz.values.size:
         alpha, beta, makeham = case.mortality.gompertz.used().T
         hazard = makeham + np.exp(alpha + beta * 65)
-        yield Numbers("hazard at 65", hazard, ("male", "female"), "1/year", source="gompertz")
+        yield CheckedNumbers(
+            "hazard at 65", hazard, ("male", "female"), "1/year", source="gompertz"
+        )
     if case.regulation is not None and case.regulation.ratios:
         ratios = np.array(case.regulation.ratios)
         labels = tuple(f"of month {i + 1}" for i in range(ratios.size))
-        yield Numbers("policy ratio", ratios, labels)
+        yield CheckedNumbers("policy ratio", ratios, labels)
     if case.regulation is not None:
         yield _single("insurance risk", case.regulation.insurance_risk)
         yield _single("active risk", case.regulation.active_risk)
     if case.funding is not None:
         margins = case.funding.margins
         values = np.array(list(margins.values()))
-        yield Numbers("funding margin", values, tuple(margins), "1/year", "", "bp", 1e4)
+        yield CheckedNumbers("funding margin", values, tuple(margins), "1/year", "", "bp", 1e4)
         if case.funding.recovery_years is not None:
             yield _single("funding recovery years", case.funding.recovery_years, "year")
     if case.scenarios is not None:
         yield from _scenarios(case)
 
 
-def _single(name: str, value: float, unit: str = "") -> Numbers:
-    return Numbers(name, np.array([value]), ("",), unit)
+def _single(name: str, value: float, unit: str = "") -> CheckedNumbers:
+    return CheckedNumbers(name, np.array([value]), ("",), unit)
 
 
-def _forwards(curve: Curve, name: str, tenor: str) -> Iterator[Numbers]:
+def _forwards(curve: Curve, name: str, tenor: str) -> Iterator[CheckedNumbers]:
     """Tenors of a curve, and the forward rates between the nodes of zero rates."""
     labels = curve.rate.labels
-    yield Numbers(tenor, curve.tenor, labels, "year")
+    yield CheckedNumbers(tenor, curve.tenor, labels, "year")
     if curve.quote == "zero":
         ends = np.concatenate([[0.0], curve.tenor])
         paid = np.concatenate([[0.0], curve.tenor * curve.rate.values])
         forward = np.diff(paid) / np.diff(ends)
         between = tuple(f"up to {each}" for each in labels)
         unit = (curve.rate.unit, curve.rate.group, "bp", 1e4, curve.rate.values, curve.rate.name)
-        yield Numbers(name, forward, between, *unit)
+        yield CheckedNumbers(name, forward, between, *unit)
 
 
-def _scenarios(case: PensionCase) -> Iterator[Numbers]:
+def _scenarios(case: PensionCase) -> Iterator[CheckedNumbers]:
     """The lowest and the highest number of every column of ready-made scenarios."""
     assert case.scenarios is not None
     both = (case.scenarios.training, case.scenarios.evaluation)
@@ -195,4 +197,4 @@ def _scenarios(case: PensionCase) -> Iterator[Numbers]:
         name = f"scenario {kind if kind in ('return', 'zero') else 'growth'}"
         values = np.array([f(each[:, :, i]) for f in (np.min, np.max) for each in both])
         labels = tuple(f"{column} in {role}" for role in ("training", "evaluation")) * 2
-        yield Numbers(name, values, labels)
+        yield CheckedNumbers(name, values, labels)

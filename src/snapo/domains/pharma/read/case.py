@@ -6,6 +6,7 @@ from typing import Any, Literal
 
 from snapo.case.error import CaseError
 from snapo.case.parts import known_parts
+from snapo.case.plausible import CaseFiles
 from snapo.case.settings import read_evaluation, read_training
 from snapo.case.table import Section, load, parse
 
@@ -29,7 +30,7 @@ from .plausible.checks import (
     check_spans,
     check_varied_once,
 )
-from .plausible.physics import check_moved_solubility, check_physics
+from .plausible.physics import check_moved_solubility, check_physics, unusual
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
 from .tables import NumericsTable, PharmaTable, ReportTable
 
@@ -75,7 +76,8 @@ def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
     )
     fitted = read_fitted(file, top.fitted, numbers, notes)
     check_amounts(file, feeds, units, connections, notes)
-    check_physics(file, feeds, units, network, notes)
+    check_physics(file, feeds, units, network)
+    notes += unusual(CaseFiles(file, data), feeds, units, network)
     parameters = read_parameters(file, top.parameters, numbers, notes)
     attributes = read_attributes(file, top.attributes, network, feeds, units, notes)
     case = PharmaCase(

@@ -6,6 +6,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Array
 
 from snapo.problem.smooth import Exact
 
@@ -86,16 +87,14 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
 
 def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
     """[C] the liability to each cohort and its spouses: of rights earned by now."""
-    assert case.members is not None
-    case = replace(case, scenarios=None)
+    members, case = case.members, replace(case, scenarios=None)
     bond = basis_log_bond(case, inputs)
     streams = project(case, inputs, bond).streams
-    assert streams is not None
+    assert streams is not None and members is not None
     within = np.arange(horizon(case) - case.steps)
     value = streams.held * (streams.unit[:, within] @ jnp.exp(bond[paid_at(case, within)]))
-    count = len(case.members.status)
     earned = jnp.zeros(len(streams.lives.age)).at[streams.group].add(value)
-    return reserved(case, inputs) * earned[:count]
+    return reserved(case, inputs) * earned[: len(members.status)]
 
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
@@ -106,7 +105,8 @@ def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     return Pace(*(float(each) for each in found))
 
 
-def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
+def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[Array, ...]:
+    """The numbers of `Pace`, in its order."""
     lives, terms = people(case, inputs, basis_log_bond(case, inputs)), plan_terms(case, inputs)
     assets = jnp.asarray(float(case.assets.amount.used()))
     level, sums = annuity(case, inputs), agreed(case, inputs)
@@ -132,7 +132,7 @@ def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     benefits = lives.benefit[0] / case.step
     # Payments that follow prices in the valuation hold what is granted, and lose what is cut.
     risen = granted if case.liability.future_indexation == "none" else jnp.zeros(())
-    return Pace(
+    return (
         accrual / case.step,
         paid / case.step,
         benefits,

@@ -6,7 +6,7 @@ from dataclasses import fields
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
 
 from ...flowsheet.feed import Feed
 from ...flowsheet.network import Network
@@ -18,23 +18,32 @@ from ...units.operation import Unit
 from ..entries import Numbers
 from ..numbers import LIQUID
 
-# (unit, ends of a number's name, least, most, words) beyond which an owner is asked to look again.
-USUAL = (
-    ("K", ("",), 200.0, 500.0, "processes in liquids mostly run from 200 to 500 K"),
-    ("kg/m3", (".density",), 800.0, 5000.0, "crystals mostly have 800 to 5000 kg/m^3"),
-    ("1", (".porosity",), 0.25, 0.75, "cakes mostly have 0.25 to 0.75"),
-    ("1", (".shape",), 0.01, 1.5, "a sphere has 0.52 and a cube 1"),
-)
+RANGES = (
+    Plausible(200.0, 500.0, "processes in liquids mostly run from 200 to 500 K", unit="K"),
+    Plausible(800.0, 5000.0, "crystals mostly have 800 to 5000 kg/m^3", unit="kg/m3",
+              endings=(".density",)),
+    Plausible(0.25, 0.75, "cakes mostly have 0.25 to 0.75", unit="1", endings=(".porosity",)),
+    Plausible(0.01, 1.5, "a sphere has 0.52 and a cube 1", unit="1", endings=(".shape",)),
+    Plausible(1.0, 6.048e5, "units mostly run from seconds to a week; is it in hours or minutes?",
+              unit="s", endings=(".duration", ".time")),
+    Plausible(1e-9, 0.01, "crystals and films mostly have nanometres to millimetres", unit="m",
+              endings=(".size", "_size", ".film")),
+    Plausible(1e3, 1e6, "energies of activation and heats mostly are 1 to 1,000 kJ/mol",
+              unit="J/mol", by_size=True),
+    Plausible(1e-9, 60.0, "water itself is 55 mol/L", unit="kmol/m3"),
+    Plausible(1.0, 1e9, "100,000 Pa are 1 bar", unit="Pa"),
+    Plausible(1e-6, 1e3, "water has 0.001 Pa*s", unit="Pa*s"),
+    Plausible(1e-14, 1e-3, "in liquids it mostly is about 1e-9 m^2/s", unit="m2/s"),
+    Plausible(1e-9, 1e4, "1 L is 0.001 m3", unit="m3"),
+    Plausible(1e-12, 1e-3, "1 um/s is 1e-6 m/s", unit="m/s"),
+    Plausible(1.0, 1e6, "a molar mass is in g/mol: water has 18", unit="g/mol"),
+)  # fmt: skip
 PACKED = 0.5  # of the volume: a slurry with more seed than this does not move
 POINTS = 65  # between the lowest and the highest temperature
 
 
-def check_physics(
-    file, feeds: Sequence[Feed], units: Sequence[Unit], network: Network, notes: list[str]
-) -> None:
-    """Refuses what cannot be, with its limit; notes what is unusual."""
-    for given in every_given((feeds, units)):
-        notes += _unusual(given)
+def check_physics(file, feeds: Sequence[Feed], units: Sequence[Unit], network: Network) -> None:
+    """Refuses what cannot be, with its limit."""
     for feed in feeds:
         _check_feed(file, feed, network)
     for unit in units:
@@ -66,14 +75,21 @@ def check_moved_solubility(units: Sequence[Unit], spans: Iterable, numbers: Numb
     return found
 
 
-def _unusual(given: Given) -> list[str]:
-    for unit, ends, low, high, words in USUAL:
-        if given.unit == unit and given.name.endswith(ends):
-            odd = given.values[(given.values < low) | (given.values > high)]
-            if odd.size:
-                own = "" if unit == "1" else f" {unit}"
-                return [f"{given.name} is {odd[0]:.6g}{own}: {words}."]
-    return []
+def unusual(
+    files: CaseFiles, feeds: Sequence[Feed], units: Sequence[Unit], network: Network
+) -> Iterable[str]:
+    """Notes on numbers that are possible and likely to be in another unit."""
+    masses = (
+        CheckedNumbers(f"species.{name}.molar_mass", np.array([mass]), ("",), "g/mol")
+        for name, mass in zip(network.species, network.molar_mass)
+    )
+    entries = [checked_numbers(each) for each in every_given((network, feeds, units))]
+    # A unit such as degC has an offset as well as a factor.
+    entries = [
+        each._replace(display_unit="", display_factor=1.0) if each.unit == "K" else each
+        for each in entries
+    ]
+    return implausible([*entries, *masses], RANGES, files).values()
 
 
 def _check_feed(file, feed: Feed, network: Network) -> None:
