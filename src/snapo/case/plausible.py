@@ -7,8 +7,8 @@ curve, far from its neighbours.
     RATE = Plausible(-0.02, 0.2, "fractions are meant, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
-A zero is the same number in every unit and is never noted. The position of a number is found among
-the cells of the case's files: the one that holds it and has the most in common with its input.
+A zero is the same number in every unit and is never noted. Its position is the cell of the
+case's files that contains it and resembles the name and label of its input.
 """
 
 import math
@@ -52,7 +52,7 @@ class CheckedNumbers(NamedTuple):
 
 
 def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
-    """The numbers of an input of a case or of a simulator; `name` where it has none of its own."""
+    """The numbers of an input of a case or of a simulator; `name` where it has none."""
     if isinstance(entry, CheckedNumbers):
         return entry
     values = entry.values if hasattr(entry, "values") else entry.value
@@ -114,7 +114,7 @@ def implausible(
     """{name: note} of the inputs with implausible numbers; the first range that fits counts."""
     notes: dict[str, str] = {}
     for entry in map(checked_numbers, entries):
-        range_ = next((each for each in ranges if each.fits(entry)), None)
+        range_ = next((item for item in ranges if item.fits(entry)), None)
         if range_ is None or entry.name in notes or entry.source in notes:
             continue
         note = _outside(entry, range_, files) or _apart(entry, range_, files)
@@ -135,8 +135,8 @@ def _outside(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> st
         limits = f"above {high}"
     else:
         limits = f"outside {low} to {high}"
-    what = f"{limits} {_unit(entry)}".rstrip() + more(rows.size - 1, " of its numbers")
-    return f"{_start(entry, int(rows[0]), files)}, {what}: {range_.hint}."
+    limits = f"{limits} {_unit(entry)}".rstrip() + more(rows.size - 1, " of its numbers")
+    return f"{_start(entry, int(rows[0]), files)}, {limits}: {range_.hint}."
 
 
 def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
@@ -152,7 +152,7 @@ def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
         return ""
     near = f"{_plain(usual[row] * entry.display_factor)} {_unit(entry)}".rstrip()
     return (
-        f"{_start(entry, row, files)}, {_plain(entry.values[row] / usual[row])} times its "
+        f"{_start(entry, row, files)}, {entry.values[row] / usual[row]:.3g} times its "
         f"neighbours of about {near}: is it in the same unit?"
     )
 
@@ -204,8 +204,8 @@ def _plain(number: float) -> str:
 
 
 class Cell(NamedTuple):
-    """A number in a file: its position in words, the terms of its key and column, the texts of its
-    row, and its value (NaN where a text in quotation marks holds it)."""
+    """A number in a file: its position, the terms of its key and column, the texts of its
+    row, and its value (NaN where it is a text in quotation marks)."""
 
     position: str
     terms: frozenset[str]
@@ -217,7 +217,7 @@ class Cell(NamedTuple):
 class CaseFiles:
     """The files of a case, read for the position of a number when the first one is looked up.
 
-    - `data`: the tables of the TOML file `file`; the CSVs that they name are beside it.
+    - `data`: the tables of the TOML file `file`; the CSVs that they name are in its folder.
     """
 
     file: Path
@@ -226,21 +226,21 @@ class CaseFiles:
     def position(self, name: str, label: str, value: float) -> str:
         """The position of a number of the input `name`; the name where no file has it.
 
-        Of the cells that hold the number, or have the key's name, it is the one whose key, column
-        and row have the most in common with the input's name and label. Annual rates of a file are
-        continuous in the records of some cases.
+        Of the cells that contain the number, or have the key's name, it is the one whose key,
+        column and row share the largest number of terms with the input's name and label. Annual
+        rates of a file are continuous in the records of some cases.
         """
         terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)
         best, best_score = name, (0, False, 0, 0)
-        for each in self._cells:
-            equal = _equal(each.value, written)
-            if not equal and not last <= each.terms:
+        for cell in self._cells:
+            equal = _equal(cell.value, written)
+            if not equal and not last <= cell.terms:
                 continue
-            common, rows = len(terms & each.terms), _rows(each, label)
-            score = (common + rows + equal, equal, rows, -len(each.terms))
+            common, rows = len(terms & cell.terms), _rows(cell, label)
+            score = (common + rows + equal, equal, rows, -len(cell.terms))
             if common + rows and score > best_score:
-                best, best_score = each.position, score
+                best, best_score = cell.position, score
         return best
 
     @cached_property
@@ -249,13 +249,13 @@ class CaseFiles:
 
     def _walk(self, value: Any, path: tuple[str, ...]) -> Iterator[Cell]:
         if isinstance(value, Mapping):
-            for key, each in value.items():
-                yield from self._walk(each, (*path, str(key)))
+            for key, item in value.items():
+                yield from self._walk(item, (*path, str(key)))
         elif isinstance(value, list):
-            for i, each in enumerate(value):
-                name = each.get("name", each.get("of")) if isinstance(each, Mapping) else None
+            for i, item in enumerate(value):
+                name = item.get("name", item.get("of")) if isinstance(item, Mapping) else None
                 key = f"[{i}]" if name is None else f"[{name}]"
-                yield from self._walk(each, (*path[:-1], f"{path[-1]}{key}"))
+                yield from self._walk(item, (*path[:-1], f"{path[-1]}{key}"))
         elif isinstance(value, str) and value.lower().endswith(TABLES):
             yield from self._table(value, path)
         elif isinstance(value, int | float | str) and not isinstance(value, bool):
@@ -284,12 +284,12 @@ class CaseFiles:
 def _terms(text: str) -> frozenset[str]:
     """The terms of a name, in the singular: "asset_cost" has "asset" and "cost"."""
     return frozenset(
-        each.removesuffix("s") for each in re.split(r"[^a-z0-9]+", text.lower()) if each
+        term.removesuffix("s") for term in re.split(r"[^a-z0-9]+", text.lower()) if term
     )
 
 
 def _equal(value: float, written: tuple[float, ...]) -> bool:
-    return any(math.isclose(value, each, rel_tol=EXACT) for each in written)
+    return any(math.isclose(value, number, rel_tol=EXACT) for number in written)
 
 
 def _rows(cell: Cell, label: str) -> int:

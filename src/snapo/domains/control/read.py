@@ -61,9 +61,9 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
     blur = read_measurement(plant, table.measurement, name)
     inputs = make_inputs(plant, _given(parameters), _given(weights), starts, noise, blur)
     entries = [
-        checked_numbers(each, f"{group}.{key}")
-        for group, found in inputs.items()
-        for key, each in _flat(found)
+        checked_numbers(entry, f"{group}.{key}")
+        for group, entries in inputs.items()
+        for key, entry in _flat(entries)
     ]
     slips = implausible(entries, RANGES, CaseFiles(file, data)).values()
     for key, value, what in plant.faults(_values(inputs)):
@@ -84,11 +84,11 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
 
 def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
     """(name, input) of a group, "angle.mean" within a state."""
-    for key, each in inputs.items():
-        if isinstance(each, Mapping):
-            yield from ((f"{key}.{name}", input_) for name, input_ in _flat(each))
+    for key, entry in inputs.items():
+        if isinstance(entry, Mapping):
+            yield from ((f"{key}.{name}", input_) for name, input_ in _flat(entry))
         else:
-            yield key, each
+            yield key, entry
 
 
 def _recipe(table: PolicyTable, name: str) -> Policy:

@@ -24,22 +24,22 @@ PERCENT = re.compile("%|point|percent")
 
 def read_inputs(tables: Mapping[str, Any], file: Path, notes: list[str]) -> dict[str, Input]:
     """{name: input} in the order of the file; `prepare` receives arrays under the same names."""
-    found = {name: _input(name, table, file, notes) for name, table in tables.items()}
-    entries = [checked_numbers(each, name) for name, each in found.items()]
+    inputs = {name: _input(name, table, file, notes) for name, table in tables.items()}
+    entries = [checked_numbers(entry, name) for name, entry in inputs.items()]
     files = CaseFiles(file, {"inputs": tables})
     notes += implausible(entries, [*_shares(entries), APART], files).values()
-    return found
+    return inputs
 
 
 def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
     """The ranges of shares: those that are shown as percentage points, or in basis points."""
-    for each in entries:
-        if each.display_factor == 100 and PERCENT.search(each.display_unit):
+    for entry in entries:
+        if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
             hint = "a fraction is meant, of which the trade unit is a hundredth"
-            yield Plausible(0.0, 5.0, hint, names=(each.name,), ratio=APART.ratio, by_size=True)
-        if each.display_factor == 1e4 and each.display_unit == "bp":
+            yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
+        if entry.display_factor == 1e4 and entry.display_unit == "bp":
             hint = "a fraction is meant, 0.0001 is 1 bp"
-            yield Plausible(0.0, 0.5, hint, names=(each.name,), by_size=True)
+            yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 
 def _input(name: str, data: Any, file: Path, notes: list[str]) -> Input:

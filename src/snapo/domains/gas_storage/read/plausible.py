@@ -46,7 +46,7 @@ RANGES = (
 
 def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
     """Notes on numbers that are likely to be in another unit; `data`: the tables of the case."""
-    inputs = [checked_numbers(each, name) for name, each in storage_inputs(case).items()]
+    inputs = [checked_numbers(entry, name) for name, entry in storage_inputs(case).items()]
     ranges = [*RANGES, *_by_price(case), *_by_size(case)]
     return implausible(inputs, ranges, CaseFiles(case.file, data)).values()
 
@@ -63,7 +63,7 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
         paid = f"a cost is in {name}, and the dearest gas costs {highest:.6g}"
         names = ("injection_cost", "withdrawal_cost")
         yield Plausible(0.0, 3 * highest, paid, names=names, by_size=True)
-        paid = f"it is in {name} for each day, and the dearest gas costs {highest:.6g}"
+        paid = f"it is in {name} a day, and the dearest gas costs {highest:.6g}"
         yield Plausible(0.0, highest / 20, paid, names=("inventory_cost",), by_size=True)
 
 

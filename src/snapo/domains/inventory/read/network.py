@@ -107,8 +107,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
     whole = all(_whole(place) for place in places)
     total = sum(row.lead_time + 1 for row in rows)
     usual = 0 if horizon.discount < 1 else 10 * total
-    costs = [each for each in (held, short, moving) if each is not None]
-    inputs = [*costs, *(x for place in places for x in _demand(place))]
+    costs = [cost for cost in (held, short, moving) if cost is not None]
+    inputs = [*costs, *(x for site in places for x in _demand(site))]
     notes += unit_slips(CaseFiles(file, data), inputs, horizon.discount, table.period)
     return NetworkCase(
         **read_settings(top, name),
@@ -209,12 +209,12 @@ def _place(row: PlaceTable, section: Section, names: list[str], unit: str) -> Pl
     return Place(row.name, supplier, row.lead_time, demand, season, row.order > 0)
 
 
-def _demand(place: Place) -> Iterator[CheckedNumbers]:
-    """The numbers of the demand of a place, under its name."""
-    season = [] if place.season is None else [place.season]
-    for each in (*([] if place.demand is None else place.demand.given()), *season):
-        numbers = checked_numbers(each)
-        yield numbers._replace(name=f"{place.name}.{numbers.name}")
+def _demand(site: Place) -> Iterator[CheckedNumbers]:
+    """The numbers of the demand of a site, with its name in front."""
+    season = [] if site.season is None else [site.season]
+    for entry in (*([] if site.demand is None else site.demand.given()), *season):
+        numbers = checked_numbers(entry)
+        yield numbers._replace(name=f"{site.name}.{numbers.name}")
 
 
 def _inner(section: Section, name: str) -> Section:

@@ -12,18 +12,18 @@ from ..demand.base import DEVIATION, MEAN
 
 def unit_slips(files: CaseFiles, inputs: Iterable[Any], discount: float, period: str) -> list[str]:
     """Notes on the numbers of an item, or of a network: `inputs`, with the factor of `discount`."""
-    entries = [checked_numbers(each) for each in inputs]
+    entries = [checked_numbers(entry) for entry in inputs]
     entries.append(CheckedNumbers("discount", np.array([discount]), ("",)))
     return list(implausible(entries, list(_ranges(entries, period)), files).values())
 
 
 def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausible]:
     """The ranges, some of them by the size of other numbers of the case."""
-    by_period = f"it is for each {period}"
+    by_period = f"it is of one {period}"
     yield Plausible(0.5, 1.0, f"a factor by {period} is meant, 0.999 and not the rate 0.001",
                     names=("discount",))  # fmt: skip
     yield Plausible(0.02, 20.0, "it is a factor of the mean, 1.2 is 120 %", endings=("season",))
-    cost = {each.name: each.values[each.values > 0] for each in entries}
+    cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))
     if short.size:
         hint = f"{by_period} and unit, and a unit short costs {short.max():.6g}"
@@ -32,7 +32,7 @@ def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausibl
         hint = f"a unit costs {bought.max():.6g}"
         yield Plausible(bought.max() / 1e3, 1e3 * bought.max(), hint, names=("shortage_cost",))
     mean = max(
-        (float(each.values.max()) for each in entries if each.name.endswith(MEAN)), default=0.0
+        (float(entry.values.max()) for entry in entries if entry.name.endswith(MEAN)), default=0.0
     )
     if mean > 0:
         hint = f"{by_period}, and the mean demand is {mean:.6g}"

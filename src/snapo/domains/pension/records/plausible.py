@@ -17,7 +17,7 @@ from .people import ACTIVE
 
 RATE = (-0.02, 0.15)  # zero rates, continuous
 FORWARD = (-0.05, 0.2)
-MAJOR = ("EUR", "GBP", "USD", "CHF")  # currencies of which a salary has a known size
+MAJOR = ("EUR", "GBP", "USD", "CHF")  # currencies of which a salary has a usual size
 YEARLY = "a fraction per year is meant, 0.02 is 2 %"
 MONEY = "is it in the same unit as the other amounts of the case?"
 SHARE = "a fraction is meant, 0.05 is 5 %"
@@ -61,7 +61,7 @@ RANGES = (
     _by_name(0.01, 5.0, "it is per square root of a year", "lee_carter_volatility"),
     _by_name(0.0, 5.0, "it is the hazard's response to the factor", "lee_carter_loading",
              by_size=True),
-    _by_name(0.002, 0.05, "it is a share of the salary for each year, 1/60 is 0.0167",
+    _by_name(0.002, 0.05, "it is a share of the salary for a year of service, 1/60 is 0.0167",
              "plan_accrual_rate"),
     _by_name(0.05, 1.0, SHARE, "plan_spouse_share", "plan_married_share"),
     _by_name(-0.02, 0.12, YEARLY, "revaluation_deferred", "revaluation_active",
@@ -180,10 +180,10 @@ def _forwards(curve: Curve, name: str, tenor: str) -> Iterator[CheckedNumbers]:
     labels = curve.rate.labels
     yield CheckedNumbers(tenor, curve.tenor, labels, "year")
     if curve.quote == "zero":
-        ends = np.concatenate([[0.0], curve.tenor])
+        times = np.concatenate([[0.0], curve.tenor])
         paid = np.concatenate([[0.0], curve.tenor * curve.rate.values])
-        forward = np.diff(paid) / np.diff(ends)
-        between = tuple(f"up to {each}" for each in labels)
+        forward = np.diff(paid) / np.diff(times)
+        between = tuple(f"up to {label}" for label in labels)
         unit = (curve.rate.unit, curve.rate.group, "bp", 1e4, curve.rate.values, curve.rate.name)
         yield CheckedNumbers(name, forward, between, *unit)
 
@@ -195,6 +195,6 @@ def _scenarios(case: PensionCase) -> Iterator[CheckedNumbers]:
     for i, column in enumerate(case.scenarios.columns):
         kind = column.partition(" ")[0]
         name = f"scenario {kind if kind in ('return', 'zero') else 'growth'}"
-        values = np.array([f(each[:, :, i]) for f in (np.min, np.max) for each in both])
+        values = np.array([f(paths[:, :, i]) for f in (np.min, np.max) for paths in both])
         labels = tuple(f"{column} in {role}" for role in ("training", "evaluation")) * 2
         yield CheckedNumbers(name, values, labels)

@@ -94,7 +94,7 @@ def _human(case: PensionCase, found: Human) -> list[str]:
 
 
 def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list[str]:
-    """Members by status, the cost of what they earn and what is paid in, and payments of today."""
+    """Members by status, the cost of accrual and today's contribution, and payments of today."""
 
     def money(amount: float) -> str:
         return readable(amount, case.currency)
@@ -102,27 +102,27 @@ def _status(case: PensionCase, inputs: dict[str, Any], liability: float) -> list
     def of_payroll(amount: float) -> str:
         return f"{money(amount)}{f', {amount / now.payroll:.1%} of payroll' if now.payroll else ''}"
 
-    told = []
+    text = []
     if members := groups(case, inputs):
-        told.append("members: " + "; ".join(_group(each, money) for each in members))
+        text.append("members: " + "; ".join(_group(group, money) for group in members))
     now = pace(case, inputs, liability)
     cost, earned = f"a year's accrual costs {of_payroll(now.accrual)}; ", ""
     increase = (
         f", increase {now.increase:.2%}: {money(now.raised)} of benefits and "
         f"{money(now.liability_raised)} of liability"
     )
-    if case.pots is not None:  # what is paid follows the pots, and nothing accrues
+    if case.pots is not None:  # payments follow the pots, and nothing accrues
         cost, earned, increase = "", " as earned", ""
-    told.append(f"{cost}today's contribution is {of_payroll(now.contribution)}")
+    text.append(f"{cost}today's contribution is {of_payroll(now.contribution)}")
     paid = f"benefits {money(now.benefits)}{earned}, expenses {money(now.expenses)}{increase}"
-    return [*told, f"payments of today, a year: {paid}"]
+    return [*text, f"payments of today, a year: {paid}"]
 
 
-def _group(found: Group, money: Callable[[float], str]) -> str:
-    salaries = f", payroll {money(found.payroll)}" if found.payroll else ""
+def _group(group: Group, money: Callable[[float], str]) -> str:
+    salaries = f", payroll {money(group.payroll)}" if group.payroll else ""
     return (
-        f"{found.members:,.10g} {found.name} with pensions of {money(found.pensions)}{salaries},"
-        f" liability {money(found.liability)}"
+        f"{group.members:,.10g} {group.name} with pensions of {money(group.pensions)}{salaries},"
+        f" liability {money(group.liability)}"
     )
 
 

@@ -28,7 +28,7 @@ MARKETS = {"curve", "volatility", "premium", "model", "assets", "credit"}
 
 def remarks(case: PensionCase, found: Human) -> list[str]:
     """A sentence for each figure outside its range, and for a deficit that nothing will close."""
-    slips = {each.group for each in every_given(case) if each.name in case.slips}
+    slips = {entry.group for entry in every_given(case) if entry.name in case.slips}
     size = () if slips & PROMISED else _size(case, found)
     market = () if slips & MARKETS else _market(case, found)
     return [*size, *market, *_unpaid(case, found), *_rolling(case, found)]

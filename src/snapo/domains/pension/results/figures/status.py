@@ -46,8 +46,8 @@ class Pace(NamedTuple):
     - `contribution`: by the rule and with its limits; `agreed` payments in money are in it.
     - `benefits`, `expenses`: paid. `payroll`: salaries.
     - `increase`: less cuts, of a year in which prices grow as the one-year break-even: a share; the
-      fixed one where increases are fixed. `raised`: what it adds to a year's benefits;
-      `liability_raised`: what it adds to the liability, 0 where its payments hold the increase.
+      fixed one where increases are fixed. `raised`: its part of a year's benefits;
+      `liability_raised`: its part of the liability, 0 where the payments contain it.
     """
 
     accrual: float
@@ -66,10 +66,10 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
     if members is None:
         return []
     with jax.enable_x64(True):
-        value = np.asarray(jax.jit(lambda given: _by_cohort(case, given))(_double(inputs)))
+        value = np.asarray(jax.jit(lambda inputs: _by_cohort(case, inputs))(_double(inputs)))
     number, pension, salary = (
-        each.used() if each.values.size else np.zeros(len(members.status))
-        for each in (members.number, members.pension, members.salary)
+        entry.used() if entry.values.size else np.zeros(len(members.status))
+        for entry in (members.number, members.pension, members.salary)
     )
     salary = np.where(members.status == ACTIVE, salary, 0.0)
     return [
@@ -86,7 +86,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[Group]:
 
 
 def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
-    """[C] the liability to each cohort and its spouses: of rights earned by now."""
+    """[C] the liability of rights earned by now, to every cohort and its spouses."""
     members, case = case.members, replace(case, scenarios=None)
     bond = basis_log_bond(case, inputs)
     streams = project(case, inputs, bond).streams
@@ -98,11 +98,11 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
 
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
-    """The payments of today; `liability`: the case's own."""
+    """The payments of today; `liability`: that of the case."""
     case = replace(case, scenarios=None)
     with jax.enable_x64(True):
-        found = jax.jit(lambda given: _pace(case, given, liability))(_double(inputs))
-    return Pace(*(float(each) for each in found))
+        numbers = jax.jit(lambda inputs: _pace(case, inputs, liability))(_double(inputs))
+    return Pace(*map(float, numbers))
 
 
 def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[Array, ...]:
@@ -130,7 +130,7 @@ def _pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> tuple[
     fixed = case.plan.indexation.rate if case.plan.indexation.kind == "fixed" else None
     increase = granted - cut if fixed is None else jnp.asarray(float(fixed.used()))
     benefits = lives.benefit[0] / case.step
-    # Payments that follow prices in the valuation hold what is granted, and lose what is cut.
+    # Payments that follow prices in the valuation contain the increase, but no cut.
     risen = granted if case.liability.future_indexation == "none" else jnp.zeros(())
     return (
         accrual / case.step,

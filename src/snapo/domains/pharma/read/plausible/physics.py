@@ -83,11 +83,11 @@ def unusual(
         CheckedNumbers(f"species.{name}.molar_mass", np.array([mass]), ("",), "g/mol")
         for name, mass in zip(network.species, network.molar_mass)
     )
-    entries = [checked_numbers(each) for each in every_given((network, feeds, units))]
+    entries = [checked_numbers(entry) for entry in every_given((network, feeds, units))]
     # A unit such as degC has an offset as well as a factor.
     entries = [
-        each._replace(display_unit="", display_factor=1.0) if each.unit == "K" else each
-        for each in entries
+        entry._replace(display_unit="", display_factor=1.0) if entry.unit == "K" else entry
+        for entry in entries
     ]
     return implausible([*entries, *masses], RANGES, files).values()
 
