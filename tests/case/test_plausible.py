@@ -122,9 +122,9 @@ def test_neighbours_along_a_curve(values, usual):
 
 
 def test_the_accessor_reads_inputs_of_a_simulator():
-    found = checked_numbers(
+    result = checked_numbers(
         Input([[1.0, 2.0]], "EUR", trade_unit="cent", trade_factor=100.0), "cost"
     )
-    assert (found.name, found.values.tolist(), found.labels) == ("cost", [1.0, 2.0], ("0", "1"))
-    assert (found.display_unit, found.display_factor) == ("cent", 100.0)
+    assert (result.name, result.values.tolist(), result.labels) == ("cost", [1.0, 2.0], ("0", "1"))
+    assert (result.display_unit, result.display_factor) == ("cent", 100.0)
     assert checked_numbers(Input(3.0), "x").labels == ("",)

@@ -17,7 +17,7 @@ def test_no_template_has_a_note_on_units(kind, size):
     domain = find(kind, "KIND")
     code = tuple(domain.example.split(":")) if isinstance(domain, RunsCode) else None
     case = load(Asked(Path(str(domain.templates[size])), (), code)).case
-    assert not [note for note in case.notes if not any(each in note for each in OTHER)]
+    assert not [note for note in case.notes if not any(item in note for item in OTHER)]
 
 
 @pytest.mark.parametrize("file", sorted(ROOT.glob("examples/**/case.toml")), ids=str)

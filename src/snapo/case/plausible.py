@@ -168,7 +168,8 @@ def around(values: np.ndarray) -> np.ndarray:
     runs = values[first]
     usual = np.full(runs.size, np.nan)
     for i in range(runs.size):
-        near = sorted((j for j in range(runs.size) if j != i), key=lambda j: (abs(j - i), j))
+        window = range(max(i - AROUND, 0), min(i + AROUND + 1, runs.size))
+        near = sorted((j for j in window if j != i), key=lambda j: (abs(j - i), j))
         if near:
             usual[i] = np.median(runs[near[:AROUND]])
     return usual[np.cumsum(np.isin(np.arange(values.size), first)) - 1]

@@ -8,6 +8,8 @@ import pytest
 from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
 from snapo.domains.gas_storage.read.case import read_case
+from snapo.study.commands import check
+from snapo.study.domain import Asked
 
 CASES = Path(__file__).parents[1] / "cases"
 TEMPLATE = Path(str(DOMAIN.templates["flagship"]))
@@ -104,6 +106,19 @@ def test_a_curve_in_another_unit_has_one_note(tmp_path):
     # In its own unit the same curve has none: a thousandth of 1 to 1,000.
     (folder / "case.toml").write_text(data.replace('volume_unit = "MWh"', 'volume_unit = "kWh"'))
     assert not read_case(*load(folder)).notes
+
+
+def test_check_prints_the_note_before_the_lines_of_the_case(tmp_path):
+    folder = copy(tmp_path / "case")
+    text = (folder / "case.toml").read_text()
+    (folder / "case.toml").write_text(text.replace("volatility = 0.85", "volatility = 45.0"))
+    printed: list[str] = []
+    lines = check(Asked(folder), printed.append)
+    assert printed == [
+        "note: model.spot_volatility: spot_volatility is 4,500 volatility points (45), outside 0.5 "
+        "to 500 volatility points: fractions are meant, 0.85 is 85 %."
+    ]
+    assert lines[-1] == "the contract can be met"
 
 
 def test_fixed_costs_before_the_valuation_date_are_noted(tmp_path):

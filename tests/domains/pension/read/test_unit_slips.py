@@ -156,12 +156,12 @@ def test_every_input_of_every_kind_of_case_has_a_range(tmp_path):
     """All but assets, of which the funding ratio tells, and correlations, which are -1 to 1."""
     path = written(tmp_path)
     for data in CASES.values():
-        case = resolve(path, {key: each for key, each in data.items() if each is not None})
+        case = resolve(path, {key: item for key, item in data.items() if item is not None})
         ranges = [*RANGES, *amounts(case)]
         missing = {
-            each.name
-            for each in every_given(case)
-            if not any(range_.fits(checked_numbers(each)) for range_ in ranges)
+            item.name
+            for item in every_given(case)
+            if not any(range_.fits(checked_numbers(item)) for range_ in ranges)
         }
         assert missing <= {"assets", "correlation", "gompertz"}
 

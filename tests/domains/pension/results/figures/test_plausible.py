@@ -105,7 +105,7 @@ def test_check_remarks_on_slips(tmp_path):
         ("case.toml", "volatility = 0.008", "volatility = 0.8"),
     ]
     case = read_case(short_case(tmp_path / "case", slips))
-    (remark,) = [each for each in DOMAIN.check(case) if each.startswith("note: ")]
+    (remark,) = [line for line in DOMAIN.check(case) if line.startswith("note: ")]
     assert "is fund.assets in the unit" in remark
     (note,) = case.notes
     assert note.startswith("rates.volatility: rate_volatility is 8,000 bp (0.8)")
@@ -118,8 +118,8 @@ def test_a_high_volatility_of_rates_by_little_reversion_is_remarked(tmp_path):
     high += [("case.toml", "mean_reversion = 0.03 ", "mean_reversion = 0.0005 ")]
     case = read_case(short_case(tmp_path / "case", high))
     assert not case.notes
-    found = [each for each in DOMAIN.check(case) if each.startswith("note: ")]
-    assert any("the volatility of the 10-year rate is 4.99% a year" in each for each in found)
+    notes = [line for line in DOMAIN.check(case) if line.startswith("note: ")]
+    assert any("the volatility of the 10-year rate is 4.99% a year" in line for line in notes)
 
 
 @pytest.mark.prove

@@ -16,14 +16,14 @@ from snapo.problem.inputs import plain
 LIABILITY = 318916480.0  # of the small example; see `test_template_liability`
 
 
-def found(case):
+def status_and_pace(case):
     inputs = plain(pension_inputs(case))
     return groups(case, inputs), pace(case, inputs, figures(case, inputs).liability)
 
 
 @pytest.fixture(scope="module")
 def small():
-    return found(read_case(TEMPLATES / "small"))
+    return status_and_pace(read_case(TEMPLATES / "small"))
 
 
 def discount():
@@ -51,7 +51,7 @@ def flow(row):
 
 def test_members_pensions_and_payroll_are_those_of_the_file(small):
     """420 + 380 + 510 + 430 actives, and so on: sums over the rows of cohorts.csv."""
-    assert [each[:4] for each in small[0]] == [
+    assert [item[:4] for item in small[0]] == [
         ("active", 1740.0, 11_365_000.0, 77_530_000.0),
         ("deferred", 680.0, 2_454_000.0, 0.0),
         ("pensioners", 1090.0, 11_326_000.0, 0.0),
@@ -64,8 +64,8 @@ def test_the_liability_by_status_is_a_sum_over_people(small):
     for row in rows("cohorts.csv"):
         pension = float(row["number"]) * float(row["pension"]) / 12
         total[row["status"]] += pension * flow(row) @ now
-    assert [each.liability for each in small[0]] == pytest.approx(list(total.values()), rel=1e-9)
-    assert sum(each.liability for each in small[0]) == pytest.approx(LIABILITY, rel=1e-8)
+    assert [item.liability for item in small[0]] == pytest.approx(list(total.values()), rel=1e-9)
+    assert sum(item.liability for item in small[0]) == pytest.approx(LIABILITY, rel=1e-8)
 
 
 def test_the_cost_of_accrual_is_a_sum_over_actives(small):
@@ -104,7 +104,7 @@ def test_payments_of_today_and_the_increase(small):
 
 def test_check_prints_three_lines():
     text = DOMAIN.check(read_case(TEMPLATES / "small"))
-    first = [each.partition(":")[0] for each in text].index("members")
+    first = [item.partition(":")[0] for item in text].index("members")
     members, cost, paid = text[first : first + 3]
     assert members == (
         "members: 1,740 active with pensions of EUR 11.4 million, payroll EUR 77.5 million, "
@@ -132,7 +132,7 @@ def test_limits_agreed_payments_and_cuts_count(tmp_path):
         ("case.toml", "# required_ratio = 1.0", "required_ratio = 1.0"),
         ("case.toml", "# cut_years = 0 ", "cut_years = 5 "),
     ]) / "recovery.csv").write_text("date,amount\n2025-01-31,100000\n")  # fmt: skip
-    _, now = found(read_case(folder.parent))
+    _, now = status_and_pace(read_case(folder.parent))
     assert now.contribution == pytest.approx(0.2 * 77_530_000.0 + 12 * 100_000, rel=1e-9)
     assert now.increase == pytest.approx(-0.1 / 5, rel=1e-6)
     assert now.liability_raised == pytest.approx(-0.02 * LIABILITY, rel=1e-6)
@@ -144,15 +144,15 @@ def test_every_kind_of_case_has_its_lines(name, tmp_path):
     """By status they add up to the liability; fixed increases are in it already."""
     path = written(tmp_path)
     data = CASES[name] | {"reconcile": None}
-    case = resolve(path, {key: each for key, each in data.items() if each is not None})
+    case = resolve(path, {key: item for key, item in data.items() if item is not None})
     inputs = plain(pension_inputs(case))
     liability = figures(case, inputs).liability
-    members, now = found(case)
+    members, now = status_and_pace(case)
     if case.members is None:
         assert not members
         assert now.accrual == pytest.approx(5.0)  # the normal cost of the case
     else:
-        assert sum(each.liability for each in members) == pytest.approx(liability, rel=1e-9)
+        assert sum(item.liability for item in members) == pytest.approx(liability, rel=1e-9)
     if case.plan.indexation.kind == "fixed":
         assert now.increase in (0.03, 0.025)
         assert now.liability_raised == 0
