@@ -60,7 +60,7 @@ def coupons(
     """Coupons per year, the par rate of these prices [J] where they are at par; and annuities, the
     prices of a coupon of 1 per year."""
     at_par, last = np.isnan(of.coupon), np.argmax(of.principal, axis=1)
-    annuity = of.period @ price
+    annuity = jnp.asarray(of.period) @ price
     # Periods of nothing would divide by nothing.
     par = (1 - price[last]) / jnp.where(at_par, annuity, 1.0)
     return jnp.where(at_par, par, np.nan_to_num(of.coupon)), annuity
