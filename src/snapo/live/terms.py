@@ -20,9 +20,9 @@ MOST_ROWS = 60  # of one input in a table of derivatives
 SHARE = 0.01  # of a number that does not say its `move`
 
 
-def handles(given: Input) -> list[tuple[str, list[int]]]:
+def handles(entry: Input) -> list[tuple[str, list[int]]]:
     """(label, positions) of the parts of an input that are moved together: days go by month."""
-    labels = given.names()
+    labels = entry.names()
     if len(labels) > MOST_DAYS and _days(labels):
         months: dict[str, list[int]] = {}
         for i, label in enumerate(labels):
@@ -43,33 +43,33 @@ def _days(labels: tuple[str, ...]) -> bool:
         return False
 
 
-def described(name: str, given: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
+def described(name: str, entry: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
     """An input for the page: all that is said about it, its numbers, and d value / d number, where
     that is known."""
-    factor, trade_unit = own_unit(given)
+    factor, trade_unit = own_unit(entry)
     return {
         "name": name,
-        "words": given.words,
-        "group": given.group or "other",
-        "unit": given.unit,
+        "words": entry.words,
+        "group": entry.group or "other",
+        "unit": entry.unit,
         "trade_unit": trade_unit,
         "factor": factor,
-        "values": given.value.ravel(),
-        "shape": list(given.value.shape),
-        "handles": [{"label": label, "at": at} for label, at in handles(given)],
-        "move": given.move,
+        "values": entry.value.ravel(),
+        "shape": list(entry.value.shape),
+        "handles": [{"label": label, "at": at} for label, at in handles(entry)],
+        "move": entry.move,
         "slope": slope,
         "source": source,
     }
 
 
-def own_unit(given: Input) -> tuple[float, str]:
+def own_unit(entry: Input) -> tuple[float, str]:
     """How many units in which its owner thinks make one unit of the input, and their name; 1 and ""
     where the field on the page has the input's own."""
     # A temperature's other units have another zero, which a factor does not tell.
-    if not given.trade_unit or given.unit == "K":
+    if not entry.trade_unit or entry.unit == "K":
         return 1.0, ""
-    return given.trade_factor, given.trade_unit
+    return entry.trade_factor, entry.trade_unit
 
 
 def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str, np.ndarray]:
@@ -79,7 +79,7 @@ def slopes(table: Sensitivities | None, named: Mapping[str, Input]) -> dict[str,
     its share of that.
     """
     if table is None:
-        return {name: np.zeros(given.value.size) for name, given in named.items()}
+        return {name: np.zeros(entry.value.size) for name, entry in named.items()}
     return {name: _slopes(table.of(name)) for name in named}
 
 
@@ -137,11 +137,11 @@ def derivatives(deltas: Deltas, named: Mapping[str, Input]) -> list[dict[str, An
     return [_derivative(name, deltas, named[name]) for name in named]
 
 
-def usual(given: Input) -> np.ndarray:
+def usual(entry: Input) -> np.ndarray:
     """By how much every number of an input moves, shaped like it."""
-    if given.move is None:
-        return SHARE * given.value
-    return np.full(given.value.shape, given.move)
+    if entry.move is None:
+        return SHARE * entry.value
+    return np.full(entry.value.shape, entry.move)
 
 
 def _derivative(name: str, deltas: Deltas, of: Input) -> dict[str, Any]:

@@ -67,6 +67,17 @@ class Process(eqx.Module):
     def words(self) -> str:
         """One sentence for a report."""
 
+    def weight(self, state: State) -> Float[Array, ""]:
+        """The likelihood ratio of the path so far: the number 1, with the derivative of the log
+        probability of those draws that have none of their own, such as regimes. A simulator
+        multiplies every output by it."""
+        return jnp.ones(())
+
+    def in_mean(self) -> tuple[str, ...]:
+        """Names of the inputs that set the probabilities of such draws: their derivative is right
+        in the mean of many paths alone."""
+        return ()
+
     def surprise(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
         """Level less forward: of expectation zero for a `martingale`."""
         return self.level(constants, now, state) - self.forward(constants, now)

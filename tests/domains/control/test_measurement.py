@@ -9,9 +9,8 @@ import pytest
 import snapo
 from snapo.case.table import load
 from snapo.domains.control import DOMAIN
-from snapo.domains.control.closed_form import optimum
+from snapo.domains.control.closed_form import estimation_cost, optimum
 from snapo.domains.control.inputs import make_inputs
-from snapo.domains.control.kalman import estimation_cost
 from snapo.domains.control.plants.double_integrator import DoubleIntegrator
 from snapo.domains.control.plants.linear import LinearQuadratic
 from snapo.domains.control.riccati import Linear, expected_cost, riccati

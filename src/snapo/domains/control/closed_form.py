@@ -4,11 +4,34 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from jaxtyping import Float
 
-from .kalman import estimation_cost
 from .plants.linear import LinearQuadratic
 from .plants.plant import MEASURED, Plant
-from .riccati import Riccati, expected_cost, linearised, riccati
+from .riccati import Linear, Riccati, expected_cost, linearised, riccati
+
+
+def estimation_cost(
+    plant: Linear,
+    found: Riccati,
+    start: Float[np.ndarray, "n n"],
+    shocks: Float[np.ndarray, "*T n n"],
+    errors: Float[np.ndarray, "n n"],
+) -> float:
+    """The mean cost that is added by errors of measurement.
+
+    `start`, `shocks`, `errors`: covariances of the first state, of disturbances and of errors; all
+    of them normal.
+    """
+    total, prior = 0.0, start
+    every = np.broadcast_to(shocks, found.P[1:].shape)
+    for gain, ahead, shock in zip(found.K, found.P[1:], every):
+        # Where a state is measured exactly, or known, the sum may have no inverse.
+        known = prior - prior @ np.linalg.pinv(prior + errors, hermitian=True) @ prior
+        worth = gain.T @ (plant.R + plant.B.T @ ahead @ plant.B) @ gain
+        total += float(np.sum(known * worth))
+        prior = plant.A @ known @ plant.A.T + shock
+    return total
 
 
 def solved(plant: Plant, values: Mapping[str, Any]) -> Riccati | None:

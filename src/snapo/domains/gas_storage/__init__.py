@@ -1,5 +1,11 @@
 """Gas storage: a contract on gas in store, valued and steered; light until there is work to do."""
 
-from .domain import GasStorage
+from snapo.study.kind import Kind
 
-DOMAIN = GasStorage()
+DOMAIN = Kind(
+    "gas-storage",
+    "a gas storage contract: value, deltas, trigger prices",
+    __name__,
+    {"flagship": "template"},
+    timer="bench:bench",
+)

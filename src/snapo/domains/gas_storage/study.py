@@ -3,6 +3,8 @@
 from functools import cached_property
 from typing import Any
 
+import numpy as np
+
 from snapo.problem.problem import Problem
 from snapo.study.domain import Options
 from snapo.study.parts.bound import BOUND
@@ -11,8 +13,7 @@ from snapo.study.training import TRAINING, trained
 
 from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
-from .contract.expiry import fixed_costs_value, value_without_decisions
-from .contract.records import StorageCase
+from .contract.records import Market, StorageCase
 from .references.intrinsic import intrinsic
 from .references.refined import refined
 from .results.certificate import CERTIFICATE
@@ -21,6 +22,36 @@ from .results.profile import PROFILE, today
 from .results.shadow_prices import SHADOW_PRICES
 from .results.values import VALUES
 from .setup import bare_problem, case_of, factors, fitted_value, make_setup, moved_setup
+
+
+def discount(market: Market, days: np.ndarray) -> np.ndarray:
+    """exp(-r(d) d / 365) for payments on integer days since the valuation date; 1 where d <= 0."""
+    later = np.maximum(np.asarray(days, np.float64), 0)
+    rates = np.interp(later, market.zero_rate_day, market.zero_rate.used())
+    return np.exp(-rates * later / 365)
+
+
+def value_without_decisions(case: StorageCase) -> float:
+    """The value, before fixed costs, of a case with no decision days.
+
+    Zero after the end date; else that of the inventory on the end date, discounted from it: its
+    level is met (or the case would have been refused), and its price is the forward price.
+    """
+    if case.days:
+        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
+    if case.expired:
+        return 0.0
+    inventory = float(case.contract.inventory.used())
+    factor = float(discount(case.market, np.array(case.end_day)))
+    price = float(case.market.forward_curve.used()[-1]) if case.has_end_price else 0.0
+    return factor * case.contract.at_end.known(inventory, price)
+
+
+def fixed_costs_value(case: StorageCase) -> float:
+    """The present value of the fixed costs still owed, in currency; to be taken off the value."""
+    amounts = case.contract.fixed_costs.used()
+    return float(np.sum(amounts * discount(case.market, case.contract.fixed_cost_day)))
+
 
 KIND = "gas-storage"
 

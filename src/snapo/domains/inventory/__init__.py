@@ -1,5 +1,40 @@
-"""Inventories: orders of an item under random demand."""
+"""Inventories: orders under random demand, of an item or of a network of places."""
 
-from .domain import Inventory
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
-DOMAIN = Inventory()
+from snapo.study.kind import Kind
+
+if TYPE_CHECKING:
+    from snapo.study.domain import Case, Options
+    from snapo.study.study import Study
+
+
+@dataclass(frozen=True, eq=False)
+class Inventory(Kind):
+    """Cases of an item, and of a network, which has `[[place]]`."""
+
+    def read(self, file: Path, data: Mapping[str, Any]) -> "Case":
+        network = "place" in data
+        return self.loaded("read.network:read_network" if network else self.reader)(file, data)
+
+    def check(self, case: Any) -> list[str]:
+        return self._of(case, self.summary)(case)
+
+    def study(self, case: Any, options: "Options") -> "Study":
+        return self._of(case, self.maker)(case, options)
+
+    def _of(self, case: Any, name: str) -> Any:
+        """The function of an item, or that of a network."""
+        network = isinstance(case, self.loaded("network.records:NetworkCase"))
+        return self.loaded(f"network.{name}" if network else name)
+
+
+DOMAIN = Inventory(
+    "inventory",
+    "an inventory: orders, service and costs under random demand",
+    __name__,
+    {"spare-part": "template", "line": "template_line", "stores": "template_stores"},
+)

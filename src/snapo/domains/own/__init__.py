@@ -5,37 +5,28 @@ The simulator is Python beside the case. Only the command line names code to run
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from importlib.resources import files
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from snapo.case.error import CaseError
+from snapo.study.kind import Kind
 
 if TYPE_CHECKING:
-    from snapo.study.domain import Options, Report
-    from snapo.study.study import Study, Tell
-
     from .records import OwnCase
 
 KIND = "own"
 OPTION = "--simulator"
 
 
-@dataclass(frozen=True)
-class Own:
+@dataclass(frozen=True, eq=False)
+class Own(Kind):
     """Cases whose simulator the command line names.
 
     - `place`: module and class, as in `--simulator simulator:Reservoir`.
     """
 
     place: tuple[str, str] | None = None
-    kind: str = KIND
-    words: str = "a simulator of your own, in Python beside the case"
     example: str = "simulator:Reservoir"
-
-    @property
-    def templates(self):
-        return {"reservoir": files(__name__) / "template"}
 
     def with_simulator(self, module: str, name: str) -> "Own":
         return replace(self, place=(module, name))
@@ -50,28 +41,14 @@ class Own:
                 f"MODULE:CLASS, such as {OPTION} {self.example}"
             )
             raise CaseError(OPTION, "", None, what)
-        from .read import read_case
-
-        return read_case(file, data, self.place)
-
-    def check(self, case: "OwnCase") -> list[str]:
-        from .study import checked, lines
-
-        return [str(checked(case)), *lines(case)]
-
-    def study(self, case: "OwnCase", options: "Options") -> "Study":
-        from .study import study
-
-        return study(case, options)
-
-    def report(self) -> "Report":
-        from .report import REPORT
-
-        return REPORT
-
-    def bench(self, engine: str, tell: "Tell") -> str:
-        what = "this kind brings no simulator to time; `snapo solve` reports the times of yours"
-        raise CaseError("KIND", "", KIND, what)
+        return self.loaded(self.reader)(file, data, self.place)
 
 
-DOMAIN = Own()
+DOMAIN = Own(
+    KIND,
+    "a simulator of your own, in Python beside the case",
+    __name__,
+    {"reservoir": "template"},
+    reader="read:read_case",
+    summary="study:summary",
+)

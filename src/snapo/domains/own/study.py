@@ -81,6 +81,11 @@ def names(problem: Problem) -> dict[str, tuple[str, ...]]:
     return {"state": states, "action": ("action",), "outputs": tuple(outputs)}
 
 
+def summary(case: OwnCase) -> list[str]:
+    """The remarks on the simulator, and the case in a few lines."""
+    return [str(checked(case)), *lines(case)]
+
+
 def lines(case: OwnCase) -> list[str]:
     """The case in a few lines."""
     numbers = sum(given.value.size for given in case.inputs.values())

@@ -1,5 +1,14 @@
 """Pension funds: assets, swaps and contributions decided month by month against the liabilities."""
 
-from .domain import PensionFund
+from snapo.study.kind import Kind
 
-DOMAIN = PensionFund()
+DOMAIN = Kind(
+    "pension",
+    "a pension fund that rebalances against its liabilities",
+    __name__,
+    {size: f"templates/{size}" for size in ("small", "medium", "large", "wtp")},
+    reader="read.case:resolve",
+    summary="results.figures.lines:lines",
+    maker="results.study:pension_study",
+    page="sections.page:REPORT",
+)

@@ -1,3 +1,13 @@
-"""Pharmaceutical processes: `DOMAIN` is how the commands know them."""
+"""Pharmaceutical processes: flowsheets of unit operations, from feeds to quality."""
 
-from .domain import DOMAIN as DOMAIN
+from snapo.study.kind import Kind
+
+DOMAIN = Kind(
+    "pharma",
+    "a pharmaceutical process: sensitivities, design space, best recipe, closed loop",
+    __name__,
+    {"standard": "template"},
+    reader="read.case:resolve",
+    summary="results.lines:lines",
+    timer="bench:bench",
+)

@@ -6,25 +6,58 @@ from functools import cached_property, partial
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
 
+import numpy as np
+
 from snapo.case.error import CaseError
+from snapo.problem.chain import Chain
 from snapo.solver.provenance.versions import versions
 from snapo.study.domain import Options
 from snapo.study.parts import choice
 from snapo.study.run_folder import case_files
-from snapo.study.study import Part, Study, StudyRun
+from snapo.study.study import Measured, Part, Shown, Study, StudyRun
 
-from .control.kept import kept_limits
 from .control.parts import ClosedLoop
+from .control.stages import Stage
 from .flowsheet.case import PharmaCase
 from .flowsheet.inputs import pharma_inputs
 from .flowsheet.process import Process
 from .progress import told
+from .quality.limits import Limits
 from .quality.sampling import on_steps, sampler
 from .read.fitted import COLUMNS as FITTED_COLUMNS
 from .results import batch, derivatives, quality, setpoints
 from .results.checks import status
-from .results.moved import Recipe
+from .results.moved import Recipe, limits
 from .results.statement import statement
+
+COLUMNS = (
+    ("attribute", ""), ("limits", ""), ("mean of batches", ""), ("standard deviation", ""),
+    ("within limits", "%"), ("± standard error", "%"),
+)  # fmt: skip
+
+
+def case_of(simulator: Any) -> PharmaCase:
+    """The case of a loop's simulator."""
+    stage = simulator.stages[0] if isinstance(simulator, Chain) else simulator
+    assert isinstance(stage, Stage)
+    return stage.case
+
+
+def kept_limits(found: Measured) -> Sequence[Shown]:
+    """Every attribute with its limits, and how often batches keep them under the policy."""
+    case = case_of(found.setup.problem.simulator)
+    names = [f"attribute.{each.name}" for each in case.attributes]
+    values = np.stack([np.asarray(found.totals[name], np.float64) for name in names], -1)
+    holds = Limits.of(case).hold(values)
+    rows = []
+    for i, each in enumerate(case.attributes):
+        share, error = found.mean(holds[:, i])
+        mean, spread = values[:, i].mean(), values[:, i].std(ddof=1)
+        bounds = limits(each.low, each.high, each.unit)
+        rows.append((each.name, bounds, mean, spread, 100 * share, 100 * error))
+    share, error = found.mean(found.totals["success"])
+    words = f"{100 * share:.4g} % ± {100 * error:.2g} % of batches keep all limits"
+    return [Shown("Attributes and their limits", COLUMNS, rows, words)]
 
 
 def result(case: PharmaCase, run: StudyRun) -> dict[str, Any]:

@@ -11,7 +11,9 @@ import sys
 from collections import deque
 from collections.abc import Hashable, Iterable, Iterator
 from enum import Enum
+from functools import cache
 from hashlib import blake2b
+from pathlib import Path
 from types import CellType, FunctionType, MethodType, ModuleType
 from typing import Any
 
@@ -19,8 +21,45 @@ import jax
 import numpy as np
 from jax.tree_util import default_registry
 
-from .home import SNAPO, is_known, is_library, is_python, package
 from .names import CONTAINERS, Names, names
+
+INSTALLED = {"site-packages", "dist-packages"}
+SNAPO = __name__.partition(".")[0]
+UNDER = {SNAPO, "equinox", "jax", "jaxlib", "numpy", "optax", "scipy"}  # what snapo is made of
+
+
+def package(x: Any) -> str:
+    """The outermost package of a function, a class or a module."""
+    if isinstance(x, ModuleType):
+        name = x.__name__
+    elif isinstance(x, FunctionType):
+        name = x.__globals__.get("__name__") or ""
+    else:
+        name = getattr(x, "__module__", None) or ""
+    return str(name).partition(".")[0]
+
+
+def is_library(name: str) -> bool:
+    """Whether a package is snapo, Python's own, or installed beside them."""
+    return is_known(name) or _installed(name)
+
+
+def is_known(name: str) -> bool:
+    """Whether a package is snapo, one that it is made of, or Python's own: none has a simulator of
+    a user's."""
+    return name in UNDER or is_python(name)
+
+
+def is_python(name: str) -> bool:
+    """Whether a package comes with Python."""
+    return name in sys.stdlib_module_names
+
+
+@cache
+def _installed(name: str) -> bool:
+    file = getattr(sys.modules.get(name), "__file__", None)
+    return file is not None and not INSTALLED.isdisjoint(Path(file).parts)
+
 
 PLAIN = (type(None), bool, int, float, complex, str, bytes, type(...), range, np.generic, np.dtype)
 ARRAYS = (np.ndarray, np.generic, jax.Array)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 from tests.domains.gas_storage.references import reference_schedules as cases
 
-from snapo.domains.gas_storage.bounds.regular_grids import regular_grids
-from snapo.domains.gas_storage.bounds.value_iteration import fit_guide, fit_value
+from snapo.domains.gas_storage.bounds.value_iteration import fit_guide, fit_value, regular_grids
 
 G3 = cases.dated_ratchets()  # sixteen days, ratchets that change
 EXACT = 24_808.2  # with volumes between the extremes

@@ -21,9 +21,9 @@ from tests.domains.gas_storage.storage_cases import (
     untrained,
 )
 
-from snapo.domains.gas_storage.contract.expiry import value_without_decisions
 from snapo.domains.gas_storage.contract.schedule import State, of_prices
 from snapo.domains.gas_storage.references.intrinsic import intrinsic
+from snapo.domains.gas_storage.study import value_without_decisions
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import Mean

@@ -21,8 +21,8 @@ from tests.domains.pension.people_cases import (
     plan,
 )
 
-from snapo.domains.pension.people.annuities import annuity_due, life_expectancy, year_of_life
 from snapo.domains.pension.people.liability import people
+from snapo.domains.pension.people.longer_life import annuity_due, life_expectancy, year_of_life
 from snapo.domains.pension.people.mortality import hazard, log_survival, rounded_age
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE, PENSIONER

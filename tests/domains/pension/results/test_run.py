@@ -10,7 +10,7 @@ from tests.domains.pension.miniature import short_case, solved
 
 from snapo.case.error import CaseError
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.people.annuities import year_of_life
+from snapo.domains.pension.people.longer_life import year_of_life
 from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE

@@ -7,10 +7,16 @@ import numpy as np
 import pytest
 
 from snapo.domains.pharma.control.records import Measurement
-from snapo.domains.pharma.control.rivals import readings, respond
+from snapo.domains.pharma.control.rivals import (
+    FirstOrder,
+    first_order,
+    readings,
+    respond,
+    simc,
+    ziegler_nichols,
+)
 from snapo.domains.pharma.control.rules import Loops, Wire
 from snapo.domains.pharma.control.sensors import begun, moved, reading
-from snapo.domains.pharma.control.tuning import FirstOrder, first_order, simc, ziegler_nichols
 from snapo.engine import Native, Xla
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean

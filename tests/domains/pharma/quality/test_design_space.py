@@ -9,12 +9,12 @@ from snapo.domains.pharma.derivatives import sensitivities
 from snapo.domains.pharma.derivatives.jacobian import Matrix
 from snapo.domains.pharma.quality import (
     capability,
-    criticality,
     design_space,
     draws,
     interval,
     ranges,
 )
+from snapo.domains.pharma.results.quality import criticality
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),
@@ -150,7 +150,7 @@ def test_criticality_is_half_the_change_over_the_room():
                     uncertainty=None, design_space=None)  # fmt: skip
     bent = Polynomial(case, [100, 5], {T2: np.array([2, 0.0]), T_F: np.array([-1, 0.0])},
                       {T2: np.array([0.5, 0.0])})  # fmt: skip
-    found = criticality.criticality(bent, SEED, 4000)
+    found = criticality(bent, SEED, 4000)
     assert found.change[0] == pytest.approx([2, -1])
     assert found.share[0] == pytest.approx([2 / 3, 1 / 3])
     # (f(x + 1) - f(x - 1)) / 2 = 2 + x about a point x that is off by 0.3 K.

@@ -1,16 +1,32 @@
 """The trained policy in Gymnasium's own environment, where the case has its numbers."""
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.problem.inputs import plain
+from snapo.problem.policy import Policy
 from snapo.study.study import Part, StudyRun
 
 from ..inputs import make_inputs
 from ..plants.plant import Plant
-from ..twin import agent
+
+if TYPE_CHECKING:
+    from snapo.gym.agent import Agent
+
+
+def agent(plant: Plant, policy: Policy, inputs: Any) -> "Agent":
+    """The policy as a function from the environment's observations to its actions."""
+    from snapo.gym import Agent
+
+    p = plain(inputs)["plant"]
+    return Agent(
+        policy,
+        lambda seen: plant.from_twin(p, seen),
+        lambda action: plant.to_twin(p, action),
+    )
+
 
 STARTS = 2000
 

@@ -195,13 +195,24 @@ class StorageSimulator(Simulator):
             flows.keep + injection - withdrawal,
             self.process.step(constants.price, now.price, state.price, noise),
         )
-        return after, {
-            "cash_flow": sold * gas - cost,
-            "costs": cost,
-            "injection": injection,
-            "withdrawal": withdrawal,
-            **self._control(constants, now, state, after, spot),
-        }
+        return after, self._weighed(
+            state,
+            {
+                "cash_flow": sold * gas - cost,
+                "costs": cost,
+                "injection": injection,
+                "withdrawal": withdrawal,
+                **self._control(constants, now, state, after, spot),
+            },
+        )
+
+    def _weighed(self, state: State, outputs: dict[str, Any]) -> dict[str, Any]:
+        """Outputs times the likelihood ratio of the prices so far (see `Process.weight`)."""
+        weight = self.process.weight(state.price)
+        return {name: weight * output for name, output in outputs.items()}
+
+    def in_mean(self):
+        return self.process.in_mean()
 
     def _control(self, constants: Terms, now: Day, state: State, after: State, spot):
         """The day's part of the control variate."""
@@ -218,11 +229,11 @@ class StorageSimulator(Simulator):
 
         terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
         worth = self.case.contract.at_end.worth(terms, state.inventory, price)
-        found = {"cash_flow": worth * constants.end_discount, "fixed_costs": constants.fixed_costs}
-        if constants.surprise is None:
-            return found
-        factors = self.process.gaussian(state.price)
-        return found | {"value_surprise": of_end(constants.surprise, factors, state.inventory)}
+        outputs = {"cash_flow": worth * constants.end_discount}
+        if constants.surprise is not None:
+            factors = self.process.gaussian(state.price)
+            outputs["value_surprise"] = of_end(constants.surprise, factors, state.inventory)
+        return self._weighed(state, outputs) | {"fixed_costs": constants.fixed_costs}
 
     def spot(self, constants: Terms, now: Day, state: State) -> Float[Array, ""]:
         """The day's spot price."""

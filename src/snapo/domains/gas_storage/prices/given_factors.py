@@ -3,14 +3,23 @@
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from pydantic import Field
 
 from snapo.case.dates import dated
 from snapo.case.given import Given
-from snapo.case.table import Section
+from snapo.case.table import Section, Table
 from snapo.problem.process import Factors
 
+from ..read.tables import AMOUNT, FileName, NotNegative
 from .factor_prices import FactorPrices
 from .process import REVERSION, VOLATILITY, Delivery, use
+
+
+class FactorTable(Table):
+    """A factor: { mean_reversion = 12.0, volatility = 0.6 }"""
+
+    mean_reversion: NotNegative = Field(description="a number of at least 0")
+    volatility: NotNegative | FileName = Field(description=AMOUNT)
 
 
 class GivenFactors(FactorPrices):

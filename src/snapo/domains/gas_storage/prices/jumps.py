@@ -11,11 +11,12 @@ from pydantic import Field
 
 from snapo.case.dates import dated, single
 from snapo.case.given import Given
-from snapo.case.table import Section, Table
+from snapo.case.table import Section
 from snapo.problem.process import integral
 from snapo.problem.simulator import Schedule
 
-from ..read.tables import AMOUNT, FileName, NotNegative
+from ..read.tables import NotNegative
+from .given_factors import FactorTable
 from .process import (
     REVERSION,
     VOLATILITY,
@@ -28,12 +29,10 @@ from .process import (
 )
 
 
-class JumpTable(Table):
+class JumpTable(FactorTable):
     """`[model]` of kind "one-factor-jumps"."""
 
     kind: Literal["one-factor-jumps"]
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
     jump_intensity: float = Field(gt=0, lt=YEAR, description="jumps per year, up to 365")
     jump_size: float = Field(gt=0, lt=1, description="a number between 0 and 1: the mean of ln S")
     jump_mean_reversion: NotNegative = Field(description="a number of at least 0")

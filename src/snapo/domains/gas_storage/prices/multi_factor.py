@@ -7,16 +7,8 @@ from pydantic import Field
 
 from snapo.case.table import Section, Table, parse
 
-from ..read.tables import AMOUNT, FileName, NotNegative
-from .given_factors import GivenFactors, read_factors
+from .given_factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, register
-
-
-class FactorTable(Table):
-    """One entry of `factors`: { mean_reversion = 12.0, volatility = 0.6 }"""
-
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
 
 
 class MultiFactorTable(Table):

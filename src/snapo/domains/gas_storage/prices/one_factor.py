@@ -2,21 +2,16 @@
 
 from typing import Literal
 
-from pydantic import Field
+from snapo.case.table import Section
 
-from snapo.case.table import Section, Table
-
-from ..read.tables import AMOUNT, FileName, NotNegative
-from .given_factors import GivenFactors, read_factors
+from .given_factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, register
 
 
-class OneFactorTable(Table):
+class OneFactorTable(FactorTable):
     """`[model]` of kind "one-factor"."""
 
     kind: Literal["one-factor"]
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
 
 
 @register

@@ -110,21 +110,23 @@ class PriceProcess(Process):
     def state_at(self, constants, now, spot: Float[Array, ""]):
         """The state in which the spot has this price: the fast factor moved, the others at rest."""
 
-    @abc.abstractmethod
     def fast(self, state) -> Float[Array, ""]:
-        """The coordinate of the state in which the one-factor dynamic program is written."""
+        """The coordinate of the state in which the one-factor dynamic program is written; 0 where
+        there is none."""
+        return jnp.zeros(())
 
     def gaussian(self, state) -> Float[Array, " F"]:
         """The factors that `factors` describes."""
         return jnp.atleast_1d(self.fast(state))
 
-    @abc.abstractmethod
     def slow_level(self, constants, now, state) -> Float[Array, ""]:
         """The price level without the fast factor, relative to the forward curve: about 1."""
+        return jnp.ones(())
 
-    @abc.abstractmethod
     def factors(self, schedule) -> GaussianFactors | None:
-        """Factors for dynamic programs, from the process's own prepared schedule; None: none."""
+        """Factors for dynamic programs, from the process's own prepared schedule; None: none, and
+        the policy begins without the values of a dynamic program."""
+        return None
 
     def sources(self, seed: int) -> Sources | None:
         """Scenarios of its own for every role, in place of drawn normals."""

@@ -117,15 +117,6 @@ class SuppliedPrices(PriceProcess):
     def state_at(self, constants, now, spot):
         return jnp.atleast_1d(spot / now.forward if self.rescaled else spot)
 
-    def fast(self, state):
-        return jnp.zeros(())
-
-    def slow_level(self, constants, now, state):
-        return jnp.asarray(1.0)
-
-    def factors(self, schedule):
-        return None
-
     def sources(self, seed: int) -> Sources:
         """Three quarters of the training paths train, the others validate; evaluation has its own.
 

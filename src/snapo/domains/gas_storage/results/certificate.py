@@ -5,38 +5,14 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
-from snapo.solver.certificate import certify_derivatives, feasibility, nudged
+from snapo.solver.certificate import nudged
 from snapo.solver.solution import Solution
-from snapo.study.study import Part, Setup, StudyRun
+from snapo.study.parts.certificate import certificate
+from snapo.study.study import Setup, StudyRun
 
-from ..setup import OUTPUT, beside, case_of, policy_of
+from ..setup import OUTPUT, beside, case_of
 
-BUMP_PATHS, LIMIT_PATHS = 512, 4096
 TRIES = 16  # at finding inputs nearby that still can be met
-
-
-def work(run: StudyRun) -> dict[str, Any]:
-    """The adjoint against bumps, limits kept, the smoothing gap, and homogeneity in the curve."""
-    setup, solution = run.setup, run.solution
-    problem, engine = beside(setup), setup.engines.evaluate
-    bumps = certify_derivatives(
-        problem, policy_of(solution), BUMP_PATHS, near=off_ties, engine=engine
-    )
-    limits = feasibility(problem, policy_of(solution), LIMIT_PATHS, engine=engine)
-    slack = 1e-6 * float(problem.schedule.constants.rate_scale)
-    return {
-        "certificate": {
-            "bump_check": [bump.row() for bump in bumps],
-            "feasibility": [limit.row(slack) for limit in limits],
-            "smoothing_gap": solution.smoothing_gap,
-            "policy_gradient_norm": solution.policy_gradient_norm,
-            "homogeneity": homogeneity(setup, solution),
-            "control_variate": {"explained": solution.control},
-        }
-    }
-
-
-CERTIFICATE = Part("certificate", work, needs=("training",))
 
 
 def off_ties(problem: Problem) -> Problem:
@@ -69,3 +45,19 @@ def homogeneity(setup: Setup, solution: Solution) -> dict[str, float] | None:
     earned = np.asarray(solution.totals[OUTPUT]) + np.asarray(solution.totals["costs"])
     right = float(np.mean(earned[:paths]))
     return {"left": left, "right": right, "error": left - right, "paths": paths}
+
+
+def _more(run: StudyRun) -> dict[str, Any]:
+    return {
+        "homogeneity": homogeneity(run.setup, run.solution),
+        "control_variate": {"explained": run.solution.control},
+    }
+
+
+CERTIFICATE = certificate(
+    bump_paths=512,
+    tolerance=lambda problem: 1e-6 * float(problem.schedule.constants.rate_scale),
+    near=off_ties,
+    problem_of=beside,
+    more=_more,
+)

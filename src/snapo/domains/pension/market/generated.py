@@ -1,6 +1,6 @@
 """A market from the models: Gaussian rates, inflation, spreads, currencies and asset returns."""
 
-from typing import Any
+from typing import Any, NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
@@ -11,11 +11,52 @@ from ..records.inputs import use
 from .assets.appraisal import shown_now
 from .assets.returns import asset_schedule, returns
 from .curve import log_bond
-from .factors import factors, moments, nominal, real, shape, shift, slope
-from .inflation import grow, growth
-from .shocks import covariance, factor, slots
+from .factors import Factors, factors, moments, nominal, real, shape, shift, slope
+from .shocks import Slots, covariance, factor, slots
 from .spreads import next_spread, spread_now, spread_terms
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
+
+
+class Growth(NamedTuple):
+    """Growth of ln I and ln W: `price` [T] the shift, `index_volatility` [T], and for wages on top
+    `wage` (per step) and `wage_volatility`."""
+
+    price: Array
+    index_volatility: Array
+    wage: Array
+    wage_volatility: Array
+
+
+def growth(case: PensionCase, inputs: dict[str, Any], factors: Factors, shift: Array) -> Growth:
+    """`shift` [T] is that of nominal less that of real bonds: the break-even index, fitted.
+
+    ln I' - ln I = shift + int p + s_I (dW_I + lambda_I d), where int p has its own price of risk.
+    """
+    inflation = case.inflation
+    volatility = use(inputs, inflation.index_volatility)
+    risk = use(inputs, inflation.index_price_of_risk) * (0.0 if case.risk_neutral else case.step)
+    drift = factors.volatility[:, -1] * factors.price_of_risk[-1] * factors.reached[-1]
+    return Growth(
+        price=shift + drift + volatility * risk,
+        index_volatility=volatility,
+        wage=use(inputs, inflation.real_wage_growth) * case.step,
+        wage_volatility=use(inputs, inflation.wage_volatility),
+    )
+
+
+class Grown(NamedTuple):
+    """The indices after a step, in logs."""
+
+    price: Array
+    wage: Array
+
+
+def grow(price: Array, wage: Array, expected: Array, now, terms, place: Slots, shock) -> Grown:
+    """The next ln I and ln W; `expected` is the integral of the factor over the step, `shock` the
+    Gaussian vector."""
+    move = now.price_shift + expected + now.index_volatility * shock[place.index]
+    extra = terms.wage_growth + terms.wage_volatility * shock[place.wage]
+    return Grown(price + move, wage + move + extra)
 
 
 def generated_schedule(

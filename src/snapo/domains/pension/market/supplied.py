@@ -9,9 +9,8 @@ from jaxtyping import Array
 
 from ..records.case import PensionCase
 from ..records.market import SuppliedScenarios
-from .assets.asset_class import Mixture
-from .assets.swaps import fixed_legs, swap_returns
-from .bonds.strips import shares
+from .assets.swaps import fixed_legs
+from .bonds.strips import gain
 from .curve import log_bond
 from .state import LONG, Market, MarketSteps, MarketTerms, Move, at_start
 
@@ -55,8 +54,8 @@ def supplied_move(case: PensionCase, terms: MarketTerms, market: Market, noise: 
     swaps = None
     if terms.swap_slope is not None:
         before, later = terms.swap_slope[0] @ market.factors, terms.swap_slope[1] @ zeros
-        share = shares(fixed_legs(case), jnp.exp(-before))
-        swaps = swap_returns(Mixture(share, before - later - cash))
+        growth = jnp.expm1(before - later - cash)
+        swaps = jnp.log1p(gain(fixed_legs(case), jnp.exp(-before), growth))
     after = market._replace(
         factors=zeros,
         log_price=market.log_price + noise[count],

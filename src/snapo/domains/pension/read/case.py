@@ -1,6 +1,7 @@
 """Reads a pension case: a TOML file and the CSVs beside it become a `PensionCase`."""
 
 import datetime
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, TypeVar
@@ -122,7 +123,7 @@ def parsed(file: Path, top: PensionTable) -> dict[str, Table]:
     return found
 
 
-def resolve(file: Path, data: dict[str, Any]) -> PensionCase:
+def resolve(file: Path, data: Mapping[str, Any]) -> PensionCase:
     """The same for TOML data that was read already; other files are looked for beside `file`."""
     top = parse(PensionTable, data, str(file), "")
     reader = _Reader(file, top, parsed(file, top), [], set())

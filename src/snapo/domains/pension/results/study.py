@@ -7,6 +7,7 @@ from typing import Any
 from snapo.solver.provenance.versions import versions
 from snapo.study.domain import Options
 from snapo.study.parts import choice
+from snapo.study.parts.certificate import certificate
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -17,7 +18,6 @@ from ..records.case import PensionCase
 from ..records.parts import OF_RIGHTS
 from . import (
     attribution,
-    certificate,
     compare,
     consistency,
     effects,
@@ -43,7 +43,7 @@ PARTS = (
     Part("today", today.work, ("paths",)),
     Part("sensitivities", effects.work, TRAINED),
     Part("outputs", outputs.work, (*TRAINED, "reconciliation")),
-    Part("certificate", certificate.work, TRAINED),
+    certificate(tolerance=lambda problem: 1e-9),  # of a share: round-off
     Part("attribution", attribution.work, TRAINED),
     Part("variance by source", variance.work, TRAINED),
     Part("market consistency", consistency.work, (*TRAINED, "reconciliation")),

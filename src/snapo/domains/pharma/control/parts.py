@@ -1,5 +1,7 @@
 """The parts of a run that decide in closed loop: recipe, policy, and the two side by side."""
 
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import cached_property
 from typing import Any
 
@@ -7,6 +9,8 @@ import jax
 import numpy as np
 
 from snapo.engine import Engines
+from snapo.problem.inputs import Input
+from snapo.problem.objective import CVaR, Mean, Objective
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Exact
 from snapo.solver import statistics
@@ -21,12 +25,117 @@ from snapo.study.training import train
 
 from ..flowsheet.case import PharmaCase
 from ..results.setpoints import HEADER, decided
-from .closed_loop import best_recipe, in_words, objective
-from .course import courses, side_by_side
 from .loop import Loop, closed_loop
 from .policy import Feedback
+from .records import Goal
 from .rivals import first_settings, in_units
 from .rules import Loops, Wire
+from .stages import Stage
+
+LOW, HIGH = 0.1, 0.9  # quantiles over batches, of a band
+
+
+def courses(
+    case: PharmaCase, stages: Sequence[Stage], inputs: Mapping[str, Input], actions: np.ndarray
+) -> list[dict[str, Any]]:
+    """One row for each control: its values [T, N] after each decision, from actions [T, N, size].
+
+    In the domain's units; `time` [T]: s since the unit's start, at the end of each decision. Ramps
+    hold over the nominal duration.
+    """
+    assert case.control is not None
+    found = []
+    for stage in stages:
+        seconds = None
+        if stage.unit is not None:
+            seconds = float(inputs[stage.unit.duration.name].value[0]) / stage.horizon
+        for place, i in enumerate(stage.decided):
+            item = case.control.manipulated[i]
+            part = actions[stage.before : stage.before + stage.horizon, :, place]
+            values = item.low + np.asarray(part, float) * (item.high - item.low)
+            if item.ramp is not None and seconds is not None:
+                values = _within(values, float(inputs[item.input].value[0]), item.ramp * seconds)
+            ends = (np.arange(stage.horizon) + 1) * (seconds or 0.0)
+            unit = inputs[item.input].unit
+            found.append({"input": item.input, "unit": unit, "time": ends, "values": values})
+    return found
+
+
+def _within(values: np.ndarray, start: float, most: float) -> np.ndarray:
+    """Values that move by at most `most` from one decision to the next."""
+    found, last = np.empty_like(values), np.full(values.shape[1], start)
+    for t, wanted in enumerate(values):
+        found[t] = last = np.clip(wanted, last - most, last + most)
+    return found
+
+
+def side_by_side(policy: list, best: list, given: list) -> list[dict[str, Any]]:
+    """Of each control the policy's median and band, and both recipes."""
+    return [
+        {
+            "input": ours["input"],
+            "unit": ours["unit"],
+            "time": ours["time"],
+            "policy": np.median(ours["values"], 1),
+            "policy_low": np.quantile(ours["values"], LOW, 1),
+            "policy_high": np.quantile(ours["values"], HIGH, 1),
+            "values": fixed["values"][:, 0],
+            "given": first["values"][:, 0],
+        }
+        for ours, fixed, first in zip(policy, best, given, strict=True)
+    ]
+
+
+SHORTFALL = 0.01  # a small share of the violation shows the way where no batch succeeds
+STARTS, SPREAD = 3, 0.3  # recipes that tuning starts from: the case's own, and some moved ones
+
+
+def objective(case: PharmaCase) -> Objective:
+    """The objective of `[goal]`, of the totals "success", "violation" and "attribute.NAME"."""
+    goal: Goal = case.goal
+    if goal.kind == "probability":
+        return Mean("success") - SHORTFALL * Mean("violation")
+    margin = next(each.margin for each in case.attributes if each.name == goal.attribute)
+    name = f"attribute.{goal.attribute}"
+    kept: Objective = CVaR(name, goal.level) if goal.kind == "cvar" else goal.sense * Mean(name)
+    return kept - goal.penalty * margin * Mean("violation")
+
+
+def in_words(goal: Goal) -> str:
+    """The objective in words, in the unit of the goal's attribute where it has one."""
+    if goal.kind == "probability":
+        return "probability of all limits"
+    which = f"mean of the worst {1 - goal.level:.3g}" if goal.kind == "cvar" else "mean"
+    sign = "minus the " if goal.kind == "mean" and goal.sense < 0 else ""
+    lost = f"less {goal.penalty:g} of its margins for every margin beyond a limit"
+    return f"{sign}{which} of {goal.attribute}, {lost}"
+
+
+def best_recipe(
+    problem: Problem,
+    own: Feedback,
+    training: TrainingPlan,
+    engines: Engines,
+    tell: Callable[[str], None] = lambda text: None,
+) -> tuple[Feedback, Feedback]:
+    """The best of several recipes, each trained; and it again, trained as long once more.
+
+    `own`: the case's recipe. The first is where a policy starts that is to be compared with the
+    second.
+    """
+
+    def tuned(recipe: Feedback, plan: TrainingPlan, what: str) -> tuple[float, Feedback]:
+        found = climb(problem, begin(recipe, plan), plan, engines.train)
+        tell(f"{what}: exact value {found.best_value:,.7g}")
+        assert isinstance(found.best, Feedback)
+        return found.best_value, found.best
+
+    starts = [own, *(own.moved(SPREAD, training.seed + k) for k in range(1, STARTS))]
+    found = [tuned(each, training, f"recipe from start {i + 1}") for i, each in enumerate(starts)]
+    first = max(found, key=lambda each: each[0])[1]
+    again = replace(training, seed=training.seed + 1)
+    return first, tuned(first, again, "best recipe, trained on")[1]
+
 
 RECIPE, TRAINED, RULES = "best fixed recipe", "training", "rules"
 TOO_LONG = "a step of a process is more than the native engine takes"

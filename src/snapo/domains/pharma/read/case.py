@@ -1,5 +1,6 @@
 """Reads a pharma case: a TOML file and the CSVs beside it become a `PharmaCase`."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, Literal
@@ -62,7 +63,7 @@ def read_case(path: str | Path) -> PharmaCase:
     return resolve(file, data)
 
 
-def resolve(file: Path, data: dict[str, Any]) -> PharmaCase:
+def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
     """The same for TOML data that was read already; other files are looked for beside `file`."""
     top = parse(PharmaTable, data, str(file), "")
     notes: list[str] = []

@@ -6,6 +6,9 @@ import equinox as eqx
 import jax
 import numpy as np
 import pytest
+from hypothesis import given as given_numbers
+from hypothesis.extra.numpy import arrays
+from hypothesis.strategies import floats
 from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, curve, given, rates
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
@@ -14,6 +17,7 @@ from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.market.assets.coupon_bond import CouponBond
 from snapo.domains.pension.market.assets.swaps import swap_values
 from snapo.domains.pension.market.bonds.payments import AT_PAR, payments
+from snapo.domains.pension.market.bonds.strips import gain, shares
 from snapo.domains.pension.market.dynamics import move
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
@@ -188,3 +192,13 @@ def test_a_zero_coupon_swap_moves_by_more_than_a_par_swap():
             worth = slopes(flat.curve, {}, lambda given_, flat=flat: swap_values(flat, given_))
             moved.append(worth.sum())
         assert moved[1] / moved[0] - 1 == pytest.approx(more, abs=5e-4)
+
+
+@given_numbers(rise=arrays(np.float64, 12, elements=floats(-0.4, 0.6)), rate=floats(-0.03, 0.09))
+def test_gains_are_those_of_the_shares_of_all_payments(rise, rate):
+    """At par, of a coupon and of none; the first coupon is due for two thirds of a year."""
+    of = payments([144, 140, 12, 7, 60], [AT_PAR, 0.04, AT_PAR, 0.03, 0.0], 1 / 12)
+    price, growth = np.exp(-rate * of.steps / 12), rise[np.arange(len(of.steps)) % len(rise)]
+    expected = np.asarray(shares(of, price)) @ growth
+    np.testing.assert_allclose(gain(of, price, growth), expected, rtol=1e-5, atol=1e-6)
+    assert np.all(np.asarray(gain(of, price, 0 * growth)) == 0)

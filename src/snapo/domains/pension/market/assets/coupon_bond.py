@@ -62,5 +62,5 @@ class CouponBond(Maturing):
 
     @classmethod
     def log_return(cls, case, places, terms, steps, now):
-        found = cls.mixture(case, places, terms, steps, now)
-        return jnp.log1p(found.share @ jnp.expm1(found.log)) + now.cash
+        due, currency = cls.payments(case, places), cls.currencies(case, places)
+        return jnp.log1p(strips.gains(case, due, currency, terms, steps, now)) + now.cash

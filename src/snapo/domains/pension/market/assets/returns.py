@@ -72,6 +72,6 @@ def returns(case: PensionCase, terms: AssetTerms, now, market, shock, cash) -> R
     log, shown = appraised(case, terms.smoothing, in_order(case, parts), market.shown)
     swaps = None
     if case.buckets:
-        found = swap_mixture(case, terms.swaps, now.assets.swaps, seen)
-        swaps, beneath = swap_returns(found), [*beneath, found]
+        beneath.append(swap_mixture(case, terms.swaps, now.assets.swaps, seen))
+        swaps = swap_returns(case, terms.swaps, now.assets.swaps, seen)
     return Returns(log, swaps, shown, tuple(beneath))

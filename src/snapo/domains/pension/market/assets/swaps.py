@@ -86,9 +86,17 @@ def swap_mixture(case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
     return Mixture(share, jnp.concatenate([fixed.log, linked]))
 
 
-def swap_returns(found: Mixture) -> Float[Array, " b"]:
+def swap_returns(
+    case: PensionCase, terms: SwapTerms, steps: SwapSteps, now: Now
+) -> Float[Array, " b"]:
     """Log returns over cash of a step."""
-    return jnp.log1p(found.share @ jnp.expm1(found.log))
+    own = now._replace(foreign=None)
+    gain = strips.gains(case, fixed_legs(case), _own(case), terms.fixed, steps.fixed, own)
+    if terms.linked is not None and steps.linked is not None:
+        linked = constant_maturity.over_cash(case, _linked(case), terms.linked, steps.linked, own)
+        first = case.buckets - len(linked)
+        gain = jnp.concatenate([gain[:first], jnp.expm1(linked) - gain[first:]])
+    return jnp.log1p(gain)
 
 
 def swap_gains(case: PensionCase, before: Prices, after: Prices) -> Float[Array, " b"]:

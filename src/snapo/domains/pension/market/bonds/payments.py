@@ -54,13 +54,22 @@ def zero_coupon(maturity: ArrayLike, step: float) -> Payments:
     return payments(maturity, np.zeros(np.shape(maturity)), step)
 
 
-def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
-    """The sums due, with coupons at the par rate of these prices [J] where they are at par."""
-    at_par = np.isnan(of.coupon)
+def coupons(
+    of: Payments, price: Array | np.ndarray
+) -> tuple[Float[Array, " k"], Float[Array, " k"]]:
+    """Coupons per year, the par rate of these prices [J] where they are at par; and annuities, the
+    prices of a coupon of 1 per year."""
+    at_par, last = np.isnan(of.coupon), np.argmax(of.principal, axis=1)
+    annuity = jnp.asarray(of.period) @ price
     # Periods of nothing would divide by nothing.
-    years = jnp.where(at_par, of.period @ price, 1.0)
-    rate = jnp.where(at_par, (1 - of.principal @ price) / years, np.nan_to_num(of.coupon))
-    return rate[:, None] * of.period + of.principal
+    par = (1 - price[last]) / jnp.where(at_par, annuity, 1.0)
+    return jnp.where(at_par, par, np.nan_to_num(of.coupon)), annuity
+
+
+def amounts(of: Payments, price: Array | np.ndarray) -> Float[Array, "k J"]:
+    """The sums due at these prices [J]."""
+    coupon, _ = coupons(of, price)
+    return coupon[:, None] * of.period + of.principal
 
 
 def ratio(of: Payments, linked: bool, before: Prices, after: Prices) -> Float[Array, " k"]:

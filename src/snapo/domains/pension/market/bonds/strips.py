@@ -16,7 +16,7 @@ from ..assets.asset_class import Mixture, Now, Scene
 from ..curve import log_bond
 from ..factors import nominal, shape, slope
 from . import constant_maturity
-from .payments import Payments, amounts
+from .payments import Payments, amounts, coupons
 
 
 class StripTerms(NamedTuple):
@@ -55,17 +55,46 @@ def prepare(scene: Scene, of: Payments, currency: np.ndarray) -> tuple[StripTerm
     return StripTerms(reach, slopes), StripSteps(drift, level)
 
 
+def _prices(terms: StripTerms, steps: StripSteps, now: Now) -> Float[Array, " J"]:
+    return jnp.exp(steps.level - terms.slope @ now.factors)
+
+
 def mixture(
     case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
     now: Now,
 ) -> Mixture:  # fmt: skip
     """The payments' shares of each holding, and their log returns over cash."""
-    held = _held(case, of, currency)
-    log = constant_maturity.over_cash(case, held, terms.reach, steps.drift, now)
-    share = shares(of, jnp.exp(steps.level - terms.slope @ now.factors))
-    own = np.unique(currency)
-    of_own = (currency[:, None] == own).astype(float)
+    log = constant_maturity.over_cash(
+        case, _held(case, of, currency), terms.reach, steps.drift, now
+    )
+    share = shares(of, _prices(terms, steps, now))
+    of_own = (currency[:, None] == np.unique(currency)).astype(float)
     return Mixture((of_own[:, :, None] * share[:, None]).reshape(len(currency), -1), log)
+
+
+def gains(
+    case: PensionCase, of: Payments, currency: np.ndarray, terms: StripTerms, steps: StripSteps,
+    now: Now,
+) -> Float[Array, " k"]:  # fmt: skip
+    """Gains over cash of a unit of money in each holding: share @ expm1(log) of its `mixture`."""
+    log = constant_maturity.over_cash(
+        case, _held(case, of, currency), terms.reach, steps.drift, now
+    )
+    price, growth = _prices(terms, steps, now), jnp.expm1(log).reshape(-1, len(of.steps))
+    by_currency = jnp.stack([gain(of, price, row) for row in growth])
+    return by_currency[np.unique(currency, return_inverse=True)[1], np.arange(len(currency))]
+
+
+def gain(of: Payments, price: Float[Array, " J"], growth: Float[Array, " J"]) -> Float[Array, " k"]:
+    """Gains of a unit of money in each holding whose payments at `price` rise by `growth`.
+
+    By sums over the payments, which need no matrix of amounts due.
+    """
+    coupon, annuity = coupons(of, price)
+    last = np.argmax(of.principal, axis=1)
+    risen = price * growth
+    rise = coupon * (of.period @ risen) + risen[last]
+    return rise / jnp.where(np.isnan(of.coupon), 1.0, coupon * annuity + price[last])
 
 
 def shares(of: Payments, price: Float[Array, " J"]) -> Float[Array, "k J"]:

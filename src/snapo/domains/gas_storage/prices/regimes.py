@@ -1,0 +1,209 @@
+"""`[model]` of kind "regimes": a mean-reverting factor in a market that is calm or tight."""
+
+import dataclasses
+from typing import Literal, NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int
+from pydantic import Field
+
+from snapo.case.dates import dated, single
+from snapo.case.given import Given
+from snapo.case.table import Section
+from snapo.problem.noise import Markov
+from snapo.problem.process import integral
+from snapo.problem.simulator import Schedule
+
+from ..read.tables import NotNegative
+from .given_factors import FactorTable
+from .process import (
+    REVERSION,
+    VOLATILITY,
+    YEAR,
+    Delivery,
+    GaussianFactors,
+    PriceProcess,
+    register,
+    use,
+)
+
+PROBABILITY = {
+    "unit": "1",
+    "move": 0.001,
+    "trade_unit": "percentage point",
+    "trade_factor": 100.0,
+    "group": "price model",
+}
+PREMIUM = {"unit": "1", "move": 0.01, "group": "price model"}
+
+
+class RegimeTable(FactorTable):
+    """`[model]` of kind "regimes"."""
+
+    kind: Literal["regimes"]
+    tightens: float = Field(gt=0, lt=1, description="a probability a day between 0 and 1")
+    eases: float = Field(gt=0, lt=1, description="a probability a day between 0 and 1")
+    premium: NotNegative = Field(description="a number of at least 0: the rise of ln S")
+
+
+class RegimeState(NamedTuple):
+    """The factor, whether the market is tight (1) or calm (0), and the likelihood ratio of its
+    regimes so far."""
+
+    factor: Float[Array, ""]
+    tight: Int[Array, ""]
+    weight: Float[Array, ""]
+
+
+class RegimeConstants(NamedTuple):
+    """Of the first day: the factor's deviation and the probability [] of a tight market; of every
+    day: decay, deviation, transition [2, 2]; the premium, and the size of the factor in a year."""
+
+    first_deviation: Array
+    first_tight: Array
+    decay: Array
+    deviation: Array
+    transition: Array
+    premium: Array
+    feature: Array
+
+
+class RegimeStep(NamedTuple):
+    """Forward price, volatility by delivery day, variance of ln S without regimes, ln E of the
+    premium."""
+
+    forward: Array
+    loading: Array
+    variance: Array
+    compensator: Array
+
+
+@register
+class Regimes(PriceProcess):
+    """S(T) = F(T) exp(s(T) f(T) - variance / 2 + premium R(T) - c(T)), R a Markov chain on {0, 1}.
+
+    f is an Ornstein-Uhlenbeck factor as in "one-factor", R = 1 a tight market. The market is calm
+    on the valuation date, and after d days tight with probability
+
+        p(d) = pi (1 - (1 - tightens - eases)^d),   pi = tightens / (tightens + eases),
+
+    so that c(d) = ln E[exp(premium R)] = ln(1 + p(d) (exp(premium) - 1)) and E[S(T)] = F(T).
+    A path has no derivative with respect to the probabilities: the state carries its likelihood
+    ratio (`weight`), and the derivative of the mean is right. Source: Hamilton (1989), "A new
+    approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of
+    power spikes".
+    """
+
+    kind = "regimes"
+    table = RegimeTable
+    martingale = True
+    proportional = True
+    delivery: Delivery = eqx.field(static=True)
+    mean_reversion: Given = eqx.field(static=True)
+    volatility: Given = eqx.field(static=True)
+    tightens: Given = eqx.field(static=True)
+    eases: Given = eqx.field(static=True)
+    premium: Given = eqx.field(static=True)
+    noise_size: int = eqx.field(static=True, default=2)
+
+    @classmethod
+    def read(cls, section: Section, table: RegimeTable, delivery: Delivery):
+        def one(key: str, words: str, **more) -> Given:
+            number = single(key, getattr(table, key), more.pop("unit"))
+            return dataclasses.replace(number, words=words, **more)
+
+        unit, dates = VOLATILITY["unit"], delivery.dates
+        volatility = dated(section, "volatility", table.volatility, unit, dates, low=0.0)
+        return cls(  # pyright: ignore[reportCallIssue]
+            delivery,
+            one("mean_reversion", "speed at which the factor returns to zero", **REVERSION),
+            dataclasses.replace(volatility, words="of the factor, by delivery day", **VOLATILITY),
+            one("tightens", "probability a day that a calm market becomes tight", **PROBABILITY),
+            one("eases", "probability a day that a tight market becomes calm", **PROBABILITY),
+            one("premium", "ln of a tight market's price over a calm one's", **PREMIUM),
+        )
+
+    @property
+    def initial_noise_size(self) -> int:
+        return 2
+
+    def prepare(self, inputs) -> Schedule:
+        reversion, premium = use(inputs, self.mean_reversion), use(inputs, self.premium)
+        up, down = use(inputs, self.tightens), use(inputs, self.eases)
+        days = np.round(np.asarray(self.delivery.years) * YEAR).astype(int)
+
+        def next_day(tight, _):
+            return (1 - tight) * up + tight * (1 - down), tight
+
+        _, tight = jax.lax.scan(next_day, jnp.zeros_like(up), None, length=int(days[-1]) + 1)
+        tight, loading = tight[days], use(inputs, self.volatility)
+        variance = integral(2 * reversion, days / YEAR)
+        gap = days[0] / YEAR
+        constants = RegimeConstants(
+            jnp.sqrt(integral(2 * reversion, gap)) if gap > 0 else jnp.zeros(()),
+            tight[0],
+            jnp.exp(-reversion / YEAR),
+            jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
+            jnp.stack([jnp.stack([1 - up, up]), jnp.stack([down, 1 - down])]),
+            premium,
+            1 / jnp.sqrt(integral(2 * reversion, 1.0)),
+        )
+        forward = use(inputs, self.delivery.curve)[self.delivery.places]
+        compensator = jnp.log1p(tight * jnp.expm1(premium))
+        return Schedule(constants, RegimeStep(forward, loading, loading**2 * variance, compensator))
+
+    def initial(self, constants, noise):
+        tight = constants.first_tight
+        row = jnp.stack([1 - tight, tight])
+        regime, weight = Markov(jnp.stack([row, row])).weigh(noise[1:], jnp.zeros((), jnp.int32))
+        return RegimeState(constants.first_deviation * noise[0], regime, weight)
+
+    def step(self, constants, now, state, noise):
+        factor = constants.decay * state.factor + constants.deviation * noise[0]
+        tight, likelihood = Markov(constants.transition).weigh(noise[1:], state.tight)
+        return RegimeState(factor, tight, state.weight * likelihood)
+
+    def weight(self, state):
+        return state.weight
+
+    def in_mean(self):
+        return self.tightens.name, self.eases.name
+
+    def level(self, constants, now, state):
+        calm = now.forward * jnp.exp(now.loading * state.factor - now.variance / 2)
+        return calm * self.slow_level(constants, now, state)
+
+    def forward(self, constants, now):
+        return now.forward
+
+    def observe(self, constants, now, state):
+        return jnp.stack([constants.feature * state.factor, 1.0 * state.tight])
+
+    def state_at(self, constants, now, spot):
+        """In a calm market."""
+        level = jnp.log(spot / now.forward) + now.variance / 2 + now.compensator
+        factor = jnp.where(
+            now.loading > 0, level / jnp.where(now.loading > 0, now.loading, 1.0), 0.0
+        )
+        return RegimeState(factor, jnp.zeros_like(factor, jnp.int32), jnp.ones_like(factor))
+
+    def fast(self, state):
+        return state.factor
+
+    def slow_level(self, constants, now, state):
+        return jnp.exp(constants.premium * state.tight - now.compensator)
+
+    def factors(self, schedule):
+        """The factor of a market without regimes, as a guide; a lattice in it is not exact."""
+        constants, steps = schedule.constants, schedule.steps
+        count = len(steps.forward)
+        shock = np.full((count, 1, 1), constants.deviation)
+        shock[0] = constants.first_deviation
+        decay = np.full((count, 1), constants.decay)
+        return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
+
+    def words(self) -> str:
+        return "One mean-reverting factor in a market that is calm or tight, compensated"

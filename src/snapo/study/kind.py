@@ -1,0 +1,68 @@
+"""A kind of case whose modules are imported when they are first needed."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from importlib import import_module
+from importlib.resources import files
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from snapo.case.error import CaseError
+
+if TYPE_CHECKING:
+    from importlib.resources.abc import Traversable
+
+    from .domain import Case, Options, Report
+    from .study import Study, Tell
+
+
+@dataclass(frozen=True, eq=False)
+class Kind:
+    """A domain (see `snapo.study.domain.Domain`) by the names of its functions.
+
+    - `kind`, `words`: the word in a case's `kind`, and a phrase for the list of `snapo new`.
+    - `package`: the name of its package; `sizes`: {size: folder in it that `snapo new` copies}.
+    - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
+      data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, tell)`;
+      without a timer, nothing of the kind is timed by itself.
+    """
+
+    kind: str
+    words: str
+    package: str
+    sizes: Mapping[str, str]
+    reader: str = "read.case:read_case"
+    summary: str = "study:lines"
+    maker: str = "study:study"
+    page: str = "report:REPORT"
+    timer: str = ""
+
+    @cached_property
+    def templates(self) -> "dict[str, Traversable]":
+        return {size: files(self.package) / folder for size, folder in self.sizes.items()}
+
+    def read(self, file: Path, data: Mapping[str, Any]) -> "Case":
+        return self.loaded(self.reader)(file, data)
+
+    def check(self, case: Any) -> list[str]:
+        return self.loaded(self.summary)(case)
+
+    def study(self, case: Any, options: "Options") -> "Study":
+        return self.loaded(self.maker)(case, options)
+
+    def report(self) -> "Report":
+        return self.loaded(self.page)
+
+    def bench(self, engine: str, tell: "Tell") -> str:
+        if not self.timer:
+            allowed = (
+                "nothing of this kind is timed by itself; `snapo solve` reports the times of a case"
+            )
+            raise CaseError("KIND", "", self.kind, allowed)
+        return self.loaded(self.timer)(engine, tell)
+
+    def loaded(self, name: str) -> Any:
+        """The object "MODULE:NAME" of the package."""
+        module, _, attribute = name.partition(":")
+        return getattr(import_module(f"{self.package}.{module}"), attribute)
