@@ -12,7 +12,7 @@ from typing import Any
 
 HOMES = {
     "Agent": "agent",
-    "Environment": "environment",
+    "Environment": "played",
     "Played": "played",
     "VectorEnvironment": "vector",
     "play": "played",

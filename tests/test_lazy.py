@@ -1,0 +1,34 @@
+"""Names that are loaded when first used are there: a module that moves leaves none behind."""
+
+from importlib import import_module
+
+import pytest
+
+from snapo.problem.carry import registry
+from snapo.study.domain import find, installed
+from snapo.study.kind import Kind
+
+
+@pytest.mark.parametrize("name", ["snapo", "snapo.gym"])
+def test_every_public_name_is_there(name):
+    if name == "snapo.gym":
+        pytest.importorskip("gymnasium")
+    module = import_module(name)
+    assert [each for each in dir(module) if not hasattr(module, each)] == []
+
+
+@pytest.mark.parametrize("name", registry.KINDS)
+def test_every_class_that_a_file_of_a_policy_may_name_is_there(name):
+    assert registry.kind(name).__name__ == name
+
+
+@pytest.mark.parametrize("kind", installed())
+def test_every_part_that_a_domain_names_is_there(kind):
+    domain = find(kind, "here")
+    if not isinstance(domain, Kind):
+        pytest.skip("this domain loads its parts by itself")
+    for name in filter(
+        None, (domain.reader, domain.summary, domain.maker, domain.page, domain.timer)
+    ):
+        domain.loaded(name)
+    assert all(folder.is_dir() for folder in domain.templates.values())
