@@ -12,10 +12,10 @@ from snapo.gym.black_box.learn import learn as learn
 from snapo.gym.black_box.learned import Learned as Learned
 from snapo.problem.actions import Box as Box
 from snapo.problem.actions import Choice as Choice
+from snapo.problem.actions import Integers as Integers
 from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
-from snapo.problem.actions import Whole as Whole
 from snapo.problem.angle import turned as turned
 from snapo.problem.angle import wrapped as wrapped
 from snapo.problem.carry.export import to_onnx as to_onnx

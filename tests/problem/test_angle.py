@@ -76,7 +76,7 @@ class Wheel(snapo.Simulator):
     """A wheel that turns several times on most paths."""
 
     horizon: int = 8
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 1
     initial_noise_size: int = 1
 
@@ -99,7 +99,7 @@ class Wheel(snapo.Simulator):
 def test_both_engines_wrap_and_differentiate_alike(precision, near):
     inputs = {"speed": snapo.Input(1.5), "target": snapo.Input(0.7)}
     problem = snapo.Problem(Wheel(), inputs, -snapo.Mean("cost"))
-    rule = snapo.Linear([[0.3, -0.8]], 0.1, snapo.Box(1, -1.0, 1.0))
+    rule = snapo.Linear([[0.3, -0.8]], 0.1, snapo.Box(-1.0, 1.0))
     (value, slope), (other, theirs) = (
         value_and_gradient(problem, rule, paths=256, engine=engine(precision))
         for engine in (Xla, Native)

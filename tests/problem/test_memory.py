@@ -22,7 +22,7 @@ class Hidden(snapo.Simulator):
     """x' = keep x + u + shake noise, seen as x + blur noise; costs x^2 + force u^2."""
 
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 2
     initial_noise_size: int = 2
 

@@ -41,7 +41,7 @@ def modules() -> dict[str, eqx.Module]:
     return {
         "layers of Equinox": layers,
         "two arguments": Share(jnp.ones(1), jnp.zeros(1)),
-        "policy": Normed(eqx.nn.LayerNorm(3), layers, snapo.Box(1, 0.0, 1.0)),
+        "policy": Normed(eqx.nn.LayerNorm(3), layers, snapo.Box(0.0, 1.0)),
     }
 
 

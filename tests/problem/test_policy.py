@@ -10,7 +10,7 @@ from snapo.problem.policy import MLP, Constant, Linear, Residual, parameters
 from snapo.problem.simulator import Interface
 from snapo.problem.smooth import Exact
 
-BOX = Interface(Box(2, 0.0, 1.0), 3)
+BOX = Interface(Box(0.0, 1.0, 2), 3)
 SEEN = jnp.asarray([0.2, -1.0, 3.0])
 KEY = jax.random.key(7)
 

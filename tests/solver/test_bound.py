@@ -29,7 +29,7 @@ class SwingPut(Simulator):
     """The first date is one step from today; the state is ln(S / 40) and the rights left."""
 
     rights: int = eqx.field(static=True, default=1)
-    action: Box = eqx.field(static=True, default=Box(1, 0.0, 1.0))
+    action: Box = eqx.field(static=True, default=Box(0.0, 1.0))
     horizon: int = eqx.field(static=True, default=DATES)
     noise_size: int = eqx.field(static=True, default=1)
     initial_noise_size: int = eqx.field(static=True, default=1)

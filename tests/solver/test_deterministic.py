@@ -16,7 +16,7 @@ class Sale(snapo.Simulator):
     """A stock that is sold over four steps at known prices, at most three tenths in each."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 0
 
     def prepare(self, inputs):

@@ -17,7 +17,7 @@ class Till(snapo.Simulator):
 
     horizon: object = 2
     noise_size: object = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(2))

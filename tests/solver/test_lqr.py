@@ -48,7 +48,7 @@ class Regulator(Simulator):
     """x' = A x + B u + sigma_t n, cost x'Qx + u'Ru a step and x'Q_T x at the end."""
 
     horizon: int = T
-    action: Box = Box(1)
+    action: Box = Box(-np.inf, np.inf)
     noise_size: int = 2
 
     def prepare(self, inputs):

@@ -32,7 +32,7 @@ class Drift(Simulator):
     """Follows an action; `kind` is the way in which the step is written."""
 
     horizon: int = eqx.field(static=True, default=3)
-    action: Box = eqx.field(default=Box(1, 0.0, 1.0))
+    action: Box = eqx.field(default=Box(0.0, 1.0))
     noise_size: int = eqx.field(static=True, default=2)
     kind: str = eqx.field(static=True, default="right")
 

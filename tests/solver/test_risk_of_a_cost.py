@@ -23,7 +23,7 @@ class Hedged(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(1))

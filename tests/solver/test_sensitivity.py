@@ -15,7 +15,7 @@ class Sale(snapo.Simulator):
     """Sell a stock over three days at a noisy price, as much as the policy says."""
 
     horizon: int = 3
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -108,7 +108,7 @@ class Shifted(snapo.Simulator):
     """A number with noise: one unit more of `level` is one unit more on every path."""
 
     horizon: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -20,7 +20,7 @@ class Tank(snapo.Simulator):
     cut: bool = eqx.field(static=True, default=False)
     horizon: int = eqx.field(static=True, default=3)
     noise_size: int = eqx.field(static=True, default=1)
-    action: snapo.Box = eqx.field(static=True, default=snapo.Box(1, 0.0, 1.0))
+    action: snapo.Box = eqx.field(static=True, default=snapo.Box(0.0, 1.0))
 
     def prepare(self, inputs):
         rate = jax.lax.stop_gradient(inputs.rate) if self.cut else inputs.rate

@@ -139,7 +139,7 @@ def widths(action: Actions) -> tuple[int, int]:
     """Two hidden layers of four units for each number that is decided, a power of two from 32 to
     128.
 
-    >>> widths(snapo.Box(1)), widths(snapo.Box(24))
+    >>> widths(snapo.Box(0.0, 1.0)), widths(snapo.Box(0.0, 1.0, size=24))
     ((32, 32), (128, 128))
     """
     width = 32
@@ -270,7 +270,7 @@ class Linear(Policy):
     `Linear()` starts with a gain of zero [size, features] in the middle of the action set, and is
     kept inside it.
 
-    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(1, 0.0, 3.0))
+    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(0.0, 3.0))
     >>> [rule(np.array(seen), snapo.Exact()).tolist() for seen in ([0.5, 0.5], [2.0, 0.0])]
     [[1.0], [3.0]]
     """

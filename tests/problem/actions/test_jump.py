@@ -18,7 +18,7 @@ class Claims(snapo.Simulator):
 
     horizon: int = STEPS
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(STEPS))

@@ -19,7 +19,7 @@ class Sales(Simulator):
     """Sales of a number that is made of `size` and of noise."""
 
     horizon: int = 2
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -17,7 +17,7 @@ class Regulator(snapo.Simulator):
     """x' = drift x + u + noise; cost x^2 + effort u^2 a step, and x^2 at the end."""
 
     horizon: int = T
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 1
     initial_noise_size = 1
 

@@ -33,7 +33,7 @@ class Everything(snapo.Simulator):
     """Outputs of all noises, whose expectations have closed forms. No decision matters."""
 
     horizon: int = T
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = SIZE + 1
 
     def prepare(self, inputs):

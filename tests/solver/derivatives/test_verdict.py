@@ -47,7 +47,7 @@ class Once(snapo.Simulator):
 class Signal(Once):
     """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
 
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 0
     initial_noise_size: int = 2
 
@@ -80,7 +80,7 @@ class Reservoir(Once):
     """One inflow: `worth` a unit of water, and a prize for a level above fifty."""
 
     hidden: bool = False
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return constants["water"]
@@ -116,7 +116,7 @@ def test_across_a_jump_the_bump_is_reported(hidden):
 class Callers(Once):
     """A whole number of callers, each served for a fee while there is stock."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return constants["stock"]
@@ -156,7 +156,7 @@ def test_a_wrong_held_derivative_is_refuted_and_the_right_ones_are_kept(name):
 class Sale(Once):
     """A sale of the lesser of two amounts that are equal."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return jnp.zeros(())
@@ -211,7 +211,7 @@ class Sure(Once):
     """No noise at all, and a value that bends: the cube of an input."""
 
     noise_size: int = 0
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return jnp.zeros(())

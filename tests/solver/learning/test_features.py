@@ -21,7 +21,7 @@ class Store(snapo.Simulator):
     """Sees a price, its stock, the stock of the step before, the two's product and a constant."""
 
     horizon: int = HORIZON
-    action: snapo.Box = snapo.Box(12, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0, 12)
     noise_size: int = 1
     initial_noise_size: int = 1
 
@@ -142,7 +142,7 @@ def test_where_decisions_move_all_features_there_is_no_scale():
 class One(Store):
     """Decides one number."""
 
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
 
 def test_where_few_numbers_are_decided_there_is_no_scale():
@@ -165,7 +165,7 @@ def test_where_the_decision_is_when_to_stop_price_and_time_are_scaled():
 class Sized(american_put.Put):
     """Sells all of the share or a little less."""
 
-    action = snapo.Product(stop=snapo.Stop(), size=snapo.Box(1, 0.9, 1.0))
+    action = snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.9, 1.0))
 
     def initial(self, terms, noise):
         return {"spot": terms["spot"], "right": self.action["stop"].initial()}
@@ -209,7 +209,7 @@ def test_a_max_call_of_five_beside_a_size_or_under_a_policy_with_memory(kind, po
 class SizedCall(max_call.MaxCall):
     """A max-call of which nine tenths or more are used."""
 
-    action: snapo.Product = snapo.Product(stop=snapo.Stop(), size=snapo.Box(1, 0.9, 1.0))  # pyright: ignore
+    action: snapo.Product = snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.9, 1.0))  # pyright: ignore
 
     def initial(self, terms, noise):
         spots = jnp.full(self.noise_size, terms["spot"])

@@ -13,7 +13,7 @@ class Pendulum(snapo.Simulator):
     """Gymnasium's Pendulum-v1, its angle unwrapped and its cost periodic."""
 
     horizon: int = 200
-    action: snapo.Box = snapo.Box(1, -2.0, 2.0)
+    action: snapo.Box = snapo.Box(-2.0, 2.0)
     noise_size: int = 0
     initial_noise_size: int = 2
 

@@ -28,7 +28,7 @@ class Spend(snapo.Simulator):
     horizon: int = 4
     noise_size: int = 1
     initial_noise_size = 1
-    action: snapo.Box = snapo.Box(1, -10.0, 10.0)
+    action: snapo.Box = snapo.Box(-10.0, 10.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(4))
@@ -108,7 +108,7 @@ class Newsvendor(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 300.0)
+    action: snapo.Box = snapo.Box(0.0, 300.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(1))
@@ -204,7 +204,7 @@ class Reservoir(snapo.Simulator):
 
     horizon: int = 12
     noise_size: int = 2
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, {"week": jnp.arange(12.0)})
@@ -254,7 +254,7 @@ class Budget(snapo.Simulator):
 
     horizon: int = 4
     noise_size: int = 0
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"day": jnp.arange(4.0)})

@@ -11,7 +11,7 @@ class Bets(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, {"t": jnp.zeros(1)})

@@ -106,7 +106,7 @@ class Moved(Rights):
 class Boxed(Rights):
     """No stopping problem."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
 
 class Largest(Rights):

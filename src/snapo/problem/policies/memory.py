@@ -181,7 +181,7 @@ class Remembering(Around):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(self.own.action.size + self.memory)
+        return Box(-jnp.inf, jnp.inf, self.own.action.size + self.memory)
 
     def initial(self, constants, noise):
         return self.begun(self.own.initial(constants, noise))

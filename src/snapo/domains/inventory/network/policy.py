@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from snapo.problem.actions import Actions, Choice, Product, Whole
+from snapo.problem.actions import Actions, Choice, Integers, Product
 from snapo.problem.policy import Network, Policy
 from snapo.problem.smooth import Exact
 
@@ -89,7 +89,7 @@ class EchelonRule(Policy):
         if not self.fixed or not isinstance(smooth, Exact):
             return above
         assert isinstance(self.action, Product)
-        least = 0.5 if isinstance(self.action["order"], Whole) else 0.0
+        least = 0.5 if isinstance(self.action["order"], Integers) else 0.0
         return jnp.where(amounts[np.array(self.fixed, int)] > least, above, -1.0)
 
     def _choices(self, scores, smooth) -> list[Array]:
