@@ -165,4 +165,4 @@ def inputs() -> Inputs:
 
 
 if __name__ == "__main__":
-    print(snapo.solve(simulator(), inputs(), objective=snapo.Mean("value")))
+    print(snapo.solve(simulator(), inputs(), objective="value"))

@@ -27,4 +27,4 @@ class Reservoir(snapo.Simulator):
 
 inputs = {"water": snapo.Input(60, "hm3"), "rain": snapo.Input(4, "hm3"), "price": snapo.Input(50)}
 if __name__ == "__main__":
-    print(snapo.solve(Reservoir(), inputs, objective=snapo.Mean("cash")))
+    print(snapo.solve(Reservoir(), inputs, objective="cash"))

@@ -26,10 +26,10 @@ from snapo.problem.chain import Chain as Chain
 from snapo.problem.families.family import Family as Family
 from snapo.problem.inputs import Frozen as Frozen
 from snapo.problem.inputs import Input as Input
-from snapo.problem.limits import AtLeast as AtLeast
-from snapo.problem.limits import AtMost as AtMost
 from snapo.problem.noise import Noise as Noise
 from snapo.problem.objective import CRRA as CRRA
+from snapo.problem.objective import AtLeast as AtLeast
+from snapo.problem.objective import AtMost as AtMost
 from snapo.problem.objective import CVaR as CVaR
 from snapo.problem.objective import Entropic as Entropic
 from snapo.problem.objective import ExpectedUtility as ExpectedUtility

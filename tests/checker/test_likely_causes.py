@@ -69,6 +69,6 @@ def test_one_limit_needs_no_tuple():
     }
     one = snapo.AtMost("cash", 1.0)
     solution = snapo.solve(
-        Hedge(), INPUTS, objective=snapo.Mean("cash"), limits=one, engine="xla", **few
+        Hedge(), INPUTS, objective=snapo.Mean("cash"), constraints=one, engine="xla", **few
     )
-    assert len(solution.limits) == 1
+    assert len(solution.constraints) == 1

@@ -113,11 +113,11 @@ def test_a_limit_on_the_tail_of_a_cost_is_broken_by_its_dear_tenth():
     """The cheapest tenth is .246, far below 1; the dearest one is 3.755."""
     limits = (snapo.AtMost(snapo.CVaR("cost", 0.9), 1.0),)
     found = snapo.solve(
-        problem_of(-snapo.Mean("cost"), limits=limits), policy=OPEN,
+        problem_of(-snapo.Mean("cost"), constraints=limits), policy=OPEN,
         training=snapo.Training(steps=0, paths=64),
         evaluation=snapo.Evaluation(paths=8192, sensitivity_paths=0),
     )  # fmt: skip
-    (limit,) = found.limits
+    (limit,) = found.constraints
     assert limit.met == "not met" and limit.name == "mean of the largest 10 % of cost at most 1"
     assert limit.value == pytest.approx(2 + TAIL, abs=4 * limit.standard_error)
 
@@ -128,10 +128,10 @@ def test_the_price_of_a_limit_on_the_dear_tail():
     h = .519, and one more of the level saves .3 / 1.455 = .206."""
     limits = (snapo.AtMost(snapo.CVaR("cost", 0.9), 3.0),)
     found = snapo.solve(
-        problem_of(-snapo.Mean("cost"), limits=limits), policy=snapo.Constant(np.full(1, 0.3)),
+        problem_of(-snapo.Mean("cost"), constraints=limits), policy=snapo.Constant(np.full(1, 0.3)),
         training=snapo.Training(steps=600, paths=1024, learning_rate=0.02),
         evaluation=snapo.Evaluation(paths=16384, sensitivity_paths=0),
     )  # fmt: skip
-    (limit,) = found.limits
+    (limit,) = found.constraints
     assert limit.value == pytest.approx(3.0, abs=0.02) and limit.met != "not met"
     assert limit.price == pytest.approx(0.3 / (TAIL - 0.3), abs=0.01)

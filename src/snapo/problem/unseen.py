@@ -253,7 +253,7 @@ def _paid_names(problem: Any) -> set[str]:
     """The outputs of the objective and of the limits."""
     return {
         name
-        for each in (problem.objective, *(limit.measure for limit in problem.limits))
+        for each in (problem.objective, *(limit.measure for limit in problem.constraints))
         for name in each.outputs
     }
 

@@ -30,7 +30,7 @@ def test_a_network_imitates_a_rule_and_is_trained_on():
 
 def test_a_rule_is_imitated_for_a_problem_with_limits():
     """A limit is of an output that imitation does not have: it was a KeyError."""
-    limited = replace(PROBLEM, limits=(snapo.AtMost("cost", 5.0),))
+    limited = replace(PROBLEM, constraints=(snapo.AtMost("cost", 5.0),))
     few = snapo.Training(steps=2, paths=16, validation_paths=16)
     begun = snapo.imitate(limited, RULE, snapo.Linear(), training=few, engine="xla")
     assert np.isfinite(begun.distance)

@@ -134,7 +134,7 @@ def make_setup(case: Case, engine: str) -> Setup:
     evaluation = snapo.Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     simulator = Shop(horizon=case.shop.days)  # pyright: ignore[reportCallIssue]
-    problem = snapo.Problem(simulator, inputs, snapo.Mean("profit"), sources)
+    problem = snapo.Problem(simulator, inputs, "profit", sources)
     key = jax.random.key(training.seed)
     policy = snapo.MLP().for_problem(problem.interface, key)
     return Setup(problem, policy, training, evaluation, choose(engine, problem, policy))

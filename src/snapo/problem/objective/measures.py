@@ -1,43 +1,14 @@
-"""The objectives that there are, each in closed form: means, measures of risk, utilities."""
+"""Objectives in closed form: measures of risk, utilities, probabilities."""
 
 import abc
 from dataclasses import dataclass
 
 import numpy as np
 
-from .base import Objective, Totals, Weights
+from .base import ByPath, Objective, OneOutput, Totals, Weights
 
 
-@dataclass(frozen=True)
-class _OneOutput(Objective):
-    """An objective of one output's totals x in closed form, by its slope and influence."""
-
-    output: str
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        return (self.output,)
-
-    def value(self, totals: Totals) -> float:
-        return float(np.mean(self.influence(totals)))
-
-    def weights(self, totals: Totals) -> Weights:
-        x = self.used(totals)[self.output]
-        return {self.output: self._slope(x) / x.size}
-
-    def influence(self, totals: Totals) -> np.ndarray:
-        return self._influence(self.used(totals)[self.output])
-
-    @abc.abstractmethod
-    def _slope(self, x: np.ndarray) -> np.ndarray:
-        """N times d value / d x."""
-
-    @abc.abstractmethod
-    def _influence(self, x: np.ndarray) -> np.ndarray:
-        """Numbers whose mean is the value and whose spread is its sampling error."""
-
-
-class _Risk(_OneOutput):
+class _Risk(OneOutput):
     """A measure of risk: of a cost it looks at the other tail."""
 
     @property
@@ -89,32 +60,6 @@ class OfCost(Objective):
 
     def _opposite(self, totals: Totals) -> Totals:
         return {name: -total for name, total in self.measure.used(totals).items()}
-
-
-class _ByPath(_OneOutput):
-    """A mean of each path's own number."""
-
-    @property
-    def by_path(self) -> bool:
-        return True
-
-
-@dataclass(frozen=True)
-class Mean(_ByPath):
-    """The mean."""
-
-    @property
-    def linear(self) -> bool:
-        return True
-
-    def words(self) -> str:
-        return f"mean of {self.output}"
-
-    def _slope(self, x):
-        return np.ones_like(x)
-
-    def _influence(self, x):
-        return x
 
 
 @dataclass(frozen=True)
@@ -191,7 +136,7 @@ class Entropic(_Risk):
 
 
 @dataclass(frozen=True)
-class ExpectedUtility(_ByPath):
+class ExpectedUtility(ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
     Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
@@ -265,7 +210,7 @@ class CRRA:
 
 
 @dataclass(frozen=True)
-class Target(_ByPath):
+class Target(ByPath):
     """Minus the mean squared distance from a target: -mean((x - target)^2)."""
 
     target: float = 0.0
@@ -281,7 +226,7 @@ class Target(_ByPath):
 
 
 @dataclass(frozen=True)
-class Probability(_ByPath):
+class Probability(ByPath):
     """The probability that x > threshold; its weights round the step over `width` (in x's unit).
 
     The value is the exact frequency. The pathwise derivative of a step is zero, so the weights

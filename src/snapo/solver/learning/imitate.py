@@ -86,7 +86,7 @@ def imitate(
     rule = rule.for_problem(problem.interface, jax.random.key(training.seed))
     followed = Imitating(problem.simulator, rule, _ranges(problem))
     # The rule's outputs are gone, and with them limits on them: the next training has those.
-    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), limits=())
+    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), constraints=())
     policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
     engines = choose(engine, problem, policy)
     progress = train(problem, begin(policy, training, problem), training, engines.train)

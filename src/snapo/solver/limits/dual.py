@@ -19,9 +19,8 @@ from typing import NamedTuple
 import numpy as np
 
 from snapo.engine import Bound
-from snapo.problem.limits import Limit
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Totals
+from snapo.problem.objective import Limit, Objective, Totals
 from snapo.problem.policy import Policy
 
 from .slopes import slope_of

@@ -75,7 +75,7 @@ def limits_found(
 ) -> tuple[LimitFound, ...]:
     """Every limit of the problem, on exact `totals` of its evaluation scenarios; prices by smooth
     derivatives on the first of these paths."""
-    limits, source = problem.limits, problem.sources.evaluation
+    limits, source = problem.constraints, problem.sources.evaluation
     if not limits:
         return ()
     measured = [of_shares(worth_of_groups(each.measure, totals, source)) for each in limits]
@@ -129,7 +129,7 @@ def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, en
     prices, errors = np.zeros(len(binds)), np.zeros(len(binds))
     if not binds.any():
         return prices, errors
-    bind = [each for each, on in zip(problem.limits, binds) if on]
+    bind = [each for each, on in zip(problem.constraints, binds) if on]
     wanted = [problem.objective, *(each.measure for each in bind)]
     signs = np.array([1.0, *(each.sign for each in bind)])[:, None]
     bound, source = engine.bind(problem), problem.sources.evaluation
