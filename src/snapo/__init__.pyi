@@ -59,6 +59,7 @@ from snapo.problem.scenarios import Sources as Sources
 from snapo.problem.scenarios import Supplied as Supplied
 from snapo.problem.simulator import Schedule as Schedule
 from snapo.problem.simulator import Simulator as Simulator
+from snapo.problem.smooth import EXACT as EXACT
 from snapo.problem.smooth import Exact as Exact
 from snapo.problem.smooth import Smooth as Smooth
 from snapo.solver.adjoint import Gradient as Gradient

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from ..actions import Actions, Box
-from ..policy import MLP, Network, Policy, widths
+from ..policy import MLP, Network, Policy, as_observation, widths
 from ..problem import Problem
 from ..simulator import Around, Interface, Simulator
-from ..smooth import Exact
+from ..smooth import EXACT, Exact
 
 
 class Memory(Policy):
@@ -38,8 +38,14 @@ class Memory(Policy):
     ) -> tuple[Float[Array, " size"], Float[Array, " memory"]]:
         """The action, and the memory at the next decision."""
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         features = observation.shape[0] - self.memory
+        if features < 1:
+            raise ValueError(
+                f"{type(self).__name__}: give the observation, followed by the {self.memory} "
+                "numbers that it remembers, which are zeros before the first decision."
+            )
         seen, memory = observation[:features], observation[features:]
         action, kept = self.decide(seen, memory, smooth)
         return jnp.concatenate([action, kept.astype(action.dtype)])

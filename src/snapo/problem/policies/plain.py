@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from ..actions import Actions
-from ..policy import Policy
+from ..policy import Policy, as_observation
 from ..simulator import Interface
-from ..smooth import Smooth
+from ..smooth import EXACT, Smooth
 
 NEEDED = (
     "a policy of snapo's, or an eqx.Module that is called as policy(observation, smooth), or as "
@@ -30,7 +30,8 @@ class Plain(Policy):
     raw: bool = eqx.field(static=True)
     action: Actions | None = None
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         if not self.raw:
             return self.module(observation, smooth)
         if self.action is None:

@@ -7,7 +7,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 
 class OneOf(Policy):
@@ -28,7 +29,8 @@ class OneOf(Policy):
         """The one that decides."""
         return self.rules[round(float(self.place.array))]
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         place = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
         actions = [rule(observation, smooth) for rule in self.rules]
         action = actions[0]

@@ -5,7 +5,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from ..fund.observation import slots
 from ..fund.swap_limits import limit_unit
@@ -42,7 +43,8 @@ class PresentMix(Policy):
         self.held = seen.get("weights", slice(0, 0))
         self.steps = case.steps
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         mix = jnp.asarray(self.mix.array, observation.dtype)
         count = self.held.stop - self.held.start
         if self.time < 0 or not count:
