@@ -36,6 +36,10 @@ class Value(NamedTuple):
     dropped: int = 0
     refused: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        """ "2,732 ± 21": two significant digits of the error."""
+        return statistics.with_error(self.value, self.standard_error)
+
 
 @takes_problem
 def evaluate(
