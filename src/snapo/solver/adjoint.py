@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound, Engine, Xla
+from snapo.engine import Adjoint, BoundEngine, Engine, Xla
 from snapo.engine.transpose import pull_back as pull_back
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
@@ -62,7 +62,7 @@ def value_and_gradient(
 
 
 def weighted_adjoint(
-    bound: Bound,
+    bound: BoundEngine,
     policy: Policy,
     draws: Draws,
     smooth,

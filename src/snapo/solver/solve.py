@@ -14,7 +14,7 @@ from jaxtyping import PyTree
 
 from snapo.checker.findings import Findings
 from snapo.checker.first import problem_mistakes, simulator_mistakes
-from snapo.engine import Choice, Engine, choose
+from snapo.engine import Engine, EngineName, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
 from snapo.problem.meant import problem_of
@@ -51,7 +51,7 @@ def solve(
     constraints: Sequence[Limit] | Limit = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
-    engine: Choice = "auto",
+    engine: EngineName = "auto",
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
     check: bool = True,

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Bound, Clip, Engine
+from snapo.engine import BoundEngine, Clip, Engine
 from snapo.problem.code.version import reading_once
 from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
@@ -54,9 +54,9 @@ class Loop(NamedTuple):
 
     problem: Problem
     training: TrainingPlan
-    bound: Bound
+    bound: BoundEngine
     own: Problem
-    exact: Bound
+    exact: BoundEngine
     update: Callable
     update_by_windows: Callable
 

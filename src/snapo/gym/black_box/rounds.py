@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
@@ -41,7 +41,7 @@ class Plan:
     reward: Reward | None
     over: Over | None
     seed: int
-    engine: Choice
+    engine: EngineName
 
 
 class Inside(NamedTuple):

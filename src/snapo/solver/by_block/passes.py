@@ -8,7 +8,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound
+from snapo.engine import Adjoint, BoundEngine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Totals, Weights
 from snapo.problem.policy import Policy, trainable
@@ -54,7 +54,7 @@ class Way(NamedTuple):
     """
 
     problem: Problem
-    bound: Bound
+    bound: BoundEngine
     policy: Policy
     smooth: Any
     held: bool

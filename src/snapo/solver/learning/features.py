@@ -29,7 +29,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Bound, Xla
+from snapo.engine import BoundEngine, Xla
 from snapo.problem.actions import Stop, holds
 from snapo.problem.policies.memory import GRU, Recent
 from snapo.problem.policy import MLP, Network, Policy, Residual
@@ -151,7 +151,7 @@ def fixed(problem: Problem) -> Scale | None:
         return None
     simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
     still = _Unmoved(simulator, moved)  # pyright: ignore
-    bound = Bound(Xla("float32"), still, schedule)
+    bound = BoundEngine(Xla("float32"), still, schedule)
     draws = problem.sources.training.batch(0, PATHS, simulator)
     actions = np.zeros((horizon, draws.size, simulator.action.size), np.float32)
     states = bound.values(None, draws, Exact(), actions=actions, record=("state",)).record["state"]

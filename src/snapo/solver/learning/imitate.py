@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.engine import Choice, choose
+from snapo.engine import EngineName, choose
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Frozen
 from snapo.problem.meant import takes_problem
@@ -69,7 +69,7 @@ def imitate(
     policy: Policy | None = None,
     *,
     training: Training | None = None,
-    engine: Choice = "auto",
+    engine: EngineName = "auto",
 ) -> Imitation:
     """Trains a policy to decide as `rule` does, in the states that the rule itself meets.
 

@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.engine import Bound
+from snapo.engine import BoundEngine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Limit, Objective, Totals
 from snapo.problem.policy import Policy
@@ -49,7 +49,7 @@ class Dual(NamedTuple):
 
     def measured(
         self,
-        bound: Bound,
+        bound: BoundEngine,
         policy: Policy,
         draws: Draws,
         smooth,

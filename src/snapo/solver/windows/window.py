@@ -18,7 +18,7 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound, Window
+from snapo.engine import Adjoint, BoundEngine, Window
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
@@ -77,7 +77,7 @@ class Sweep(NamedTuple):
 
 def sweep(
     problem: Problem,
-    bound: Bound,
+    bound: BoundEngine,
     known: Learner,
     policy: PyTree,
     draws: Draws,
@@ -97,7 +97,7 @@ def sweep(
 
 def window_adjoint(
     problem: Problem,
-    bound: Bound,
+    bound: BoundEngine,
     swept: Sweep,
     policy: PyTree,
     draws: Draws,
@@ -117,7 +117,7 @@ def window_adjoint(
     if first + length == horizon:
         options["window"], objective = Window(first, length), problem.objective
     else:
-        bound = Bound(bound.engine, *_ending(problem, swept.known.critic, first + length))
+        bound = BoundEngine(bound.engine, *_ending(problem, swept.known.critic, first + length))
         options["window"] = Window(first, length, terminal=True)
         objective = problem.objective + Mean(AHEAD)
     return adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)
