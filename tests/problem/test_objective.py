@@ -181,7 +181,7 @@ def test_objectives_are_said_in_words():
         (-MeanVariance("a", 2.0), "minus the mean-variance of the cost a (aversion 2)"),
         (-0.5 * Entropic("a"), "minus 0.5 × entropic mean of the cost a (aversion 1)"),
         (Probability("a", 1.5), "probability of a above 1.5"),
-        (ExpectedUtility("a", CRRA(2.0)), "mean utility of a, CRRA(aversion=2.0, wealth=0.0)"),
+        (ExpectedUtility("a", CRRA(2.0)), "mean utility of a, CRRA(risk_aversion=2.0, wealth=0.0)"),
     ):
         assert str(objective) == words
 

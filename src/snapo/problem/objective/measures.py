@@ -102,37 +102,40 @@ class CVaR(_Risk):
 
 @dataclass(frozen=True)
 class MeanVariance(_Risk):
-    """mean - aversion / 2 * variance; of a cost, mean + aversion / 2 * variance."""
+    """mean - risk_aversion / 2 * variance; of a cost, mean + risk_aversion / 2 * variance."""
 
-    aversion: float = 1.0
+    risk_aversion: float = 1.0
 
     def _words(self, cost):
-        return f"mean-variance of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+        of = f"{'the cost ' * cost}{self.output}"
+        return f"mean-variance of {of} (aversion {self.risk_aversion:g})"
 
     def _slope(self, x):
-        return 1 - self.aversion * (x - x.mean())
+        return 1 - self.risk_aversion * (x - x.mean())
 
     def _influence(self, x):
-        return x - self.aversion / 2 * (x - x.mean()) ** 2
+        return x - self.risk_aversion / 2 * (x - x.mean()) ** 2
 
 
 @dataclass(frozen=True)
 class Entropic(_Risk):
     """-log(mean(exp(-a x))) / a, the certainty equivalent of exponential utility, a > 0."""
 
-    aversion: float = 1.0
+    risk_aversion: float = 1.0
 
     def _words(self, cost):
-        return f"entropic mean of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+        of = f"{'the cost ' * cost}{self.output}"
+        return f"entropic mean of {of} (aversion {self.risk_aversion:g})"
 
     def _slope(self, x):
-        tilt = np.exp(-self.aversion * (x - x.min()))
+        tilt = np.exp(-self.risk_aversion * (x - x.min()))
         return tilt / tilt.mean()
 
     def _influence(self, x):
         tilt = self._slope(x)
-        level = x.min() - np.log(np.exp(-self.aversion * (x - x.min())).mean()) / self.aversion
-        return level - (tilt - 1) / self.aversion
+        mean = np.exp(-self.risk_aversion * (x - x.min())).mean()
+        level = x.min() - np.log(mean) / self.risk_aversion
+        return level - (tilt - 1) / self.risk_aversion
 
 
 @dataclass(frozen=True)
@@ -176,37 +179,37 @@ class ExpectedUtility(ByPath):
 
 @dataclass(frozen=True)
 class CRRA:
-    """Utility W^(1 - aversion) / (1 - aversion) of W = wealth + x, the logarithm at aversion 1;
+    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x, the logarithm at 1;
     minus infinity where W <= 0.
 
     >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
     [-1.0, -0.5]
     """
 
-    aversion: float
+    risk_aversion: float
     wealth: float = 0.0
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         x = x + self.wealth
         positive = np.where(x > 0, x, 1.0)
-        if self.aversion == 1:
+        if self.risk_aversion == 1:
             utility = np.log(positive)
         else:
-            utility = positive ** (1 - self.aversion) / (1 - self.aversion)
+            utility = positive ** (1 - self.risk_aversion) / (1 - self.risk_aversion)
         return np.where(x > 0, utility, -np.inf)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         x = x + self.wealth
-        return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.aversion, np.nan)
+        return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.risk_aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
         """The sure x of this utility; infinite where no x has as much."""
-        if self.aversion == 1:
+        if self.risk_aversion == 1:
             return float(np.exp(utility)) - self.wealth
-        power = (1 - self.aversion) * utility
+        power = (1 - self.risk_aversion) * utility
         if power <= 0:
-            return np.inf if self.aversion > 1 else -self.wealth
-        return float(power ** (1 / (1 - self.aversion))) - self.wealth
+            return np.inf if self.risk_aversion > 1 else -self.wealth
+        return float(power ** (1 / (1 - self.risk_aversion))) - self.wealth
 
 
 @dataclass(frozen=True)

@@ -22,5 +22,5 @@ def work(run: StudyRun) -> dict[str, Any]:
         found |= {"equivalent": known.ratio, "slope": known.slope}
         found["output"] = objective.output  # pyright: ignore
         found["equivalent_error"] = known.slope * solution.standard_error
-        found["aversion"] = objective.utility.aversion  # pyright: ignore
+        found["aversion"] = objective.utility.risk_aversion  # pyright: ignore
     return {"objective": found}
