@@ -47,7 +47,7 @@ def leaking() -> Problem:
 
 
 def certified(problem: Problem):
-    return {bump.input: bump for bump in certify_derivatives(problem, Constant([0.5]), 16)}
+    return {bump.input: bump for bump in certify_derivatives(problem, Constant([0.5]), paths=16)}
 
 
 def test_a_loss_that_compounds_is_no_false_alarm():

@@ -55,21 +55,21 @@ FEW = {
 }
 UP = [{"price": np.ones(())}]
 VERBS = {
-    "evaluate": lambda *of, **more: snapo.evaluate(*of, HALF, 64, **more).value,
-    "simulate": lambda *of, **more: snapo.simulate(*of, HALF, 64, **more).totals["cash"].mean(),
-    "sensitivities": lambda *of, **more: snapo.sensitivities(*of, HALF, 64, **more)
+    "evaluate": lambda *of, **more: snapo.evaluate(*of, HALF, paths=64, **more).value,
+    "simulate": lambda *of, **more: snapo.simulate(*of, HALF, paths=64, **more).totals["cash"].mean(),
+    "sensitivities": lambda *of, **more: snapo.sensitivities(*of, HALF, paths=64, **more)
     .held["price"].value,
     "value_and_gradient": lambda *of, **more: snapo.value_and_gradient(
         *of, HALF, paths=64, **more
     )[0],
-    "bump_check": lambda *of, **more: snapo.bump_check(*of, HALF, 64, **more)[0].adjoint,
+    "bump_check": lambda *of, **more: snapo.bump_check(*of, HALF, paths=64, **more)[0].adjoint,
     "feasibility": lambda *of, **more: len(snapo.feasibility(*of, policy=HALF, **more)),
-    "certify_derivatives": lambda *of, **more: certify_derivatives(*of, HALF, 64, **more)[0].central,
+    "certify_derivatives": lambda *of, **more: certify_derivatives(*of, HALF, paths=64, **more)[0].central,
     "held_of_several": lambda *of, **more: held_of_several(
-        *of, HALF, [snapo.Mean("cash")], 64, **more
+        *of, HALF, [snapo.Mean("cash")], paths=64, **more
     )[0]["price"].value,
     "second_order": lambda *of, **more: snapo.second_order(
-        *of, HALF, 64, directions=UP, **more
+        *of, HALF, paths=64, directions=UP, **more
     )[0]["price"],
     "solve": lambda *of, **more: snapo.solve(*of, HALF, **FEW, **more).value,
     "solve_seeds": lambda *of, **more: snapo.solve_seeds(*of, HALF, seeds=[3], **FEW, **more)
@@ -178,7 +178,7 @@ def test_the_printed_solution_says_what_was_made_large(tmp_path):
 def test_other_names_are_made_large():
     """Part of a word is no word."""
     for name in ("costume_sales", "profit", "glossy"):
-        found = snapo.evaluate(Bill(name=name), INPUTS, HALF, 64)
+        found = snapo.evaluate(Bill(name=name), INPUTS, HALF, paths=64)
         assert found.value == pytest.approx(2.0, abs=1.0)
 
 

@@ -64,14 +64,14 @@ def test_value_and_derivatives_are_those_of_the_dear_tail(engine, name):
     objective, right, by_deviation = MEASURES[name]
     problem = problem_of(objective)
     used = snapo.Native("float64") if engine == "native" else snapo.Xla("float64")
-    found = snapo.evaluate(problem, OPEN, 16384, engine=used)
+    found = snapo.evaluate(problem, OPEN, paths=16384, engine=used)
     assert abs(found.value - right) < 4 * found.standard_error < 0.1
     _, gradient = snapo.value_and_gradient(problem, OPEN, paths=2048, engine=used)
     weight = 1.5 if name == "mixture" else 1.0
     assert gradient.inputs["level"] == pytest.approx(-weight, abs=1e-9)
     assert gradient.inputs["deviation"] == pytest.approx(by_deviation, abs=0.15)
     up, down = (
-        snapo.evaluate(problem.at({"deviation": 1.0 + bump}), OPEN, 2048, engine=used).value
+        snapo.evaluate(problem.at({"deviation": 1.0 + bump}), OPEN, paths=2048, engine=used).value
         for bump in (1e-5, -1e-5)
     )
     central = (up - down) / 2e-5
@@ -83,7 +83,7 @@ def test_standard_errors_of_costs_are_those_of_the_spread_over_seeds(name):
     """Forty estimates of 4,096 paths: their spread is known to 11 %; three times that."""
     problem = problem_of(MEASURES[name][0], sources=snapo.Sources.of(None, 0))
     found = [
-        snapo.evaluate(replace(problem, sources=snapo.Sources.of(None, seed)), OPEN, 4096)
+        snapo.evaluate(replace(problem, sources=snapo.Sources.of(None, seed)), OPEN, paths=4096)
         for seed in range(40)
     ]
     spread = np.std([each.value for each in found], ddof=1)

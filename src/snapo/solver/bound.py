@@ -138,11 +138,11 @@ class Bound:
 def bound(
     problem: Problem,
     policy: Policy,
-    relaxation: Relaxation | None = None,
-    paths: int = 1024,
     *,
-    penalty: Penalty = "value",
+    paths: int = 1024,
     engine: Engine | None = None,
+    relaxation: Relaxation | None = None,
+    penalty: Penalty = "value",
     source: Scenarios | None = None,
     training_paths: int = 256,
 ) -> Bound:

@@ -111,7 +111,8 @@ PATHS = 16_384
 def tables():
     engines = Xla("float64"), Native("float64")
     return [
-        snapo.sensitivities(PROBLEM, RULE, PATHS, smooth_paths=0, engine=e).held for e in engines
+        snapo.sensitivities(PROBLEM, RULE, paths=PATHS, smooth_paths=0, engine=e).held
+        for e in engines
     ]
 
 

@@ -78,7 +78,7 @@ def test_the_interval_of_a_wrong_order_holds_the_derivative_of_the_best_one(prob
     }
     surface = surface_of(problem, coordinates(policy), 16384, 0, ENGINE)
     assert surface is not None
-    table = held_alone(problem, snapo.sensitivities(problem, policy, 16384).held)
+    table = held_alone(problem, snapo.sensitivities(problem, policy, paths=16384).held)
     margin = margin_of(problem, policy, surface, 4096, 0, ENGINE)
     curvature = (AT["h"] + AT["p"]) * stats.norm.pdf(FRACTILE) / AT["sd"]
     gap = 1.5**2 * curvature / 2

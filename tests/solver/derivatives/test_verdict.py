@@ -18,7 +18,9 @@ PATHS = 4096
 def judged(simulator, inputs, policy, output, smooth, seed=0):
     sources = Sources.of(None, seed)
     problem = snapo.Problem(simulator, inputs, snapo.Mean(output), sources)
-    table = snapo.sensitivities(problem, policy, PATHS, smooth=snapo.Smooth(np.float64(smooth)))
+    table = snapo.sensitivities(
+        problem, policy, paths=PATHS, smooth=snapo.Smooth(np.float64(smooth))
+    )
     bumped = reactions(problem, policy, PATHS, table.held)
     found = verdicts(bumped)
     result = reported(problem, table.held, table.smooth, bumped, found)
@@ -183,7 +185,7 @@ def test_at_a_kink_the_range_of_both_sides_is_reported():
         assert interval.holds(0.0) and interval.holds(1.0)
         assert interval.low > -0.1 and interval.high < 1.1
     problem = snapo.Problem(Sale(), inputs, snapo.Mean("cash"))
-    bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), 64)}
+    bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), paths=64)}
     # The adjoint at the reported inputs is one of the two sides.
     for name in ("stock", "room"):
         assert bumps[name].passed and bumps[name].kink

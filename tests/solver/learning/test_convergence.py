@@ -170,7 +170,7 @@ def test_a_regulator_by_default_settings_reaches_its_closed_form(seed):
     sources = snapo.Evaluation().sources(seed)
     problem = Problem(Regulator(), INPUTS, snapo.Mean("value"), sources)
     solution = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(seed=seed))
-    best = snapo.evaluate(problem, Linear(-gain), 8192)
+    best = snapo.evaluate(problem, Linear(-gain), paths=8192)
     assert best.value == pytest.approx(-cost, abs=4 * best.standard_error)
     print(f"seed {seed}: {best.value - solution.value:.2g} of {cost:.5g} short")
     assert solution.value > best.value - 0.005 * cost

@@ -145,7 +145,7 @@ def best_rule(run: StudyRun, case: Case) -> dict[str, Any]:
     problem, engines = run.setup.problem, run.setup.engines
     evaluation = run.setup.evaluation
     rule = snapo.BaseStock(level(case.shop) / case.shop.demand)
-    found = snapo.evaluate(problem, rule, evaluation.paths, engine=engines.evaluate)
+    found = snapo.evaluate(problem, rule, paths=evaluation.paths, engine=engines.evaluate)
     return {"best_rule": {"value": found.value, "standard_error": found.standard_error}}
 
 

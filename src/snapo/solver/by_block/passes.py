@@ -13,6 +13,7 @@ from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Totals, Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
+from snapo.problem.smooth import Exact, Smooth
 
 from ..adjoint import float64, pull_back
 from ..evaluate import DECIDED, in_a_row
@@ -56,7 +57,7 @@ class Way(NamedTuple):
     problem: Problem
     bound: BoundEngine
     policy: Policy
-    smooth: Any
+    smooth: Smooth | Exact
     held: bool
     recorded: np.ndarray | None = None
     inputs: bool = True

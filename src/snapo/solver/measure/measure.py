@@ -13,7 +13,7 @@ from snapo.problem.objective import Totals
 from snapo.problem.policies.memory import Memory, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import EXACT, Smooth
 from snapo.problem.unseen import words
 
 from ..derivatives.bump import reactions
@@ -197,7 +197,7 @@ def _sensitivities(
     policy, paths = progress.best, run.held_paths
     if not paths:
         return None, None
-    smooth = run.smooth if evaluation.smooth_paths else None
+    smooth = run.smooth if evaluation.smooth_paths else EXACT
     earlier = progress.halfway if progress.step > 1 else None
     table, soft = sensitivities_and_totals(
         problem, policy, paths, smooth, evaluation.smooth_paths, earlier, engine, decisions

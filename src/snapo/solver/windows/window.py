@@ -11,7 +11,7 @@ present policy, from the sweep over the whole horizon that gives the windows the
 Only an objective that is a mean of sums has such a value; others are refused.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -23,6 +23,7 @@ from snapo.problem.noise import Draws
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Schedule, Simulator, at
+from snapo.problem.smooth import Smooth
 
 from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
@@ -81,7 +82,7 @@ def sweep(
     known: Learner,
     policy: PyTree,
     draws: Draws,
-    smooth: Any,
+    smooth: Smooth,
     length: int,
     step: int,
 ) -> Sweep:
@@ -101,7 +102,7 @@ def window_adjoint(
     swept: Sweep,
     policy: PyTree,
     draws: Draws,
-    smooth: Any,
+    smooth: Smooth,
     length: int,
     turn: int,
     **options,

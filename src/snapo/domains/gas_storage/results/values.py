@@ -34,7 +34,7 @@ VALUES = Part("value ladder", work, needs=("intrinsic value", "training"))
 def _ladder(run: StudyRun, solution: Solution) -> list[dict[str, Any]]:
     """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
     engine = run.setup.engines.evaluate
-    guide = evaluate(beside(run.setup), policy_of(solution).guide, PATHS, engine=engine)
+    guide = evaluate(beside(run.setup), policy_of(solution).guide, paths=PATHS, engine=engine)
 
     error, plan = solution.standard_error, run.get("intrinsic.value")
     ladder = [

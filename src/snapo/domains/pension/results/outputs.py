@@ -101,7 +101,7 @@ def _outputs(run: StudyRun) -> Iterator[Output]:
     paths = min(PATHS, setup.evaluation.sensitivity_paths, setup.evaluation.paths)
     run.tell(f"sensitivities of {len(goals)} more outputs at once")
     each = [goal for *_, goal in goals]
-    table = held_of_several(problem, policy, each, paths, engine=setup.engines.evaluate)
+    table = held_of_several(problem, policy, each, paths=paths, engine=setup.engines.evaluate)
     for (key, name, money, goal), held in zip(goals, table):
         found = estimate(goal, totals, problem.sources.evaluation)
         value = found.value + (key == "underfunded")
