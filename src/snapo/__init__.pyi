@@ -26,8 +26,8 @@ from snapo.problem.actions import Integers as Integers
 from snapo.problem.actions import Product as Product
 from snapo.problem.actions import Simplex as Simplex
 from snapo.problem.actions import Stop as Stop
-from snapo.problem.angle import turned as turned
-from snapo.problem.angle import wrapped as wrapped
+from snapo.problem.angle import angle_features as angle_features
+from snapo.problem.angle import wrap_angle as wrap_angle
 from snapo.problem.carry.export import to_onnx as to_onnx
 from snapo.problem.carry.save import PolicyFileError as PolicyFileError
 from snapo.problem.carry.save import load_policy as load_policy
@@ -53,8 +53,8 @@ from snapo.problem.objective import Objective as Objective
 from snapo.problem.objective import Probability as Probability
 from snapo.problem.objective import Target as Target
 from snapo.problem.policies.memory import GRU as GRU
+from snapo.problem.policies.memory import LastObservations as LastObservations
 from snapo.problem.policies.memory import Memory as Memory
-from snapo.problem.policies.memory import Recent as Recent
 from snapo.problem.policies.stages import Stages as Stages
 from snapo.problem.policy import MLP as MLP
 from snapo.problem.policy import BaseStock as BaseStock

@@ -143,7 +143,7 @@ def test_spaces_of_others_take_what_they_can():
 
 REMEMBERING = {
     "recurrent": snapo.GRU(hidden=5),
-    "recent": snapo.Recent(3, snapo.MLP(hidden=(6,))),
+    "recent": snapo.LastObservations(3, snapo.MLP(hidden=(6,))),
 }
 
 

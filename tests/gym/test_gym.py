@@ -278,7 +278,7 @@ def test_the_same_policy_earns_the_same_in_both_pendulums():
     problem = snapo.Problem(plant, inputs, snapo.Mean("reward"), snapo.Sources(given, given, given))
     network = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
     recurrent = snapo.GRU(hidden=6).for_problem(problem.interface, jax.random.key(1))
-    recent = snapo.Recent(3).for_problem(problem.interface, jax.random.key(2))
+    recent = snapo.LastObservations(3).for_problem(problem.interface, jax.random.key(2))
     for policy in (rivals(plant, inputs)["linear regulator"], network, recurrent, recent):
         totals = path_totals(problem, policy, STARTS)["reward"]
         played = snapo.gym.play(agent(plant, policy, inputs), made, STARTS)

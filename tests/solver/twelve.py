@@ -74,11 +74,11 @@ class Pendulum(Given):
         return {"angle": noise[0], "speed": noise[1]}
 
     def observe(self, constants, now, state):
-        return jnp.append(snapo.turned(state["angle"]), state["speed"] / 4)
+        return jnp.append(snapo.angle_features(state["angle"]), state["speed"] / 4)
 
     def step(self, constants, now, state, action, noise, smooth):
         angle, speed, torque = state["angle"], state["speed"], action[0]
-        loss = snapo.wrapped(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
+        loss = snapo.wrap_angle(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
         fall = 1.5 * constants["g"] / constants["length"] * jnp.sin(angle)
         push = 3 * torque / (constants["mass"] * constants["length"] ** 2)
         speed = jnp.clip(speed + 0.05 * (fall + push), -8.0, 8.0)

@@ -62,7 +62,7 @@ def words(names: tuple[str, ...], remembers: bool = False) -> str:
     memory = (
         ""
         if remembers
-        else (" A policy with a memory, snapo.GRU() or snapo.Recent(…), may do better.")
+        else (" A policy with a memory, snapo.GRU() or snapo.LastObservations(…), may do better.")
     )
     return (
         f"The observation does not tell all of the state that matters: {', '.join(names)}. "

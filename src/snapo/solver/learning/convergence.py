@@ -13,7 +13,7 @@ import numpy as np
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
-from snapo.problem.policies.memory import GRU, Recent
+from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policies.plain import Plain
 from snapo.problem.policy import MLP, Policy, parameters
 from snapo.problem.problem import Problem
@@ -35,7 +35,7 @@ CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell
 SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # words that a bound may make CONVERGED
-DRAWN = (MLP, GRU, Recent, Plain)  # policies that begin as networks drawn at random
+DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
 SURE = 2.0  # standard errors of a gain
 OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
 ENOUGH = 2048  # paths on which two rules are compared

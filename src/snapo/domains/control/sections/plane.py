@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 
-from snapo.problem.angle import wrapped
+from snapo.problem.angle import wrap_angle
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw, unit_above
 from snapo.report.folder import Folder
@@ -79,6 +79,6 @@ def _drawn(values: Any, turn: bool) -> np.ndarray:
     x = np.asarray(values, float)
     if not turn:
         return x
-    folded = np.array(wrapped(x))
+    folded = np.array(wrap_angle(x))
     folded[1:][np.abs(np.diff(folded)) > np.pi] = np.nan
     return folded
