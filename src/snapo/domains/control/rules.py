@@ -12,7 +12,7 @@ from snapo.problem.policy import Constant, Policy, as_observation
 from snapo.problem.smooth import EXACT
 
 from .plants.plant import Plant, Values
-from .riccati import linearised, riccati
+from .regulator import linearised, riccati
 
 
 class Feedback(Policy):

@@ -12,6 +12,7 @@ from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
 from snapo.study.domain import Report
 
+from .results.certificate import CERTIFICATE
 from .sections import evidence, headline, position, risk, today, value
 from .sections.run import Run
 
@@ -29,7 +30,7 @@ SECTIONS = (
     today.today,
     value.cash_flow,
     evidence.history,
-    evidence.certificate,
+    CERTIFICATE,
     evidence.assumptions,
     making,
 )

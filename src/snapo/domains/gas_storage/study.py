@@ -6,8 +6,8 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
+from snapo.study.chapters.bound import BOUND
 from snapo.study.domain import Options
-from snapo.study.parts.bound import BOUND
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -77,7 +77,7 @@ def study(case: StorageCase, options: Options) -> Study:
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Ready(case, options.engine), bare_problem(case)
-    parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
+    parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE.part]
     relaxation = _relaxation(ready)
     if callable(relaxation):
         parts.append(BOUND)

@@ -1,9 +1,7 @@
-"""Why to believe the number: training history, certificate, assumptions and versions."""
+"""The training history, the assumptions and the units."""
 
 from snapo.report import evidence
-from snapo.report.evidence import checks as checks
-from snapo.report.page import Block, Facts, Section, Table, Text
-from snapo.report.quantity import decimals, finite, long_date, number, percent, power
+from snapo.report.page import Block, Section, Table, Text
 from snapo.report.sections.lacking import lacking
 
 from .run import Run
@@ -12,54 +10,6 @@ from .run import Run
 def history(run: Run) -> Section:
     """The objective and the gradient norm over the steps of training."""
     return evidence.history(run, run.currency)
-
-
-def certificate(run: Run) -> Section:
-    """Every test that this very run was put to."""
-    title = "Certificate: why to believe this number"
-    if not run.get("certificate"):
-        return Section("certificate", title, "Certificate", [lacking(run, "certificate")])
-    blocks: list[Block] = []
-    if facts := _facts(run):
-        blocks.append(Facts(facts))
-    blocks += [
-        evidence.bump_table(run, run.currency, lambda name: run.said(name).title()),
-        evidence.limit_table(run, run.volume, "Day", lambda step: _day(run, step)),
-    ]
-    return Section("certificate", title, "Certificate", blocks)
-
-
-def _facts(run: Run) -> list[tuple[str, str, str]]:
-    facts = []
-    gap = finite(run.get("certificate.smoothing_gap", run.result.get("smoothing_gap")))
-    if gap is not None:
-        value = finite(run.result.get("value"))
-        share = f" ({percent(gap / abs(value), 2)})" if value else ""
-        facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
-    facts += evidence.gradient(run)
-    left, right, error = (
-        finite(run.get(f"certificate.homogeneity.{key}")) for key in ("left", "right", "error")
-    )
-    if left is not None and right is not None:
-        places = decimals([left, right])
-        note = f"value + costs: {run.money(right, places)}; difference {power(error)}"
-        facts.append(("Σ forward × delta", run.money(left, places), note))
-    facts += [
-        (f"Control variate: {key.replace('_', ' ')}", _plain(value), "")
-        for key, value in run.get("certificate.control_variate", {}).items()
-    ]
-    return facts
-
-
-def _plain(value) -> str:
-    return number(value) if finite(value) is not None else str(value)
-
-
-def _day(run: Run, step) -> str:
-    known, when = finite(step), run.days
-    if known is None or when is None or not 0 <= known < len(when):
-        return number(known, 0)
-    return long_date(when[int(known)])
 
 
 def assumptions(run: Run) -> Section:

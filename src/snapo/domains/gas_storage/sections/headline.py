@@ -13,8 +13,8 @@ from snapo.report.quantity import (
     quantity,
 )
 from snapo.report.sections.lacking import lacking
+from snapo.study.chapters.certificate import checks
 
-from .evidence import checks
 from .run import Run
 
 TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}

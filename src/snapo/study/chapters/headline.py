@@ -1,10 +1,12 @@
 """The value of a run with its standard error, and the numbers that stand beside it."""
 
-from ..evidence import checks, gradient, notes
-from ..folder import Folder
-from ..page import Block, Facts, Headline, Mark, Section
-from ..quantity import SPACE, decimals, finite, number, part_of, plus_minus
-from .lacking import lacking
+from snapo.report.evidence import gradient, notes
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Facts, Headline, Mark, Section
+from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
+from snapo.report.sections.lacking import lacking
+
+from .certificate import checks
 
 STATUS = {
     "ok": "done",

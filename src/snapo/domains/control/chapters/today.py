@@ -1,4 +1,4 @@
-"""The first decision, at the middle of the first states."""
+"""The first decision, at the middle of the initial states."""
 
 from typing import Any
 

@@ -7,8 +7,8 @@ from typing import Any
 from snapo.case.error import CaseError
 from snapo.report.folder import LEFT_OUT, PLANNED
 
-from ..study import Part
-from ..training import TRAINING
+from .study import Part
+from .training import TRAINING
 
 
 def chosen(parts: Sequence[Part], wanted: Sequence[str]) -> list[Part]:
