@@ -8,6 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from tests.problem.reservoir import Reservoir, inputs
 
 import snapo
 from snapo.problem.actions import Box, Choice, Integers, Simplex
@@ -101,6 +102,19 @@ def test_every_policy_of_the_package_is_exact_unless_told():
     for kind in kinds:
         parameters = inspect.signature(kind.__call__).parameters
         assert isinstance(parameters["smooth"].default, Exact), kind
+
+
+class Own(Policy):
+    """A rule as the documentation writes one."""
+
+    def __call__(self, observation, smooth=snapo.EXACT):
+        return smooth.clip(2 * jnp.asarray(observation)[:1], 0.0, 1.0)
+
+
+def test_a_rule_of_ones_own_may_be_exact_unless_told():
+    assert Own()([0.3, 1.0]).tolist() == pytest.approx([0.6])
+    problem = snapo.Problem(Reservoir(), inputs, "cash")
+    assert snapo.evaluate(problem, Own(), paths=64).value > 0
 
 
 def test_a_policy_that_remembers_says_what_it_takes():
