@@ -68,7 +68,7 @@ def as_policy(given: Any) -> Policy:
     needed = [
         each
         for each in inspect.signature(given).parameters.values()
-        if each.default is each.empty
+        if (each.default is each.empty or each.name == "smooth")
         and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
     ]
     if len(needed) not in (1, 2):
