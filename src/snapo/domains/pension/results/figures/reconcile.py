@@ -1,7 +1,7 @@
 """The actuary's figures from the model's own cash flows and curve, before any simulation."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -9,6 +9,8 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
+
+from snapo.study.chapter import Number
 
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved
@@ -40,15 +42,16 @@ class Figures(NamedTuple):
     cash_flow: np.ndarray
 
 
-class Line(NamedTuple):
+@dataclass(frozen=True)
+class Line:
     """One check: the model's `own` figure, the one `given` (None: nothing to meet), the relative
     `error` and whether that is within the tolerance."""
 
     name: str
-    own: float
+    own: Number
     given: float | None
-    error: float
-    ok: bool
+    error: Number
+    ok: bool | None
 
 
 def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:
