@@ -70,8 +70,9 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
+            # A field that the file lacks has its default.
             values = {name: run.get(name) for name in self._names}
-            entries = None if all(x is None for x in values.values()) else values
+            entries = {name: x for name, x in values.items() if x is not None} or None
         if entries is None:
             return None
         try:
