@@ -29,11 +29,11 @@ class Basis:
     `ratio` assets over it; `duration` years."""
 
     name: str
-    margin: float
-    liability: float
-    surplus: float
+    margin: Number
+    liability: Number
+    surplus: Number
     ratio: Number
-    duration: float
+    duration: Number
 
 
 @dataclass(frozen=True)
@@ -41,10 +41,10 @@ class Recovery:
     """Level payments `each` year, money, at the end of each of `years` years, which are worth the
     deficit on technical provisions; their `total`; all 0 without a deficit."""
 
-    deficit: float
-    years: float
-    each: float
-    total: float
+    deficit: Number
+    years: Number
+    each: Number
+    total: Number
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,8 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
+from snapo.study.chapter import Number
+
 from ..records.regulation import MARKETS, Rules
 
 
@@ -16,13 +18,13 @@ from ..records.regulation import MARKETS, Rules
 class Losses:
     """Losses of own funds by risk, money; `falling`: whether falling rates are the worse ones."""
 
-    rates: float
-    equity: float
-    currencies: float
-    commodities: float
-    credit: float
-    insurance: float
-    active: float
+    rates: Number
+    equity: Number
+    currencies: Number
+    commodities: Number
+    credit: Number
+    insurance: Number
+    active: Number
     falling: bool
 
 
