@@ -10,8 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from snapo.study.chapter import Number
-
 from ..read.cells import Place
 from ..read.tables import FundingTable
 from ..records.case import PensionCase
@@ -29,11 +27,11 @@ class Basis:
     `ratio` assets over it; `duration` years."""
 
     name: str
-    margin: Number
-    liability: Number
-    surplus: Number
-    ratio: Number
-    duration: Number
+    margin: float
+    liability: float
+    surplus: float
+    ratio: float | None
+    duration: float
 
 
 @dataclass(frozen=True)
@@ -41,10 +39,10 @@ class Recovery:
     """Level payments `each` year, money, at the end of each of `years` years, which are worth the
     deficit on technical provisions; their `total`; all 0 without a deficit."""
 
-    deficit: Number
-    years: Number
-    each: Number
-    total: Number
+    deficit: float
+    years: float
+    each: float
+    total: float
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,6 @@ from dataclasses import astuple, dataclass
 
 import numpy as np
 
-from snapo.study.chapter import Number
-
 from ..records.regulation import MARKETS, Rules
 
 
@@ -18,13 +16,13 @@ from ..records.regulation import MARKETS, Rules
 class Losses:
     """Losses of own funds by risk, money; `falling`: whether falling rates are the worse ones."""
 
-    rates: Number
-    equity: Number
-    currencies: Number
-    commodities: Number
-    credit: Number
-    insurance: Number
-    active: Number
+    rates: float
+    equity: float
+    currencies: float
+    commodities: float
+    credit: float
+    insurance: float
+    active: float
     falling: bool
 
 

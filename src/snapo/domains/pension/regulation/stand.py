@@ -8,8 +8,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.study.chapter import Number
-
 from ..market.assets.asset_class import by_kind, ratios
 from ..market.assets.swaps import swap_gains
 from ..market.bonds.payments import curve_prices
@@ -29,11 +27,11 @@ class Stand:
     source of the rules."""
 
     losses: Losses
-    required: Number
-    minimum: Number
-    required_ratio: Number
-    minimum_ratio: Number
-    policy_ratio: Number
+    required: float
+    minimum: float
+    required_ratio: float
+    minimum_ratio: float
+    policy_ratio: float
     since: str
     source: str
 
@@ -44,8 +42,8 @@ class RecoveryCourse:
     policy ratio is at least the required one of today, and its `median`; `allowed` years."""
 
     years: tuple[int, ...] = ()
-    share: tuple[Number, ...] = ()
-    median: tuple[Number, ...] = ()
+    share: tuple[float | None, ...] = ()
+    median: tuple[float | None, ...] = ()
     allowed: float = 0.0
 
 

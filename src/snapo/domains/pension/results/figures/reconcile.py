@@ -10,8 +10,6 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.study.chapter import Number
-
 from ...fund.schedule import basis_log_bond
 from ...people.cash_flows import horizon, project, reserved
 from ...people.liability import paid_at, people
@@ -48,9 +46,9 @@ class Line:
     `error` and whether that is within the tolerance."""
 
     name: str
-    own: Number
+    own: float
     given: float | None
-    error: Number
+    error: float | None
     ok: bool | None
 
 
