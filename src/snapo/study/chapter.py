@@ -9,7 +9,7 @@ frozen dataclass, which is saved as JSON and read back as the same type: a reade
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import MISSING, asdict, dataclass, fields
 from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -34,10 +34,12 @@ class Chapter(Generic[Result]):
 
     - `name`: in words; of its part, its file and the anchor of its section.
     - `title`: of the section; `short`: in the menu, the name where it is empty.
-    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses.
+    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses, or a `tuple`
+      of such records.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
+    - `table`: of the case, without which the part is not among those of the study.
 
     No two chapters of a study may write the same key.
     """
@@ -50,6 +52,7 @@ class Chapter(Generic[Result]):
     short: str = ""
     needs: tuple[str, ...] = (TRAINING.name,)
     key: str = ""
+    table: str = ""
 
     @property
     def part(self) -> Part:
@@ -58,6 +61,8 @@ class Chapter(Generic[Result]):
 
     def data(self, result: Result) -> dict[str, Any]:
         """The result as the file of the part has it."""
+        if isinstance(result, tuple):
+            return {self.key: [asdict(record) for record in result]}
         entries = asdict(result)  # pyright: ignore[reportArgumentType]
         return {self.key: entries} if self.key else entries
 
@@ -66,8 +71,9 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
-            values = {name: run.get(name) for name in self._names}
-            entries = None if all(x is None for x in values.values()) else values
+            values = {name: run.get(name) for name in self._defaults}
+            known = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
+            entries = None if all(x is None for x in values.values()) else known
         if entries is None:
             return None
         try:
@@ -82,12 +88,14 @@ class Chapter(Generic[Result]):
         if run.left_out(self.name):
             return Section(anchor, "", "", [])
         result = self.of(run)
-        blocks = [lacking(run, self.name)] if result is None else self.show(run, result)
+        blocks = [lacking(run, self.name, self.table)] if result is None else self.show(run, result)
         return Section(anchor, self.title, short, list(blocks))
 
     @cached_property
-    def _names(self) -> list[str]:
-        return [field.name for field in fields(self.result)]  # pyright: ignore[reportArgumentType]
+    def _defaults(self) -> dict[str, bool]:
+        """{name of a field: whether it has a default, for a key that is not there}."""
+        names = fields(self.result)  # pyright: ignore[reportArgumentType]
+        return {field.name: field.default is not MISSING for field in names}
 
     @cached_property
     def _adapter(self) -> TypeAdapter[Result]:

@@ -1,9 +1,11 @@
 """Inflow, outflow and accumulation of mass, every species, solvent and energy, per unit."""
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
+
+from snapo.study.chapter import Number
 
 from .flow import leaving, sources
 from .ledger import Ledger
@@ -11,7 +13,8 @@ from .process import Process
 from .stream import Stream
 
 
-class Balance(NamedTuple):
+@dataclass(frozen=True)
+class Balance:
     """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
 
     What a unit has not taken in counts as accumulation. It cannot be less than nothing, so the
@@ -25,11 +28,11 @@ class Balance(NamedTuple):
 
     unit: str
     quantity: str
-    inflow: float
-    made: float
-    outflow: float
-    accumulation: float
-    relative: float
+    inflow: Number
+    made: Number
+    outflow: Number
+    accumulation: Number
+    relative: Number
 
 
 def balances(process: Process, inputs=None) -> list[Balance]:
