@@ -71,6 +71,7 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
+            # A field that the file lacks has its default; a number without one is null.
             values = {name: run.get(name) for name in self._defaults}
             known = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
             entries = None if all(x is None for x in values.values()) else known
@@ -95,7 +96,7 @@ class Chapter(Generic[Result]):
     def _defaults(self) -> dict[str, bool]:
         """{name of a field: whether it has a default, for a key that is not there}."""
         names = fields(self.result)  # pyright: ignore[reportArgumentType]
-        return {field.name: field.default is not MISSING for field in names}
+        return {x.name: (x.default, x.default_factory) != (MISSING, MISSING) for x in names}
 
     @cached_property
     def _adapter(self) -> TypeAdapter[Result]:

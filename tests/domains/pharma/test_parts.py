@@ -16,9 +16,8 @@ from snapo.domains.pharma.chapters.headline import marks
 from snapo.domains.pharma.chapters.model import AttributeStatement
 from snapo.domains.pharma.chapters.optimum import OPTIMUM, BestRecipe, KeptChance
 from snapo.domains.pharma.chapters.ranges import RANGES
-from snapo.domains.pharma.chapters.verification import BALANCES, CONVERGENCE
+from snapo.domains.pharma.chapters.verification import BALANCES, CONVERGENCE, Balance
 from snapo.domains.pharma.derivatives.convergence import Convergence
-from snapo.domains.pharma.flowsheet.balances import Balance
 from snapo.domains.pharma.quality.boundary import Boundary
 from snapo.domains.pharma.quality.ranges import ProvenRange, Range
 from snapo.domains.pharma.read.case import PARTS, resolve

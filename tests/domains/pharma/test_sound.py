@@ -21,10 +21,10 @@ from snapo.domains.pharma.chapters.verification import (
     BALANCES,
     CONVERGENCE,
     DIFFERENCES,
+    Balance,
     CheckedPoint,
 )
 from snapo.domains.pharma.derivatives.convergence import Convergence, ConvergenceRow
-from snapo.domains.pharma.flowsheet.balances import Balance
 from snapo.domains.pharma.flowsheet.possible import least
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.capability import Capability

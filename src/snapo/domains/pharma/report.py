@@ -17,26 +17,10 @@ from .chapters.sensitivities import MATRIX
 from .chapters.verification import verification
 
 SECTIONS = (
-    headline,
-    MODEL,
-    verification,
-    MATRIX,
-    ATTRIBUTION,
-    batch.reactor,
-    batch.plane,
-    batch.drying,
-    batch.ONE_BATCH,
-    PROFILES,
-    SPACE,
-    RANGES,
-    PAIRS,
-    CAPABILITY,
-    OPTIMUM,
-    ESTIMATION,
-    validation,
-    CLOSED_LOOP,
-    MAKING,
-)
+    headline, MODEL, verification, MATRIX, ATTRIBUTION, batch.reactor, batch.plane, batch.drying,
+    batch.ONE_BATCH, PROFILES, SPACE, RANGES, PAIRS, CAPABILITY, OPTIMUM, ESTIMATION, validation,
+    CLOSED_LOOP, MAKING,
+)  # fmt: skip
 
 
 def about(run: Folder) -> list[tuple[str, str]]:

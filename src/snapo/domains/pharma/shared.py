@@ -1,4 +1,4 @@
-"""What the parts of a run share: the process of the recipe, and the closed loop."""
+"""Shared by the parts of a run: the process of the recipe, and the closed loop."""
 
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -14,7 +14,7 @@ BATCH, SOUND, MESH = "one batch", "integration", "mesh of statistics"  # names o
 
 
 class OpenLoop:
-    """The recipe as it stands: a process that is compiled once, and its mesh for statistics."""
+    """The recipe of the case: a process that is compiled once, and its mesh for statistics."""
 
     def __init__(self, case: PharmaCase):
         self.case, self.seed = case, case.training.seed
@@ -27,7 +27,7 @@ class OpenLoop:
 
 @dataclass(frozen=True, eq=False)
 class PharmaStudy(Study):
-    """A study with what its parts share; `loop`: None where nothing is decided."""
+    """A study with the objects that its parts share; `loop`: None where nothing is decided."""
 
     recipe: OpenLoop = field(kw_only=True)
     loop: ClosedLoop | None = field(default=None, kw_only=True)

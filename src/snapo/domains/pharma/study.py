@@ -61,7 +61,7 @@ def lines(case: PharmaCase) -> list[str]:
 
 
 def study(case: PharmaCase, options: Options) -> Study:
-    """The recipe as it stands, then, where there is something to decide, the closed loop."""
+    """The recipe of the case, then, where there is something to decide, the closed loop."""
     if options.reference:
         allowed = "a process has no exact reference to compute; its certificate is part of every "
         raise CaseError("--reference", "", None, allowed + "run")
@@ -81,16 +81,16 @@ def study(case: PharmaCase, options: Options) -> Study:
 
 
 def open_parts(case: PharmaCase) -> list[Part]:
-    """The parts of the recipe as it stands, in the order in which they are done."""
-    asked = (
-        (ONE_BATCH, True), (Part(SOUND, sound, (ONE_BATCH.name,)), True), (BALANCES, True),
-        (CONVERGENCE, case.numerics.refine), (DIFFERENCES, True), (MATRIX, True),
-        (ALL_SENSITIVITIES, True), (ATTRIBUTION, True), (PROFILES, True), (SECOND, case.pairs),
-        (STATISTICS_MESH, True), (CAPABILITY, True), (CRITICALITY, True), (SPREAD, True),
-        (OPTIMUM, case.optimise), (SPACE, case.design_space), (RANGES, case.design_space),
-        (PAIRS, case.design_space), (ESTIMATION, case.estimation),
+    """The parts without a policy, in the order in which they are done."""
+    chapters = (
+        ONE_BATCH, Part(SOUND, sound, (ONE_BATCH.name,)), BALANCES, CONVERGENCE, DIFFERENCES,
+        MATRIX, ALL_SENSITIVITIES, ATTRIBUTION, PROFILES, SECOND, STATISTICS_MESH, CAPABILITY,
+        CRITICALITY, SPREAD, OPTIMUM, SPACE, RANGES, PAIRS, ESTIMATION,
     )  # fmt: skip
-    return [part if isinstance(part, Part) else part.part for part, asks in asked if asks]
+    asked = {CONVERGENCE: case.numerics.refine, SECOND: bool(case.pairs)}
+    asked |= {x: getattr(case, x.table) is not None for x in chapters if getattr(x, "table", "")}
+    kept = [x for x in chapters if asked.get(x, True)]
+    return [part if isinstance(part, Part) else part.part for part in kept]
 
 
 def sound(run: StudyRun) -> dict[str, Any]:

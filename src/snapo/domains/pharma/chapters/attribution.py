@@ -1,4 +1,4 @@
-"""Derivatives beside the matrix: by path through the flowsheet, over time, of second order."""
+"""Further derivatives: by path through the flowsheet, over time, of second order."""
 
 from dataclasses import dataclass, replace
 from typing import Any
@@ -56,7 +56,7 @@ def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
 
 @dataclass(frozen=True)
 class PathShare:
-    """What a parameter does to an attribute along one way through the units."""
+    """The effect of a parameter on an attribute along one way through the units."""
 
     attribute: str
     parameter: str

@@ -1,4 +1,4 @@
-"""One batch at the set point: attributes, measures, and the course of every unit over time."""
+"""One batch at the set point: attributes, measures, and the trajectory of every unit."""
 
 import re
 from collections.abc import Callable, Iterable
@@ -61,7 +61,7 @@ class BatchResult:
 
 
 def measure(run: StudyRun) -> BatchResult:
-    """The batch, with its setpoints and its course as tables of their own."""
+    """The batch, with its setpoints and its trajectory as tables of their own."""
     loop = open_loop(run)
     batch = loop.process.run()
     result = one_batch(loop.process.case, batch)
@@ -125,7 +125,7 @@ def _profile_rows(case: PharmaCase, result: BatchResult) -> Iterable[tuple]:
 
 
 def units(run: Folder, result: BatchResult) -> list[Block]:
-    """All measures of one batch, and the course of the units that no other section draws."""
+    """All measures of one batch, and the trajectories of the units that no other section draws."""
     case = stated(run)
     rows = [
         (unit.name, name, "" if of == "1" else unit_words(of),
@@ -182,7 +182,7 @@ ONE_BATCH = Chapter(
 def over_time(
     title: str, short: str, unit: str, charts: Callable[[str, Course, Course | None], list[Chart]]
 ) -> Callable[[Folder], Section]:
-    """A section with the `charts` of every unit from its name, its course and its solubility."""
+    """A section with `charts` of every unit: of its name, trajectory and solubility."""
 
     def section(run: Folder) -> Section:
         result = ONE_BATCH.of(run)

@@ -51,7 +51,7 @@ def measure(run: StudyRun) -> Capability:
 
 
 def measure_spread(run: StudyRun) -> Spread:
-    """Where the spread comes from, to first order, to stand beside the drawn batches."""
+    """Where the spread comes from, to first order, to compare with the drawn batches."""
     known = MATRIX.of(run)
     assert known is not None
     return spread(open_loop(run).case, known.varied)

@@ -30,7 +30,7 @@ from .recipes import RULES, TunedRule, recipe
 
 LOW, HIGH = 0.1, 0.9  # quantiles over batches, of a band
 FILE = "setpoints_closed_loop.csv"
-SHOWN = 256  # batches from which the policy's course over time is drawn
+SHOWN = 256  # batches from which the policy's trajectory is drawn
 SURE = 2.0  # standard errors from which one rival counts as better
 
 
@@ -54,7 +54,7 @@ class KeptShares:
 
     @property
     def verdict(self) -> str:
-        """Which rival is to be taken, in a sentence."""
+        """The one to take, in a sentence."""
         both = f"{100 * self.value:.1f} % under the policy, {100 * self.baseline:.1f} % under "
         both += "the best fixed recipe, on the same batches"
         match self.better:
@@ -88,7 +88,7 @@ class ControlCourse:
 
 @dataclass(frozen=True, eq=False)
 class RuleShares:
-    """A rule on the same batches, and what policy and recipe have more; its settings."""
+    """A rule on the same batches, and the surplus of policy and recipe; its settings."""
 
     name: str
     value: Number
@@ -105,7 +105,7 @@ class RuleShares:
 
 @dataclass(frozen=True, kw_only=True)
 class ClosedLoopResult(KeptShares):
-    """The rivals; `goal` in words, and `objective` its value where it is not the probability."""
+    """Policy, recipe and rules; `objective`: value of the `goal`, if not of the probability."""
 
     goal: str
     objective: Number
@@ -166,7 +166,7 @@ def better(gain: float, error: float) -> str:
 
 
 def _beside(loop: ClosedLoop, rule: TunedRule, ours, theirs, groups) -> RuleShares:
-    """A rule on the same batches: its share, and the policy's and the recipe's beside it."""
+    """A rule on the same batches: its share, and the differences of policy and recipe from it."""
     paths, engine = loop.evaluation.paths, loop.engines.evaluate
     own = np.asarray(path_totals(loop.problem, rule.policy(), paths, engine=engine)["success"])
     numbers = [x for kept in (own, ours - own, theirs - own) for x in _mean(kept, groups)]
@@ -277,7 +277,7 @@ def _goal(result: ClosedLoopResult) -> Table:
 
 
 def _rules(rules: Sequence[RuleShares]) -> list[Block]:
-    """PI controllers beside the policy: their shares on the same batches, and their settings."""
+    """PI controllers: their shares on the same batches, and their settings."""
     names = ("value", "standard_error", "policy_gain", "policy_gain_error", "recipe_gain",
              "recipe_gain_error")  # fmt: skip
     shares = [(x.name, *(percent(getattr(x, name), 2) for name in names)) for x in rules]

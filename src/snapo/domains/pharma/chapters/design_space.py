@@ -34,7 +34,7 @@ class SpaceMap:
     """The map over two or three parameters, in their owners' units.
 
     - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
-    - At every point of the map what `quality.design_space.Point` has; `samples`: draws there.
+    - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
     - `levels`: of contours; `required`: probability. `box`: the largest inside, None where the set
       point itself does not do. `ends`: of the space along the lines of the map.
     """
@@ -165,7 +165,7 @@ def _in_words(result: SpaceMap) -> Text:
 
 
 def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
-    """A slice `at` of the map; `position`: of a third axis, in words."""
+    """A slice `at` of the map; `position`: of a third axis, as text."""
 
     def paint(upper, lower):
         _contours(upper, result, result.probability[at], (result.low[at], result.high[at]))

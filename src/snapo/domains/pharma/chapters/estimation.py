@@ -28,7 +28,7 @@ from ..shared import SOUND, open_loop
 from . import pictures
 
 FITTED = "fitted.csv"
-DOUBT = 0.01  # tail below which a batch as a whole is not what the model expects
+DOUBT = 0.01  # tail below which a batch is not as the model expects
 
 
 @dataclass(frozen=True)
@@ -102,7 +102,7 @@ def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation
 
 @dataclass(frozen=True, eq=False, kw_only=True)
 class Estimates(Fit):
-    """A fit with what its report says beside it.
+    """A fit with the further entries of its report.
 
     - `measured_own`, `fitted_own`: in the owner's units, of `state`s in `state_unit`s at `time` of
       an `experiment`. `start`: the case's own numbers; `units`, `scales`: of the fitted numbers.

@@ -60,7 +60,7 @@ def checks(run: StudyRun | Folder) -> list[tuple[str, bool, str]]:
 
 
 def _size(value: float) -> float:
-    """What is not a number is largest."""
+    """One that is not a number is largest."""
     return math.inf if math.isnan(value) else value
 
 
@@ -70,7 +70,7 @@ def _where(*names: Iterable[str]) -> str:
 
 
 def status(run: StudyRun | Folder) -> str:
-    """The first thing that is not in order, in words, or "ok"."""
+    """The first thing that is not in order, in a sentence, or "ok"."""
     batch, fit, recipe = ONE_BATCH.of(run), ESTIMATION.of(run), OPTIMUM.of(run)
     if batch is not None and batch.status != "ok":
         return batch.status
@@ -90,7 +90,7 @@ def status(run: StudyRun | Folder) -> str:
 
 
 def doubts(fit: Fit) -> str:
-    """Why a fit is not to be believed, or ""."""
+    """Why a fit is in doubt, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
     if not fit.tail < DOUBT:
@@ -152,7 +152,7 @@ def marks(run: Folder) -> list[Mark]:
 
 
 def _against(run: Folder) -> list[str]:
-    """What speaks against the process, however good the numbers are."""
+    """All that speaks against the process, however good the numbers are."""
     rows, batch, recipe = RANGES.of(run) or (), ONE_BATCH.of(run), OPTIMUM.of(run)
     holds = batch.holds if batch else ()
     broken = [name for name, good in zip(stated(run).attribute_names, holds) if not good]
@@ -219,7 +219,7 @@ def _table(case: Statement, batch: BatchResult) -> Table:
 
 @dataclass(frozen=True)
 class Making:
-    """How the numbers of a run were made, beside its statement: remarks, versions and hashes."""
+    """How the numbers of a run were made, besides its statement: remarks, versions and hashes."""
 
     notes: tuple[str, ...] = ()
     libraries: dict[str, str] | None = None
@@ -229,7 +229,7 @@ class Making:
 
     @classmethod
     def of(cls, case: PharmaCase) -> "Making":
-        """What is known before the run; a training says its own versions and seed."""
+        """All that is known before the run; a training says its own versions and seed."""
         files = {file.name: file.read_bytes() for file in case_files(case.file.parent)}
         alone = case.control is None
         return cls(

@@ -1,6 +1,6 @@
 """The statement of a case: purpose, flowsheet, equations, parameters with their sources, numbers.
 
-It is known before a number is computed, so that it stands in what a study says about itself.
+It is known before a number is computed, so that it is a part of `about` of a study.
 """
 
 import re
@@ -171,7 +171,7 @@ class Statement:
 
 
 def statement(case: PharmaCase) -> Statement:
-    """What a case says, in its owner's units."""
+    """The statement of a case, in user units."""
     known = dict(pair for unit in case.units for pair in unit.symbols)
     of_units = dict.fromkeys(text for unit in case.units for text in unit.assumptions)
     numerics, species = case.numerics, case.network.species
@@ -379,5 +379,5 @@ MODEL = Chapter(
 
 
 def stated(run: Folder) -> Statement:
-    """What the files of a run say of its case."""
+    """The statement of the case in the files of a run."""
     return MODEL.of(run) or Statement()

@@ -46,7 +46,7 @@ class GoalTerm:
 
 @dataclass(frozen=True)
 class DecisionResult:
-    """A number that was chosen, in its owner's `unit`, between `low` and `high`.
+    """A number that was chosen, in its `unit`, between `low` and `high`.
 
     - `slope`: of the goal; `at_low`, `at_high`: the multipliers of its bounds, 0 inside.
     """
@@ -97,7 +97,7 @@ class KeptChance:
 
 @dataclass(frozen=True)
 class BestRecipe:
-    """What `[optimise]` found; `chance`: before and after, of `batches`; `ends`: of every start."""
+    """The answer to `[optimise]`; `chance`: before and after; `ends`: of every start."""
 
     sense: Literal["maximise", "minimise"]
     terms: tuple[GoalTerm, ...]
@@ -138,7 +138,7 @@ def measure(run: StudyRun) -> BestRecipe:
 
 
 def optimal(asked: Optimise, values: Sequence[float]) -> dict[Entry, float]:
-    """The numbers of the best recipe in the domain's units, from those in their owners'."""
+    """The numbers of the best recipe in the domain's units, from those in user units."""
     return {
         (x.input, x.entry): value * x.scale + x.offset
         for x, value in zip(asked.decisions, values, strict=True)
@@ -147,7 +147,7 @@ def optimal(asked: Optimise, values: Sequence[float]) -> dict[Entry, float]:
 
 def best_recipe(run: StudyRun, found: Optimum, asked: Optimise) -> BestRecipe:
     """Decisions, limits and ramps with their multipliers, the chance to keep all limits before and
-    after, and how the answer was found. Owners' units."""
+    after, and how the answer was found. User units."""
     recipe, conditions = found.recipe, found.recipe.conditions
     start = np.array([decision.start for decision in asked.decisions])
     (first, before), (last, after) = (_at(run, asked, x) for x in (start, recipe.x))

@@ -1,4 +1,4 @@
-"""What a policy is compared with: the best of several fixed recipes, and rules about it."""
+"""The alternatives to a policy: the best of several fixed recipes, and rules about it."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -61,8 +61,8 @@ TRAINED = Part(TRAINING.name, train_policy, (RECIPES.name,))
 class TunedRule:
     """PI controllers; `gains_own` in the units of the domain, `times` in s.
 
-    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: what each measures,
-      and what it moves.
+    - `table`, `setpoints`, `gains`, `wires`: of the policy. `sensors`, `of`: the state that
+      each measures, and the input that it moves.
     """
 
     name: str

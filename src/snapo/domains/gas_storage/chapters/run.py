@@ -32,7 +32,7 @@ class Said:
 
 
 @dataclass(frozen=True)
-class Run(Folder):
+class StorageRun(Folder):
     """A run folder with the units of the contract."""
 
     def said(self, name: str, unit: str = "") -> Said:

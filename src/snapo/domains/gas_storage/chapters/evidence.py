@@ -4,15 +4,15 @@ from snapo.report import evidence
 from snapo.report.page import Block, Section, Table, Text
 from snapo.report.sections.lacking import lacking
 
-from .run import Run
+from .run import StorageRun
 
 
-def history(run: Run) -> Section:
+def history(run: StorageRun) -> Section:
     """The objective and the gradient norm over the steps of training."""
     return evidence.history(run, run.currency)
 
 
-def assumptions(run: Run) -> Section:
+def assumptions(run: StorageRun) -> Section:
     """The price model, and the meaning of the units."""
     blocks: list[Block] = [Text(str(run.get("model")))] if run.get("model") else []
     if not blocks:
@@ -21,7 +21,7 @@ def assumptions(run: Run) -> Section:
     return Section("assumptions", title, "Assumptions", [*blocks, _glossary(run)])
 
 
-def _glossary(run: Run) -> Table:
+def _glossary(run: StorageRun) -> Table:
     money, gas = run.currency or "currency", run.volume
     rows = [
         ("Value", money, "present value on the valuation date, contract as written"),

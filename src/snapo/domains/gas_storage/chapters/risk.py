@@ -1,16 +1,31 @@
-"""Other sensitivities: vegas, shadow prices, costs and rates, and the sliders over them."""
+"""Other sensitivities: vegas, shadow prices of the capacities, costs and rates, and sliders.
+
+At a limit the value of one unit more and of one unit less differ: an inventory that is exactly full
+can use more room, and must give up room that is taken away. Both shadow prices come from the exact
+simulator with the decisions held, on the same paths, one unit up and one unit down.
+"""
 
 import math
 from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
 from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
 from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.rows import Column, table
 from snapo.report.sections.lacking import lacking
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
 
-from .run import SPAN, Run, Said, Sensitivity
+from ..setup import OUTPUT, beside, case_of, policy_of
+from .run import SPAN, Said, Sensitivity, StorageRun
 
+PATHS = 2048  # of shadow prices
+UNITS = 1.0  # of the capacity; small against it, large against rounding
 # Families of inputs; every input says to which it belongs.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
@@ -26,16 +41,86 @@ BOUND = (
 )
 
 
-def risk(run: Run) -> Section:
+@dataclass(frozen=True)
+class ShadowPrice:
+    """The value of one unit more of a capacity (`up`), and of its last unit (`down`)."""
+
+    name: str
+    up: Number = np.nan
+    down: Number = np.nan
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class ShadowPrices:
+    """The shadow prices of all capacities."""
+
+    shadow_prices: tuple[ShadowPrice, ...] = ()
+
+
+def measure(run: StudyRun) -> ShadowPrices:
+    """The shadow prices under the decisions of the trained policy."""
+    case = case_of(run.setup)
+    contract, unit = case.contract, case.volume_unit
+    ratchets = contract.ratchets
+    capacities = [
+        ("working volume", contract.max_inventory.name, unit),
+        ("injection capacity", ratchets.injection.name, f"{unit}/day"),
+        ("withdrawal capacity", ratchets.withdrawal.name, f"{unit}/day"),
+        ("gas in store today", contract.inventory.name, unit),
+    ]
+    replay = _Replay(run.setup, policy_of(run.solution))
+    base, prices = replay.value({}), []
+    for name, key, unit in capacities:
+        up, down = (replay.value({key: sign * UNITS}) for sign in (1, -1))
+        prices.append(ShadowPrice(name, (up - base) / UNITS, (base - down) / UNITS, unit))
+    return ShadowPrices(tuple(prices))
+
+
+class _Replay:
+    """Values of the exact simulator under recorded decisions, with inputs shifted."""
+
+    def __init__(self, setup: Setup, policy: Policy):
+        self.problem, self.engine = beside(setup), setup.engines.evaluate
+        source = self.problem.sources.evaluation
+        bound = self.engine.bind(self.problem)
+        paths = source.available(PATHS)
+        blocks = source.blocks(paths, max(1, paths // 512))
+        self.draws = [source.draws(block, self.problem.simulator) for block in blocks]
+        self.actions = [
+            bound.values(policy, draws, Exact(), record=("action",)).record["action"]
+            for draws in self.draws
+        ]
+
+    def value(self, shifts: dict[str, float]) -> float:
+        """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
+        named = self.problem.named
+        values = {name: named[name].value + shift for name, shift in shifts.items()}
+        if any(np.any(value < 0) for value in values.values()):
+            return float("nan")
+        moved = self.problem.at(values)
+        if np.any(moved.schedule.steps.low > moved.schedule.steps.high):
+            return float("nan")
+        bound = self.engine.bind(moved, controls=False)
+        totals = [
+            bound.values(None, draws, Exact(), actions=actions).totals[OUTPUT]
+            for draws, actions in zip(self.draws, self.actions)
+        ]
+        return float(np.mean([np.mean(total) for total in totals]))
+
+
+def risk(run: StorageRun) -> Section:
     """Vegas, shadow prices, and parallel shifts of every other input."""
-    blocks: list[Block] = [_vegas(run), _shadow_prices(run)]
+    prices = SHADOW_PRICES.of(run)
+    shadow = lacking(run, SHADOW_PRICES.name) if prices is None else show(run, prices)[0]
+    blocks: list[Block] = [_vegas(run), shadow]
     if (others := _others(run)) is not None:
         blocks.append(others)
     title = "Vegas, shadow prices and other sensitivities"
     return Section("risk", title, "Vegas", blocks)
 
 
-def _vegas(run: Run) -> Table | Missing:
+def _vegas(run: StorageRun) -> Table | Missing:
     """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
     lines = run.group(*MODEL)
     if not lines:
@@ -46,30 +131,21 @@ def _vegas(run: Run) -> Table | Missing:
     return _moves(run, rows, "Vegas: sensitivity to the price model")
 
 
-def _shadow_prices(run: Run) -> Table | Missing:
-    prices = run.get("shadow_prices", [])
+def show(run: StorageRun, result: ShadowPrices) -> Sequence[Block]:
+    """The table of shadow prices."""
+    prices = result.shadow_prices
     if not prices:
-        return lacking(run, "shadow prices")
-    places = decimals([each.get(side) for each in prices for side in ("up", "down")], 4)
-    rows = [
-        (
-            str(each.get("name", "")).capitalize(),
-            str(each.get("unit") or ""),
-            number(each.get("up"), places, sign=True),
-            number(each.get("down"), places, sign=True),
-        )
-        for each in prices
-    ]
-    head = [
-        ("Capacity", ""),
-        ("Unit", ""),
-        ("One more is worth", run.currency),
-        ("One less costs", run.currency),
-    ]
-    return Table(head, rows, caption="Shadow prices of volume and capacity", texts=2)
+        return [lacking(run, SHADOW_PRICES.name)]
+    places = decimals([x for price in prices for x in (price.up, price.down)], 4)
+    columns = (
+        Column("Capacity", lambda price: price.name.capitalize()), Column("Unit", "unit"),
+        Column("One more is worth", "up", run.currency, sign=True),
+        Column("One less costs", "down", run.currency, sign=True),
+    )  # fmt: skip
+    return [table(prices, columns, "Shadow prices of volume and capacity", places=places)]
 
 
-def _others(run: Run) -> Table | None:
+def _others(run: StorageRun) -> Table | None:
     """Parallel shifts: the sensitivities of an input summed over its labels."""
     groups: dict[str, list[Sensitivity]] = defaultdict(list)
     for each in run.sensitivities:
@@ -82,7 +158,7 @@ def _others(run: Run) -> Table | None:
     return _moves(run, rows, "Parallel shifts of the other inputs", folded)
 
 
-def _row(run: Run, members: list[Sensitivity]) -> tuple[str, ...]:
+def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
     """One line for a number, or for several of one input that move together.
 
     Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
@@ -109,7 +185,7 @@ def _move(said: Said) -> str:
     return f"{said.trade_move:.6g} {said.trade_unit}"
 
 
-def _moves(run: Run, rows, caption: str, folded: str = "") -> Table:
+def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
     names = ("Value changes by", "95 % half-width")
     head = [("Input", ""), ("Meaning", ""), ("For a rise of", "")]
     head += [(name, run.currency) for name in names]
@@ -117,7 +193,7 @@ def _moves(run: Run, rows, caption: str, folded: str = "") -> Table:
     return Table(head, rows, caption, frozenset({0, 1, 2, 5}), folded=folded)
 
 
-def sliders(run: Run) -> Section:
+def sliders(run: StorageRun) -> Section:
     """Sliders for the whole curve, each delivery month, and the model numbers."""
     title, short = "What if: inputs moved to first order", "What if"
     value = finite(run.result.get("value"))
@@ -136,7 +212,7 @@ def sliders(run: Run) -> Section:
     return Section("what-if", title, short, [block])
 
 
-def _curve_sliders(run: Run) -> tuple[list[Slider], list[Slider]]:
+def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
     """The whole curve; its delivery months, or quarters where there are many months."""
     months: dict[str, float] = defaultdict(float)
     for each in run.sensitivities:
@@ -165,7 +241,7 @@ def _quarters(months: dict[str, float]) -> dict[str, float]:
     return quarters
 
 
-def _model_sliders(run: Run) -> list[Slider]:
+def _model_sliders(run: StorageRun) -> list[Slider]:
     """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for each in run.group("volatility", RATE):
@@ -186,3 +262,6 @@ def _round(size: float) -> float:
     """The nearest number of the series 1, 2, 5, 10 …"""
     scale = 10.0 ** math.floor(math.log10(size)) if size > 0 else 1.0
     return scale * min((1.0, 2.0, 5.0, 10.0), key=lambda each: abs(size / scale - each))
+
+
+SHADOW_PRICES = Chapter("shadow prices", "Shadow prices", ShadowPrices, measure, show)

@@ -15,8 +15,8 @@ from snapo.study.chapter import Number
 from snapo.study.chapters.certificate import Certificate, bump_table, certificate, limit_table
 from snapo.study.study import Setup, StudyRun
 
-from ..sections.run import Run
 from ..setup import OUTPUT, beside, case_of
+from .run import StorageRun
 
 TRIES = 16  # at finding inputs nearby that still can be met
 
@@ -82,7 +82,7 @@ def _more(run: StudyRun) -> dict[str, Any]:
     }
 
 
-def show_certificate(run: Run, result: StorageCertificate) -> list[Block]:
+def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]:
     """Key figures, the adjoint against bumps, and every limit."""
     facts = _facts(run, result)
     return [
@@ -92,7 +92,7 @@ def show_certificate(run: Run, result: StorageCertificate) -> list[Block]:
     ]
 
 
-def _facts(run: Run, result: StorageCertificate) -> list[tuple[str, str, str]]:
+def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, str]]:
     facts = []
     if (gap := finite(result.smoothing_gap)) is not None:
         value = finite(run.result.get("value"))
@@ -110,7 +110,7 @@ def _facts(run: Run, result: StorageCertificate) -> list[tuple[str, str, str]]:
     return facts
 
 
-def _day(run: Run, step: Any) -> str:
+def _day(run: StorageRun, step: Any) -> str:
     index, days = finite(step), run.days
     if index is None or days is None or not 0 <= index < len(days):
         return number(index, 0)
