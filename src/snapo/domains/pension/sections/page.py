@@ -1,8 +1,8 @@
 """The report of a pension run: its sections, and the lines under its title."""
 
 from snapo.report.quantity import long_date, number
-from snapo.report.sections.bound import bound
 from snapo.report.sections.lacking import unless_left_out
+from snapo.study.chapters.bound import bound
 from snapo.study.domain import Report
 
 from . import decisions, evidence, frontier, ladder, outcome, outputs, reconciliation, risk
