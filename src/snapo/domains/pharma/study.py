@@ -10,6 +10,7 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.chain import Chain
 from snapo.study import choice
+from snapo.study.chapter import Chapter
 from snapo.study.domain import Options
 from snapo.study.study import Measured, Part, Shown, Study, StudyRun
 
@@ -88,9 +89,13 @@ def open_parts(case: PharmaCase) -> list[Part]:
         CRITICALITY, SPREAD, OPTIMUM, SPACE, RANGES, PAIRS, ESTIMATION,
     )  # fmt: skip
     asked = {CONVERGENCE: case.numerics.refine, SECOND: bool(case.pairs)}
-    asked |= {x: getattr(case, x.table) is not None for x in chapters if getattr(x, "table", "")}
-    kept = [x for x in chapters if asked.get(x, True)]
-    return [part if isinstance(part, Part) else part.part for part in kept]
+    asked |= {
+        x: getattr(case, x.table) is not None
+        for x in chapters
+        if isinstance(x, Chapter) and x.table
+    }
+    selected = [x for x in chapters if asked.get(x, True)]
+    return [x if isinstance(x, Part) else x.part for x in selected]
 
 
 def sound(run: StudyRun) -> dict[str, Any]:
