@@ -12,7 +12,7 @@ import tomllib
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Annotated, Any, TypeVar
 
@@ -30,11 +30,22 @@ TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 @dataclass(frozen=True)
 class Section:
-    """A table of a case while it is read: names the place of a mistake, collects remarks."""
+    """A table of a case while it is read: names the place of a mistake, collects remarks.
+
+    `path`: the keys that lead to it, where its name in messages does not say them.
+    """
 
     file: Path
     name: str
     notes: list[str]
+    path: tuple[str | int, ...] | None = field(default=None, kw_only=True)
+
+    @property
+    def keys(self) -> tuple[str | int, ...]:
+        """The keys that lead to the table from the top of the file."""
+        if self.path is not None:
+            return self.path
+        return tuple(self.name.split(".")) if self.name else ()
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
         """A mistake in the value of `key`."""
@@ -128,14 +139,25 @@ def watching() -> Iterator[list[tuple[type[Table], Any, str]]]:
         _watched.reset(before)
 
 
-def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
-    """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes."""
+def parse(
+    table: type[AnyTable],
+    data: Any,
+    file: str,
+    name: str,
+    notes: list[str] | None = None,
+    path: tuple[str | int, ...] | None = None,
+) -> AnyTable:
+    """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
+
+    `notes`, `path`: as of a `Section`, for the readers of its keys.
+    """
     if (watched := _watched.get()) is not None:
         watched.append((table, data, name))
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:
-        read = table.model_validate(dict(data))
+        section = Section(Path(file), name, [] if notes is None else notes, path=path)
+        read = table.model_validate(dict(data), context=section)
         _check_sizes(read, file, name)
         return read
     except pydantic.ValidationError as error:
@@ -180,6 +202,9 @@ def _explain(table, data, file, name, item) -> CaseError:
     if item["type"] == "extra_forbidden":
         what = f"there is no such key; {nearest(key, table.model_fields)}"
         return CaseError(file, where, data[key], what)
+    error = item.get("ctx", {}).get("error")
+    if isinstance(error, CaseError):  # of a key's own reader
+        return error
     allowed = table.model_fields[key].description or item["msg"]
     if item["type"] == "missing":
         return CaseError(file, where, None, f"this key is missing; it is {allowed}")

@@ -30,7 +30,7 @@ def read_prices(section: Section, data: Mapping[str, Any], delivery: Delivery) -
         known = ", ".join(f'"{each}"' for each in sorted(KINDS))
         raise section.error("kind", kind, f"allowed is one of {known}")
     process = KINDS[kind]
-    table = parse(process.table, data, str(section.file), section.name)
+    table = parse(process.table, data, str(section.file), section.name, section.notes)
     return process.read(section, table, delivery)
 
 
