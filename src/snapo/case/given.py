@@ -27,8 +27,14 @@ class SheetCell(NamedTuple):
         return f"{self.file}, line {self.line}, column {self.column}"
 
 
+class Copies(NamedTuple):
+    """The positions of a number that stands in several: the two entries of a correlation."""
+
+    positions: tuple[tuple[str | int, ...], ...]
+
+
 # The position of a number: a cell, the keys that lead to it in the TOML file, or none.
-Position = SheetCell | tuple[str | int, ...] | None
+Position = SheetCell | Copies | tuple[str | int, ...] | None
 
 
 @dataclass(frozen=True, eq=False)

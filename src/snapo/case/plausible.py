@@ -23,6 +23,7 @@ import numpy as np
 
 from .csv import NUMBER, Mention, read_rows
 from .error import CaseError
+from .given import Copies, Position, SheetCell
 from .table import Section
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -197,9 +198,11 @@ def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     return f"{position}: {entry.name}{label} is {shown}"
 
 
-def in_words(position: Any) -> str:
+def in_words(position: Position) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
-    if not isinstance(position, tuple) or hasattr(position, "line"):
+    if isinstance(position, Copies):
+        return in_words(position.positions[0])
+    if position is None or isinstance(position, SheetCell):
         return str(position or "")
     text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in position)
     return text.removeprefix(".")

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from snapo.case.given import Copies
 from snapo.case.table import Section, Table, parse
 
 from .given_factors import FactorTable, GivenFactors
@@ -46,7 +47,8 @@ class MultiFactor(GivenFactors):
         ]
         correlation = _correlation(section, table.correlation, len(factors))
         key, count = (*section.keys, "correlation"), len(factors)
-        places = [(*key, i, j) for i in range(count) for j in range(i)]
+        pairs = [(i, j) for i in range(count) for j in range(i)]
+        places = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
         return cls.of(factors, correlation, places, section, delivery)
 
     def words(self) -> str:

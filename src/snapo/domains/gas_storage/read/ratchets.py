@@ -64,7 +64,8 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
     assert table.max_injection is not None and table.max_withdrawal is not None
     everywhere = np.zeros((len(days), 1), np.int64)
     level = replace(LEVEL, unit=table.volume_unit)
-    inventory = level.given("ratchet_inventory", [0.0], index=everywhere)
+    # No file has this inventory: plain rates hold at every one.
+    inventory = level.given("ratchet_inventory", [0.0], index=everywhere, places=(None,))
     return Ratchets(inventory, rate(table.max_withdrawal), rate(table.max_injection), "step")
 
 
