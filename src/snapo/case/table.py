@@ -9,15 +9,16 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import Field
+from pydantic.fields import FieldInfo
 
 from .error import CaseError, nearest
 
@@ -45,11 +46,17 @@ class Section:
         """The keys that lead to the table from the top of the file."""
         if self.path is not None:
             return self.path
-        return tuple(self.name.split(".")) if self.name else ()
+        return keys_of(self.name)
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
         """A mistake in the value of `key`."""
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
+
+
+def keys_of(name: str) -> tuple[str | int, ...]:
+    """The keys that lead to a table of this name: "place[1].demand" is ("place", 1, "demand")."""
+    parts = re.findall(r"\[(\d+)\]|([^.\[\]]+)", name)
+    return tuple(int(row) if row else key for row, key in parts)
 
 
 class Table(pydantic.BaseModel):
@@ -123,20 +130,48 @@ def not_utf8(error: UnicodeDecodeError) -> str:
     return f"byte 0x{raw[error.start]:02x} on line {line} is not UTF-8; save the file as UTF-8"
 
 
-_watched: ContextVar[list[tuple[type[Table], Any, str]] | None] = ContextVar(
-    "watched", default=None
-)
+class TableRead(NamedTuple):
+    """A table of a case that was checked: its name in messages, its data, and its options.
+
+    `options`: {key: the words and truth values that it may have}, of keys with several.
+    """
+
+    name: str
+    data: Any
+    fields: Mapping[str, FieldInfo]
+    options: Mapping[str, tuple[str | bool, ...]]
+
+
+_tables_read: ContextVar[list[TableRead] | None] = ContextVar("tables read", default=None)
 
 
 @contextmanager
-def watching() -> Iterator[list[tuple[type[Table], Any, str]]]:
-    """Collects (format, data, name) of every table that is checked inside of it."""
-    found: list[tuple[type[Table], Any, str]] = []
-    before = _watched.set(found)
+def recorded_tables() -> Iterator[list[TableRead]]:
+    """Collects every table that is checked inside of it."""
+    tables: list[TableRead] = []
+    before = _tables_read.set(tables)
     try:
-        yield found
+        yield tables
     finally:
-        _watched.reset(before)
+        _tables_read.reset(before)
+
+
+def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
+    """Records the words of a key that chooses the format of its table, such as `kind`."""
+    if (tables := _tables_read.get()) is not None:
+        tables.append(TableRead(name, data, {}, {key: tuple(kinds)}))
+
+
+def options_of(annotation: Any) -> tuple[str | bool, ...]:
+    """The words and truth values of a type, as far as it lists them."""
+    if annotation is bool:
+        return (False, True)
+    parts = get_args(annotation)
+    if get_origin(annotation) is Literal:
+        return tuple(part for part in parts if isinstance(part, str))
+    if get_origin(annotation) in (list, dict, tuple):
+        return ()
+    return tuple(option for part in parts for option in options_of(part))
 
 
 def parse(
@@ -151,8 +186,10 @@ def parse(
 
     `notes`, `path`: as of a `Section`, for the readers of its keys.
     """
-    if (watched := _watched.get()) is not None:
-        watched.append((table, data, name))
+    if (tables := _tables_read.get()) is not None:
+        fields = {field.alias or key: field for key, field in table.model_fields.items()}
+        options = {key: options_of(field.annotation) for key, field in fields.items()}
+        tables.append(TableRead(name, data, fields, options))
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:

@@ -91,7 +91,8 @@ class MonthsAfter(Table):
     day: Annotated[int, Field(ge=1, le=31)]
 
 
-Settlement = str | AfterDays | OnDate | MonthsAfter
+CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter
+Settlement = Literal["flow"] | str | AfterDays | OnDate | MonthsAfter
 
 
 class ContractTable(Table):
@@ -115,8 +116,8 @@ class ContractTable(Table):
     min_withdrawal: Given = FORCED("withdrawal that must flow", 0.0)
     injection_cost: Given = COST("per unit injected", 0.0)
     withdrawal_cost: Given = COST("per unit withdrawn", 0.0)
-    injection_cost_settlement: Settlement = Field("flow", description=f'"gas", {RULES}')
-    withdrawal_cost_settlement: Settlement = Field("flow", description=f'"gas", {RULES}')
+    injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
+    withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     fixed_costs: FileName | None = Field(None, description="a CSV file with columns date,amount")
     injection_fuel: Given = SHARE("share of the injection, bought on top", 0.0)
     withdrawal_fuel: Given = SHARE("share of the withdrawal, not sold", 0.0)
