@@ -9,7 +9,7 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass, field
@@ -66,6 +66,10 @@ class Table(pydantic.BaseModel):
         extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
 
+
+# {name of a table: its format, or several of which a case has one}. "" is the whole file, "place[]"
+# an array of tables, "units.*" a table of tables, "place[].demand" a table in each of an array.
+Formats = Mapping[str, type[Table] | Sequence[type[Table]]]
 
 Title = Annotated[str, Field(max_length=200)]
 TITLE = "a text of at most 200 characters in quotation marks"

@@ -10,6 +10,7 @@ from snapo.case.error import CaseError, nearest
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
 from snapo.case.settings import (
+    EvaluationTable,
     FollowingTable,
     ObjectiveTable,
     check_window,
@@ -26,7 +27,7 @@ from .plants.plant import Plant
 from .plants.registry import TYPES
 from .records import ControlCase
 from .starts import read_measurement, read_noise, read_starts
-from .tables import CaseTable, PolicyTable, cost_table, plant_table
+from .tables import At, CaseTable, Normal, PolicyTable, Uniform, cost_table, plant_table
 
 WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
 RANGES = (  # outside of which a number is likely to be in another unit
@@ -41,6 +42,20 @@ BLIND = (
     "States are measured with errors, and the policy remembers nothing of earlier ones: "
     '`[policy] memory = "GRU"` lets it.'
 )
+
+
+def formats() -> dict[str, Any]:
+    """The tables of a case by name; those of the plants are made from their descriptions."""
+    plants = TYPES.values()
+    return {
+        "": CaseTable,
+        "plant": [plant_table(plant) for plant in plants],
+        "cost": [cost_table(plant) for plant in plants],
+        "start.*": (At, Uniform, Normal),
+        "policy": PolicyTable,
+        "training": FollowingTable,
+        "evaluation": EvaluationTable,
+    }
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:

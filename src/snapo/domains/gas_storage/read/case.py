@@ -8,18 +8,36 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
+from snapo.case.settings import (
+    EvaluationTable,
+    ObjectiveTable,
+    TrainingTable,
+    check_window,
+    read_evaluation,
+    read_objective,
+    read_training,
+)
 from snapo.case.table import Section, parse
 
 from ..contract.feasibility import check_feasible
 from ..contract.records import StorageCase
 from ..prices.process import Delivery
-from ..prices.registry import check_curve, read_prices
+from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, pays_by_price, read_contract
 from .limits import read_limits
 from .market import read_market
 from .plausible import end_too_early, free_money, unit_slips
 from .tables import ContractTable, MarketTable, StorageTable
+
+FORMATS = {
+    "": StorageTable,
+    "contract": ContractTable,
+    "market": MarketTable,
+    "model": [process.table for process in kinds().values()],
+    "objective": ObjectiveTable,
+    "training": TrainingTable,
+    "evaluation": EvaluationTable,
+}
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
