@@ -34,7 +34,7 @@ class Copies(NamedTuple):
 
 
 # The position of a number: a cell, the keys that lead to it in the TOML file, or none.
-Position = SheetCell | Copies | tuple[str | int, ...] | None
+FilePosition = SheetCell | Copies | tuple[str | int, ...] | None
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +73,7 @@ class Given:
     words: str = ""
     low: float = -math.inf
     high: float = math.inf
-    places: tuple[Position, ...] = ()
+    places: tuple[FilePosition, ...] = ()
     starts: np.ndarray | None = None
     quantity: Any = None
 

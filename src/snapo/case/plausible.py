@@ -23,7 +23,7 @@ import numpy as np
 
 from .csv import NUMBER, Mention, read_rows
 from .error import CaseError
-from .given import Copies, Position, SheetCell
+from .given import Copies, FilePosition, SheetCell
 from .table import Section
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -185,7 +185,7 @@ def around(values: np.ndarray) -> np.ndarray:
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
-    """Position, name and number of the entry, in the unit of the trade and as it is written."""
+    """FilePosition, name and number of the entry, in the unit of the trade and as it is written."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
     position = in_words(entry.places[row]) if entry.places else ""
@@ -198,7 +198,7 @@ def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     return f"{position}: {entry.name}{label} is {shown}"
 
 
-def in_words(position: Position) -> str:
+def in_words(position: FilePosition) -> str:
     """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
     if isinstance(position, Copies):
         return in_words(position.positions[0])

@@ -14,7 +14,7 @@ from snapo.case.settings import (
 )
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
-from snapo.study.cores import use_every_core
+from snapo.study.solving.prepare import use_every_core
 
 from .inputs import read_inputs
 from .load import beside, load_class, readable

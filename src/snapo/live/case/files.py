@@ -13,7 +13,7 @@ import numpy as np
 
 from snapo.case.csv import NUMBER, Mention, read_rows
 from snapo.case.error import CaseError
-from snapo.case.given import Copies, Given, Position, SheetCell
+from snapo.case.given import Copies, FilePosition, Given, SheetCell
 from snapo.case.table import Section
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
@@ -108,7 +108,7 @@ def with_numbers(files: Files, entry: Given, numbers: np.ndarray) -> Files:
 
     **Raises:** `CaseError` for a number that no file has, or that is in a file which is no CSV.
     """
-    changes: dict[Position, dict[str, float]] = {}
+    changes: dict[FilePosition, dict[str, float]] = {}
     for i, (position, label) in enumerate(zip(entry.places, entry.labels)):
         number = float(numbers.ravel()[i])
         if position is not None:

@@ -6,7 +6,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.case.given import Given, Position
+from snapo.case.given import FilePosition, Given
 from snapo.case.quantity import Quantity, Range, stacked
 from snapo.case.table import Section, Table
 from snapo.problem.process import Factors
@@ -49,7 +49,7 @@ class GivenFactors(FactorPrices):
         cls,
         factors: Sequence[FactorTable],
         correlation: Sequence[float],
-        places: Sequence[Position],
+        places: Sequence[FilePosition],
         section: Section,
         delivery: Delivery,
     ):
