@@ -8,6 +8,7 @@ from snapo.live.case.files import read_files
 from snapo.live.case.places import Places
 from snapo.live.terms import usual
 from snapo.study import commands
+from snapo.study.domain import Options
 
 
 @pytest.fixture(scope="module")
@@ -61,6 +62,36 @@ def storage_values(moved, name):
     from snapo.domains.gas_storage.contract.inputs import storage_inputs
 
     return storage_inputs(moved.case)[name].value
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "simulator"),
+    [("control", "pendulum", None), ("control", "measured", None),
+     ("control", "linear-quadratic", None), ("own", "reservoir", ("simulator", "Reservoir"))],
+)  # fmt: skip
+def test_every_input_of_a_plant_and_of_a_simulator_is_written_and_read_once(
+    kind, size, simulator, tmp_path
+):
+    commands.new(kind, tmp_path / "case", size)
+    loaded = commands.load(commands.Asked(tmp_path / "case", simulator=simulator))
+    inputs_of, readings = loaded.domain.study(loaded.case, Options("xla")).inputs, []
+    assert inputs_of is not None
+
+    def read(file, data):
+        readings.append(file)
+        return loaded.domain.read(file, data)
+
+    files = read_files(tmp_path / "case", loaded.data)
+    inputs = inputs_of(loaded.case)
+    places = Places(read, files, inputs, inputs_of, loaded.case)
+    for name, x in inputs.items():
+        wanted = x.value * (1 + 2.0**-20) + 1e-9 * (x.value == 0) * (name[:5] != "noise")
+        moved = inputs_of(places.moved({name: wanted}).case)
+        assert np.array_equal(moved[name].value, wanted)
+        assert all(
+            np.array_equal(moved[key].value, inputs[key].value) for key in moved if key != name
+        )
+    assert len(readings) == len(inputs)
 
 
 def test_a_curve_with_decimal_commas_is_written_where_it_was_read(tmp_path):

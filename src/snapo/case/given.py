@@ -37,6 +37,11 @@ class Copies(NamedTuple):
 FilePosition = SheetCell | Copies | tuple[str | int, ...] | None
 
 
+def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
+    """The positions of the entries of an array under a key, in C order; of one number, the key."""
+    return tuple((*path, *index) for index in np.ndindex(shape))
+
+
 @dataclass(frozen=True, eq=False)
 class Given:
     """Numbers that the owner of the case gave, and where each of them is used.

@@ -185,7 +185,7 @@ def around(values: np.ndarray) -> np.ndarray:
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
-    """FilePosition, name and number of the entry, in the unit of the trade and as it is written."""
+    """Position, name and number of the entry, in the unit of the trade and as it is written."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
     position = in_words(entry.places[row]) if entry.places else ""

@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError, nearest
+from snapo.case.given import positions
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
 from snapo.case.settings import (
@@ -94,7 +95,24 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         recipe=recipe,
         training=training,
         evaluation=evaluation,
+        positions=dict(_positions(data, inputs)),
     )
+
+
+def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
+    """(name, positions of its numbers) of the inputs, but for a start that the case leaves out."""
+    for group, entries in inputs.items():
+        for name, entry in _flat(entries):
+            first, *rest = name.split(".")
+            value = data.get(group, {}).get(first)
+            if group == "start" and value is None:
+                continue
+            places = positions((group, first, *rest), np.shape(entry.value))
+            if group == "noise" and np.ndim(value) < np.ndim(entry.value):  # a list: the diagonal
+                size = len(entry.value)
+                pairs = [(i, j) for i in range(size) for j in range(size)]
+                places = tuple((group, first, i) if i == j else None for i, j in pairs)
+            yield f"{group}.{name}", places
 
 
 def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

@@ -36,7 +36,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     notes: list[str] = []
     training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
-    inputs = read_inputs(table.inputs, file, notes)
+    inputs, positions = read_inputs(table.inputs, file, notes)
     aims = read_aims(table.objective, name)
     check_window(training, [each.table.kind for each in aims], name)
     use_every_core()  # before the user's module computes anything
@@ -59,6 +59,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
         units=table.units,
         training=training,
         evaluation=evaluation,
+        positions=positions,
     )
 
 

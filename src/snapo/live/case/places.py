@@ -96,7 +96,12 @@ class Places:
     def recorded(self) -> dict[str, Given]:
         """{name: numbers} of the inputs whose positions their reader recorded."""
         entries = dict(inputs_in(self.case, "", set()))
-        return {name: x for name, x in entries.items() if isinstance(x, Given) and x.places}
+        recorded = {name: x for name, x in entries.items() if isinstance(x, Given) and x.places}
+        for name, places in getattr(self.case, "positions", {}).items():
+            x = self.inputs[name]
+            index = np.arange(x.value.size)
+            recorded[name] = Given(name, x.value.ravel(), x.names(), x.unit, index, places=places)
+        return recorded
 
     def moved(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> Moved:
         """The case in which the inputs named have these values; `files`: another case to put them
