@@ -98,6 +98,7 @@ class Quantity:
     - `by`: the column of a CSV by which the number may change ("date"), `column`: that of the
       numbers; `before`: the number that holds before the first row.
     - `text`: the values allowed, where the range does not say all.
+    - `name`: of the input, where it is not the key.
     """
 
     unit: str = "1"
@@ -114,6 +115,7 @@ class Quantity:
     bump: float | None = None
     meaning: str = ""
     text: str = ""
+    name: str = ""
 
     def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
         """A field of a `Table` with this meaning, required where there is no default."""
@@ -131,8 +133,11 @@ class Quantity:
             return None
         quantity = replace(self, unit=key.filled(self.unit))
         if isinstance(raw, str) and raw and self.by:
-            return quantity.from_dated_rows(key.name, key.rows(raw, self.by, self.column))
-        return quantity.given(key.name, [quantity.checked(raw, key)], places=(key.path,))
+            rows = key.rows(raw, self.by, self.column)
+            return quantity.from_dated_rows(self.name or key.name, rows)
+        return quantity.given(
+            self.name or key.name, [quantity.checked(raw, key)], places=(key.path,)
+        )
 
     def from_dated_rows(self, name: str, rows: Sequence[Row]) -> Given:
         """The numbers of a CSV, each of which holds from its date on."""
