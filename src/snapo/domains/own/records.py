@@ -7,8 +7,7 @@ from pathlib import Path
 from snapo.case.given import FilePosition
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.inputs import Input
-from snapo.problem.limits import Limit
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Limit, Objective
 from snapo.problem.simulator import Simulator
 
 
@@ -44,6 +43,6 @@ class OwnCase:
     positions: Mapping[str, tuple[FilePosition, ...]]
 
     @property
-    def limits(self) -> tuple[Limit, ...]:
+    def constraints(self) -> tuple[Limit, ...]:
         """Those that the simulator's class holds."""
-        return tuple(getattr(self.simulator, "limits", ()))
+        return tuple(getattr(self.simulator, "constraints", ()))

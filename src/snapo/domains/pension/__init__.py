@@ -10,6 +10,6 @@ DOMAIN = Kind(
     reader="read.case:resolve",
     summary="results.figures.lines:lines",
     maker="results.study:pension_study",
-    page="sections.page:REPORT",
+    page="report:REPORT",
     tables="read.case:SCHEMA",
 )

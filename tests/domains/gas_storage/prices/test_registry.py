@@ -7,7 +7,7 @@ from snapo.domains.gas_storage.prices.one_factor import OneFactor
 from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, lacks, register
 from snapo.domains.gas_storage.prices.registry import kinds
 
-PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "words", "state_at"}
+PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "describe", "state_at"}
 
 
 def test_every_kind_is_whole_and_says_its_table():

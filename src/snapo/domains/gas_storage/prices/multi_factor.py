@@ -51,7 +51,7 @@ class MultiFactor(GivenFactors):
         places = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
         return cls.of(factors, correlation, places, section, delivery)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "Correlated mean-reverting factors"
 
 

@@ -19,5 +19,5 @@ class OneFactor(GivenFactors):
     kind = "one-factor"
     table = OneFactorTable
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "One factor, mean-reverting, volatility by delivery day"
