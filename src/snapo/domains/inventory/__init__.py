@@ -25,4 +25,5 @@ DOMAIN = Inventory(
     "an inventory: orders, service and costs under random demand",
     __name__,
     {"spare-part": "template", "line": "template_line", "stores": "template_stores"},
+    tables="read.network:FORMATS",
 )
