@@ -5,7 +5,7 @@ import numpy as np
 from scipy import stats
 
 from snapo.case.objective import make_objective
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.inputs import Input
 from snapo.problem.problem import Problem
 from snapo.solver.learning.settings import TrainingPlan
@@ -26,7 +26,7 @@ from .policy.order_up_to import OrderUpTo
 AnyCase = InventoryCase | NetworkCase
 
 
-def make_setup(case: AnyCase, engine: Choice = "auto") -> Setup:
+def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
     training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
@@ -41,7 +41,7 @@ def make_setup(case: AnyCase, engine: Choice = "auto") -> Setup:
 def moved_setup(setup: Setup, case: AnyCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     values = {name: entry.value for name, entry in case_inputs(case).items()}
-    engine: Choice = setup.engines.name  # pyright: ignore[reportAssignmentType]
+    engine: EngineName = setup.engines.name  # pyright: ignore[reportAssignmentType]
     return at_values(setup, simulator_of(case), values, lambda: make_setup(case, engine))
 
 

@@ -64,7 +64,12 @@ def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> Va
     if policy is None:
         raise ValueError("the run has no policy")
     result = solver.bound(
-        setup.problem, policy, relaxation(), paths, penalty=penalty, engine=setup.engines.evaluate
+        setup.problem,
+        policy,
+        relaxation=relaxation(),
+        paths=paths,
+        penalty=penalty,
+        engine=setup.engines.evaluate,
     )
     value, error = run.solution.value, run.solution.standard_error
     result = result.above(value, error, setup.problem.objective)

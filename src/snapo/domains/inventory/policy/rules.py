@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Actions, Product
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 from snapo.study.study import Setup
 
 from ..item.estimates import economic_lot, mean_demand, usual_deviation
@@ -44,7 +45,8 @@ class Classical(Policy):
     reorder: Float[Array, ""]
     action: Actions
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         gap = observation[0] * observation[1]
         order = smooth.positive_part(gap + self.above, observation[1])
         is_placed = smooth.indicator(gap + self.reorder, observation[1])
