@@ -3,6 +3,7 @@
 All edges of all parameters are searched side by side, so that batches run together.
 """
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ NOMINAL = (17, 7, 3)  # points over the range, then within the bracket of an edg
 PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 
-class Range(NamedTuple):
+@dataclass(frozen=True)
+class Range:
     """A range in the owner's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
@@ -39,11 +41,15 @@ class Range(NamedTuple):
     sure_normal: bool = False
 
 
-class Proven(NamedTuple):
-    """`nominal`: of the model at its nominal numbers; `probable`: with the required probability."""
+@dataclass(frozen=True)
+class ProvenRange:
+    """`nominal`: of the model at its nominal numbers; `probable`: with the `required` probability,
+    as `samples` draws say."""
 
     parameter: str
     unit: str
+    required: float
+    samples: int
     nominal: Range
     probable: Range
 
@@ -51,7 +57,9 @@ class Proven(NamedTuple):
 Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
 
 
-def proven_ranges(process: "Process", required: float, samples: int, seed: int) -> list[Proven]:
+def proven_ranges(
+    process: "Process", required: float, samples: int, seed: int
+) -> list[ProvenRange]:
     """Both ranges of every parameter.
 
     A parameter with a distribution varies about each point of its probable range.
@@ -62,7 +70,10 @@ def proven_ranges(process: "Process", required: float, samples: int, seed: int) 
         _ranges(process, good, search)
         for good, search in ((nominally, NOMINAL), (probably, PROBABLE))
     ]
-    return [Proven(p.name, p.unit, *each) for p, *each in zip(case.parameters, *found)]
+    return [
+        ProvenRange(p.name, p.unit, required, samples, *both)
+        for p, *both in zip(case.parameters, *found)
+    ]
 
 
 def changes(points: Points) -> list[Changes]:

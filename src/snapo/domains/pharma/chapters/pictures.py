@@ -1,4 +1,4 @@
-"""Charts of a process: heat map, tornado, profile with sensitivities, design space."""
+"""Charts of a process: heat map, tornado, curves over time, the plane of a crystallisation."""
 
 from collections.abc import Sequence
 from typing import Any
@@ -97,100 +97,6 @@ def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.nd
     number_axis(axes.xaxis, 8)
     number_axis(axes.yaxis, 6)
     unit_above(axes, "Dissolved, kg/m³")
-    legend_above(axes)
-
-
-def space(
-    axes: Axes,
-    found: dict[str, Any],
-    probability: np.ndarray,
-    names,
-    band: tuple[np.ndarray, np.ndarray],
-) -> None:
-    """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
-    lower and the upper ends `band` of its interval reach what is required."""
-    x, y = (np.asarray(grid) for grid in found["grid"][:2])
-    levels = sorted({0.5, *found["levels"], found["required"]})
-    shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]
-    fill = [-0.001, *levels, 1.001]
-    picked = [LIGHT[shades[min(i, len(shades) - 1)]] for i in range(len(fill) - 1)]
-    axes.contourf(x, y, probability.T, levels=fill, colors=picked)
-    if np.ptp(probability) > 0:
-        inside = [k for k in levels if probability.min() < k < probability.max()]
-        if inside:
-            drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
-                                 linewidths=0.9)  # fmt: skip
-            _labels(axes, drawn)
-    for end in band:
-        if end.min() < found["required"] < end.max():
-            axes.contour(x, y, end.T, levels=[found["required"]], colors=LIGHT["good"],
-                         linestyles="dotted", linewidths=1.6)  # fmt: skip
-    _boxes(axes, found)
-    axes.set_xlabel(with_unit(names[0], found["units"][0]))
-    number_axis(axes.xaxis, 8)
-    number_axis(axes.yaxis, 8)
-    axes.grid(False)
-    unit_above(axes, with_unit(names[1], found["units"][1]))
-    legend_above(axes)
-
-
-def _labels(axes: Axes, drawn: Any) -> None:
-    """The level of each contour where the other labels are farthest away, off the edges."""
-    x, y = (np.array(ends) for ends in (axes.get_xlim(), axes.get_ylim()))
-    corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
-    taken: list[np.ndarray] = []
-    for lines in drawn.allsegs:
-        points = np.concatenate([_along((each - corner) / size) for each in lines])
-        inner = points[((points > 0.06) & (points < 0.94)).all(1)]
-        points = inner if len(inner) else points
-        others = np.array(taken or [[0.5, 0.5]])
-        away = np.linalg.norm(points[:, None] - others, axis=-1).min(1)
-        taken.append(points[int(away.argmax() if taken else away.argmin())])
-    axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8,
-                manual=[tuple(corner + each * size) for each in taken])  # fmt: skip
-
-
-def _along(line: np.ndarray, parts: int = 8) -> np.ndarray:
-    """Points on a broken line [n, 2], some between every two of its corners."""
-    share = np.arange(parts)[:, None] / parts
-    between = line[:-1, None] + share * (line[1:] - line[:-1])[:, None]
-    return np.concatenate([between.reshape(-1, 2), line[-1:]])
-
-
-def _boxes(axes: Axes, found: dict[str, Any]) -> None:
-    """Set point, normal operating range, and the largest box of the required probability."""
-    (left, right), (low, high) = found["normal"][:2]
-    style: dict[str, Any] = {"fill": False, "linewidth": 1.4}
-    axes.add_patch(Rectangle((left, low), right - left, high - low, edgecolor=LIGHT["ink"],
-                             label="Normal range", **style))  # fmt: skip
-    box = found.get("box")
-    if box:
-        (left, low), (right, high) = box["low"][:2], box["high"][:2]
-        style |= {"linestyle": (0, (5, 2)), "edgecolor": LIGHT["good"], "label": "Largest box"}
-        axes.add_patch(Rectangle((left, low), right - left, high - low, **style))
-    here = found["nominal"]
-    axes.plot(here[0], here[1], "o", color=LIGHT["ink"], markersize=6, label="Set point")
-
-
-def binding(axes: Axes, found: dict[str, Any], which: np.ndarray, names, attributes) -> None:
-    """Which attribute most often breaks its limits at each point; a dot where none does."""
-    x, y = (np.asarray(grid) for grid in found["grid"][:2])
-    marks = "osD^vP"
-    for i in np.unique(which):
-        row, column = np.nonzero(which == i)
-        if i < 0:
-            axes.plot(x[row], y[column], ".", color=LIGHT["other"], label="None", markersize=3,
-                      clip_on=False)  # fmt: skip
-            continue
-        style: Any = {"color": LIGHT[CURVES[int(i) % len(CURVES)]], "linestyle": "none"}
-        axes.plot(x[row], y[column], marker=marks[int(i) % len(marks)], label=attributes[int(i)],
-                  markersize=5, clip_on=False, **style)  # fmt: skip
-    axes.set_xlabel(with_unit(names[0], found["units"][0]))
-    number_axis(axes.xaxis, 8)
-    number_axis(axes.yaxis, 8)
-    axes.tick_params(axis="y", pad=7)  # off the marks on the edge
-    axes.grid(False)
-    unit_above(axes, with_unit(names[1], found["units"][1]))
     legend_above(axes)
 
 

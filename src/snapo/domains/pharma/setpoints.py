@@ -1,13 +1,11 @@
 """A recipe as a table of setpoints: what a control system is given, and from which second on."""
 
 from collections.abc import Iterable, Mapping
-from typing import Any
 
-from ..flowsheet.case import PharmaCase
-from ..given import Entry, every_given
-from ..recipe.records import Optimise
-from ..time.profile import Profile, weights
-from ..units.operation import Unit
+from .flowsheet.case import PharmaCase
+from .given import Entry, every_given
+from .time.profile import Profile, weights
+from .units.operation import Unit
 
 HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
 
@@ -62,20 +60,3 @@ def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tupl
                 label = f"{given.name}[{given.labels[i]}]" if many else given.name
                 now = changed.get((given.name, i), value)
                 yield record.name, label, "once", 0.0, now, given.unit
-
-
-def optimal(ask: Optimise, found: Mapping[str, Any]) -> dict[Entry, float]:
-    """The numbers of the best recipe, in the domain's units, from its table."""
-    return {
-        (each.input, each.entry): row["value"] * each.scale + each.offset
-        for each, row in zip(ask.decisions, found["decisions"], strict=True)
-    }
-
-
-def decided(rows: Iterable[Mapping[str, Any]]) -> Iterable[tuple]:
-    """Of the closed loop the best fixed recipe: its value at the end of each decision."""
-    for row in rows:
-        name = row["input"]
-        for time, value in zip(row["time"], row["values"]):
-            kind = "linear" if len(row["time"]) > 1 else "once"
-            yield name.partition(".")[0], name, kind, float(time), float(value), row["unit"]

@@ -2,31 +2,30 @@
 
 import csv
 import re
-from types import SimpleNamespace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled
 from tests.domains.pharma.pharma_cases import CASE, attribute, solve
 from tests.domains.pharma.quality.test_boundary import linear
 
-from snapo.domains.pharma.results.quality import map_tables
-from snapo.domains.pharma.sections import pictures
-from snapo.domains.pharma.sections.together import boundary
+from snapo.domains.pharma.chapters.design_space import SpaceMap, _contours, boundary, space_map
 from snapo.report.page import Table, Text
 from snapo.report.quantity import SPACE
 
-RUN: Any = SimpleNamespace(names=(["first", "second"], None))
+NAMES = ["first", "second"]
 
 
-def ending(samples=400) -> dict[str, Any]:
+def ending(samples=400) -> SpaceMap:
     """The map of a space that ends towards low T2 and high T_f."""
     process: Any = linear(samples)
-    return map_tables(process, 7)
+    return space_map(process, 7)
 
 
 def test_every_end_next_to_the_set_point_has_a_row():
-    table, words = boundary(RUN, ending())
+    table, words = boundary(ending(), NAMES)
     assert isinstance(table, Table) and isinstance(words, Text)
     assert [row[:4] for row in table.rows] == [
         ("T2, K", f"T_f 278.15{SPACE}K", "below", "first"),
@@ -40,7 +39,7 @@ def test_every_end_next_to_the_set_point_has_a_row():
 
 def test_an_unknown_end_of_the_interval_stands_on_its_own_side():
     """Few batches do not tell how far inside one has to stay: above, where the space ends below."""
-    table = boundary(RUN, ending(samples=24))[0]
+    table = boundary(ending(samples=24), NAMES)[0]
     assert isinstance(table, Table)
     sides = {row[2]: row[5].split(" – ") for row in table.rows}
     assert sides["below"][1] == "beyond" and sides["above"][0] == "beyond"
@@ -48,9 +47,9 @@ def test_an_unknown_end_of_the_interval_stands_on_its_own_side():
 
 
 def test_a_space_without_an_end_says_so():
-    (words,) = boundary(RUN, ending() | {"ends": []})
+    (words,) = boundary(replace(ending(), ends=()), NAMES)
     assert isinstance(words, Text) and "nowhere" in words.text
-    assert not boundary(RUN, {"ends": None})
+    assert not boundary(replace(ending(), ends=None), NAMES)
 
 
 @pytest.mark.prove
@@ -79,7 +78,7 @@ def test_the_report_of_a_run_shows_the_boundary(tmp_path):
     ]
     assert len(near) == 1 and near[0]["ends"] == "below" and near[0]["binding"] == "A left"
     page = (out / "report.html").read_text(encoding="utf-8")
-    section = page[page.index('<section id="space"') :]
+    section = page[page.index('<section id="design-space"') :]
     section = section[: section.index("</section>")]
     assert "Where the design space ends" in section
     body = re.findall(r"<tr>.*?</tr>", section, re.S)
@@ -98,12 +97,12 @@ def test_contours_of_every_level_are_drawn(levels, required):
 
     grid = np.linspace(0.0, 1.0, 5)
     probability = np.outer(grid, np.ones(5))
-    found = {
-        "grid": [grid, grid], "levels": levels, "required": required, "units": ["K", "K"],
-        "normal": [[0.4, 0.6], [0.4, 0.6]], "nominal": [0.5, 0.5], "box": None,
-    }  # fmt: skip
+    found = filled(
+        SpaceMap, grid=(grid, grid), levels=levels, required=required, axes=("a", "b"),
+        units=("K", "K"), normal=((0.4, 0.6), (0.4, 0.6)), nominal=(0.5, 0.5),
+    )  # fmt: skip
     axes = Figure().add_subplot()
-    pictures.space(axes, found, probability, ["a", "b"], (probability - 0.1, probability + 0.1))
+    _contours(axes, found, probability, (probability - 0.1, probability + 0.1))
     shades = next(each for each in axes.collections if getattr(each, "filled", False))
     inner = sorted({0.5, *levels, required})
     np.testing.assert_allclose(shades.levels, [-0.001, *inner, 1.001])

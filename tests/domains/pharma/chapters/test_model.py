@@ -1,14 +1,21 @@
 """Numbers of the model and the ranking of parameters as a reader meets them."""
 
-from types import SimpleNamespace
-from typing import Any
-
 import pytest
+from tests.domains.pharma.filled import filled, folder
 
-from snapo.domains.pharma.sections.model import model, place
-from snapo.domains.pharma.sections.sensitivity import _ranking
+from snapo.domains.pharma.chapters.model import (
+    MODEL,
+    NumberStatement,
+    Statement,
+    UnitStatement,
+    place,
+)
+from snapo.domains.pharma.chapters.sensitivities import _ranking
+from snapo.domains.pharma.derivatives.sensitivities import Rank
 from snapo.report.page import Table
 from snapo.report.quantity import SPACE
+
+UNIT = filled(UnitStatement, name="crystalliser")
 
 
 @pytest.mark.parametrize(
@@ -23,11 +30,8 @@ from snapo.report.quantity import SPACE
     ],
 )
 def test_a_coefficient_has_the_unit_of_its_power(label, unit, written):
-    each = {"input": "c.solubility", "label": label, "value": 2.0, "unit": unit, "parameter": ""}
-    run: Any = SimpleNamespace(
-        get=lambda key, other=None: [each] if key == "numbers" else other, parameters=[]
-    )
-    table = model(run).blocks[-1]
+    row = filled(NumberStatement, label=label, value=2.0, unit=unit)
+    table = MODEL(folder((MODEL, Statement(units=(UNIT,), numbers=(row,))))).blocks[-1]
     assert isinstance(table, Table)
     (row,) = table.rows
     assert (row[1], row[3]) == written
@@ -38,10 +42,8 @@ def test_a_place_keeps_the_digits_of_a_temperature():
 
 
 def test_a_ranking_has_its_words_outside_the_columns_of_numbers():
-    rank = {"parameter": "T", "attribute": "yield", "share": 0.5, "variance": 0.1}
-    ranks = [rank | {"outside": a, "spent": b} for a, b in ((False, False), (False, True))]
-    run: Any = SimpleNamespace(get=lambda key, other=None: ranks)
-    table = _ranking(run)
+    ranks = [Rank("T", 0.5, "yield", False, spent, 0.1) for spent in (False, True)]
+    table = _ranking(tuple(ranks))
     assert isinstance(table, Table)
     assert [row[2] for row in table.rows] == [f"50.0{SPACE}%", "–"]
     assert [row[4] for row in table.rows] == ["", "variation alone takes the room"]

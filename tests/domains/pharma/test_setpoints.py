@@ -2,7 +2,9 @@
 
 import tomllib
 
+import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled
 from tests.domains.pharma.pharma_cases import CASE, LOOP, TEMPLATE, small, template
 from tests.domains.pharma.process_cases import (
     Connection,
@@ -14,8 +16,10 @@ from tests.domains.pharma.process_cases import (
     linear,
 )
 
+from snapo.domains.pharma.chapters.closed_loop import ControlCourse, decided
+from snapo.domains.pharma.chapters.optimum import optimal
 from snapo.domains.pharma.read.case import resolve
-from snapo.domains.pharma.results.setpoints import HEADER, decided, optimal, setpoints
+from snapo.domains.pharma.setpoints import HEADER, setpoints
 
 
 def test_every_node_and_every_number_that_may_be_chosen():
@@ -38,17 +42,17 @@ def test_the_best_recipe_and_the_closed_loop():
     """A longer batch moves the seconds too; of the closed loop the time at the end of a decision."""
     case = resolve(TEMPLATE, tomllib.loads(small(CASE + LOOP)))
     assert case.optimise is not None
-    found = {"decisions": [{"value": 45.0}, {"value": 90.0}]}
-    changed = optimal(case.optimise, found)
+    changed = optimal(case.optimise, [45.0, 90.0])
     rows = {row[1]: row for row in setpoints(case, changed)}
     assert rows["reactor.duration"][4] == pytest.approx(5400)
     assert rows["reactor.temperature"][4] == pytest.approx(318.15)
-    course = {
-        "input": "reactor.temperature",
-        "unit": "K",
-        "time": [600.0, 1200.0],
-        "values": [310.0, 305.0],
-    }
+    course = filled(
+        ControlCourse,
+        input="reactor.temperature",
+        unit="K",
+        time=np.array([600.0, 1200.0]),
+        values=np.array([310.0, 305.0]),
+    )
     assert list(decided([course])) == [
         ("reactor", "reactor.temperature", "linear", 600.0, 310.0, "K"),
         ("reactor", "reactor.temperature", "linear", 1200.0, 305.0, "K"),

@@ -16,17 +16,17 @@ from snapo.problem.inputs import Input
 from snapo.report.quantity import unit_words
 from snapo.study.study import Shown
 
-from ..derivatives.jacobian import matrix
-from ..flowsheet.case import PharmaCase
-from ..flowsheet.inputs import pharma_inputs
-from ..flowsheet.process import Process
-from ..flowsheet.stiffness import with_stiff_steps
-from ..given import every_entry
-from ..quality import batches
-from ..quality.capability import Capability, from_values
-from ..quality.limits import Limits
-from ..quality.sampling import sampler
-from .quality import BATCHES
+from .chapters.capability import BATCHES
+from .derivatives.jacobian import matrix
+from .flowsheet.case import PharmaCase
+from .flowsheet.inputs import pharma_inputs
+from .flowsheet.process import Process
+from .flowsheet.stiffness import with_stiff_steps
+from .given import every_entry
+from .quality import batches
+from .quality.capability import Capability, from_values
+from .quality.limits import Limits
+from .quality.sampling import sampler
 
 PARTS = (
     "network", "feeds", "units", "connections", "parameters", "attributes", "uncertainty", "held",
