@@ -8,7 +8,7 @@ from snapo.study.study import StudyRun
 
 from ..quality import pairs, ranges
 from ..quality.pairs import Pair, Together
-from ..quality.ranges import ProvenRange, Range
+from ..quality.ranges import ProvenRange, AcceptableRange
 from ..quality.records import Parameter
 from ..shared import MESH, open_loop, sampled
 from .model import Statement, place, stated
@@ -37,7 +37,7 @@ def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
     return tuple(pairs.pairs(whole, nominal, probable, space.required, SAMPLES, seed))
 
 
-def _ends(parameter: Parameter, proven: Range) -> tuple[float, float] | None:
+def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
     """The ends of a range in the domain's unit; None where the set point itself fails."""
     if proven.low is None or proven.high is None:
         return None
@@ -72,7 +72,7 @@ def show(run: Folder, result: tuple[ProvenRange, ...]) -> list[Block]:
     return [Table([(name, "") for name in names], rows, caption, 4)]
 
 
-def _verdict(proven: Range) -> Mark:
+def _verdict(proven: AcceptableRange) -> Mark:
     if not proven.holds_normal:
         return Mark(False, "not inside")
     return Mark(proven.sure_normal, "inside" if proven.sure_normal else "inside, not surely")
@@ -82,13 +82,13 @@ def _span(ends: tuple[float, ...] | None) -> str:
     return "–" if ends is None else " – ".join(map(place, ends))
 
 
-def _range(proven: Range) -> str:
+def _range(proven: AcceptableRange) -> str:
     if proven.low is None:
         return "set point fails"
     return f"{place(proven.low)} – {place(proven.high)}"
 
 
-def _edges(proven: Range) -> str:
+def _edges(proven: AcceptableRange) -> str:
     if proven.low is None:
         return proven.low_edge or "set point fails"
     low, high = (edge or "studied range" for edge in (proven.low_edge, proven.high_edge))

@@ -21,7 +21,7 @@ PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 
 @dataclass(frozen=True)
-class ProvenRange:
+class AcceptableRange:
     """A range in the owner's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
@@ -50,8 +50,8 @@ class ProvenRange:
     unit: str
     required: float
     samples: int
-    nominal: ProvenRange
-    probable: ProvenRange
+    nominal: AcceptableRange
+    probable: AcceptableRange
 
 
 Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
@@ -95,7 +95,7 @@ class _Edge(NamedTuple):
     fails: int
 
 
-def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> list[ProvenRange]:
+def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> list[AcceptableRange]:
     case = process.case
     scans = []
     for chosen in case.parameters:
@@ -194,10 +194,10 @@ def _zoom(edges: list[_Edge], good: Good, count: int, seen: _Seen) -> list[_Edge
 
 def _range(
     chosen: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
-) -> ProvenRange:
+) -> AcceptableRange:
     below, above = ("" if edge.fails < 0 else names[edge.fails] for edge in (low, high))
     if low.inner != low.inner:
-        return ProvenRange(None, None, below, above, False)
+        return AcceptableRange(None, None, below, above, False)
     inside = low.inner <= chosen.normal_low and high.inner >= chosen.normal_high
     start, end = (float(owners(chosen, edge.inner)) for edge in (low, high))
     sure, possible = (
@@ -208,4 +208,4 @@ def _range(
     firmly = first is not None and (
         first[0] <= chosen.normal_low and first[1] >= chosen.normal_high
     )
-    return ProvenRange(start, end, below, above, inside, sure, possible, firmly)
+    return AcceptableRange(start, end, below, above, inside, sure, possible, firmly)
