@@ -9,7 +9,7 @@ frozen dataclass, which is saved as JSON and read back as the same type: a reade
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -33,9 +33,10 @@ class Chapter(Generic[Result]):
     """One question to a run.
 
     - `name`: in words; of its part, its file and the anchor of its section.
-    - `title`: of the section; `short`: in the menu, the name where it is empty.
-    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses, or a `tuple`
-      of such records.
+    - `title`: of the section, or a function of the files of the run; `short`: in the menu, the name
+      where it is empty; `anchor`: where it is not made of the name.
+    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
+      also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
@@ -45,13 +46,14 @@ class Chapter(Generic[Result]):
     """
 
     name: str
-    title: str
+    title: str | Callable[[Any], str]
     result: type[Result]
     measure: Callable[[StudyRun], Result]
     show: Callable[[Any, Result], Sequence[Block]]
     short: str = ""
     needs: tuple[str, ...] = (TRAINING.name,)
     key: str = ""
+    anchor: str = ""
     table: str = ""
 
     @property
@@ -61,9 +63,8 @@ class Chapter(Generic[Result]):
 
     def data(self, result: Result) -> dict[str, Any]:
         """The result as the file of the part has it."""
-        if isinstance(result, tuple):
-            return {self.key: [asdict(record) for record in result]}
-        entries = asdict(result)  # pyright: ignore[reportArgumentType]
+        plain: Any = asdict  # of a type that is a dataclass, which no type variable can say
+        entries = [plain(row) for row in result] if isinstance(result, tuple) else plain(result)
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
@@ -71,10 +72,9 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
-            # A field that the file lacks has its default; a number without one is null.
-            values = {name: run.get(name) for name in self._defaults}
-            known = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
-            entries = None if all(x is None for x in values.values()) else known
+            # A field that the file lacks has its default.
+            values = {name: run.get(name) for name in self._names}
+            entries = {name: x for name, x in values.items() if x is not None} or None
         if entries is None:
             return None
         try:
@@ -82,21 +82,30 @@ class Chapter(Generic[Result]):
         except ValidationError:  # the file of another release, or a damaged one
             return None
 
+    def section(
+        self,
+        anchor: str,
+        title: str | Callable[[Any], str],
+        short: str,
+        show: Callable[[Any, Result], Sequence[Block]],
+    ) -> "Chapter[Result]":
+        """A further section of the report that shows the same result."""
+        return replace(self, anchor=anchor, title=title, short=short, show=show)
+
     def __call__(self, run: Folder) -> Section:
         """Its section of the report; without a result, the reason."""
-        anchor = re.sub(r"\W", "-", self.name)
+        anchor = self.anchor or re.sub(r"\W", "-", self.name)
         short = self.short or self.name.capitalize()
         if run.left_out(self.name):
             return Section(anchor, "", "", [])
         result = self.of(run)
         blocks = [lacking(run, self.name, self.table)] if result is None else self.show(run, result)
-        return Section(anchor, self.title, short, list(blocks))
+        title = self.title if isinstance(self.title, str) else self.title(run)
+        return Section(anchor, title, short, list(blocks))
 
     @cached_property
-    def _defaults(self) -> dict[str, bool]:
-        """{name of a field: whether it has a default, for a key that is not there}."""
-        names = fields(self.result)  # pyright: ignore[reportArgumentType]
-        return {x.name: (x.default, x.default_factory) != (MISSING, MISSING) for x in names}
+    def _names(self) -> list[str]:
+        return [field.name for field in fields(self.result)]  # pyright: ignore[reportArgumentType]
 
     @cached_property
     def _adapter(self) -> TypeAdapter[Result]:
