@@ -1,6 +1,5 @@
 """One batch at the set point: attributes, measures, and the trajectory of every unit."""
 
-import re
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 
@@ -8,9 +7,8 @@ import numpy as np
 
 from snapo.report.drawing import draw
 from snapo.report.folder import Folder
-from snapo.report.page import Block, Chart, Missing, Section, Table
+from snapo.report.page import Block, Chart, Missing, Table
 from snapo.report.quantity import finite, number, power, unit_words
-from snapo.report.sections.lacking import lacking
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
@@ -179,20 +177,19 @@ ONE_BATCH = Chapter(
 )  # fmt: skip
 
 
-def over_time(
-    title: str, short: str, unit: str, charts: Callable[[str, Course, Course | None], list[Chart]]
-) -> Callable[[Folder], Section]:
-    """A section with `charts` of every unit: of its name, trajectory and solubility."""
+Charts = Callable[[str, Course, Course | None], list[Chart]]
 
-    def section(run: Folder) -> Section:
-        result = ONE_BATCH.of(run)
-        blocks: list[Block] = [] if result else [lacking(run, BATCH)]
-        for name, course in result.trajectories.items() if result else ():
-            blocks += charts(name, course, result.solubility.get(name) if result else None)
-        blocks = blocks or [Missing(f"No {unit}'s trajectory is in this run.")]
-        return Section(re.sub(r"\W", "-", short.lower()), title, short, blocks)
 
-    return section
+def _over_time(charts: Charts, unit: str) -> Callable[[Folder, BatchResult], list[Block]]:
+    """Charts of every unit: of its name, trajectory and solubility."""
+
+    def show(run: Folder, result: BatchResult) -> list[Block]:
+        blocks: list[Block] = []
+        for name, course in result.trajectories.items():
+            blocks += charts(name, course, result.solubility.get(name))
+        return blocks or [Missing(f"No {unit}'s trajectory is in this run.")]
+
+    return show
 
 
 def _reaction(unit: str, course: Course, curve: Course | None) -> list[Chart]:
@@ -257,6 +254,10 @@ def _drying(unit: str, course: Course, curve: Course | None) -> list[Chart]:
     return [Chart(svg, text)]
 
 
-reactor = over_time("Reaction over time", "Reaction", "reactor", _reaction)
-plane = over_time("Crystallisation in the c–T plane", "c–T plane", "crystalliser", _crystals)
-drying = over_time("Drying over time", "Drying", "dryer", _drying)
+reactor = ONE_BATCH.section(
+    "reaction", "Reaction over time", "Reaction", _over_time(_reaction, "reactor")
+)
+plane = ONE_BATCH.section(
+    "plane", "Crystallisation in the c–T plane", "c–T plane", _over_time(_crystals, "crystalliser")
+)
+drying = ONE_BATCH.section("drying", "Drying over time", "Drying", _over_time(_drying, "dryer"))
