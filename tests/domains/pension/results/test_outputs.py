@@ -23,7 +23,7 @@ def run(tmp_path_factory):
     small = replace(setup.evaluation, paths=256, sensitivity_paths=256)
     setup = setup._replace(evaluation=small, policy=ConstantMix(fund()))
     engine, folder = setup.engines.evaluate, tmp_path_factory.mktemp("run")
-    table = sensitivities(setup.problem, setup.policy, 256, engine=engine)
+    table = sensitivities(setup.problem, setup.policy, paths=256, engine=engine)
     totals = path_totals(setup.problem, setup.policy, 256, engine=engine)
     solution = SimpleNamespace(
         policy=setup.policy, sensitivities=table, totals=totals, value=-0.2, standard_error=0.01

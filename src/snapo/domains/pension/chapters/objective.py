@@ -71,7 +71,7 @@ def measure(run: StudyRun) -> ObjectiveValue:
     if sure is None or not isinstance(objective, ExpectedUtility):
         return ObjectiveValue(terms, solution.value)
     error = sure.slope * solution.standard_error
-    aversion = objective.utility.aversion  # pyright: ignore
+    aversion = objective.utility.risk_aversion  # pyright: ignore
     return ObjectiveValue(
         terms, solution.value, sure.ratio, sure.slope, objective.output, error, aversion
     )

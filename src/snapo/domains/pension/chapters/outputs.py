@@ -162,7 +162,7 @@ def _outputs(run: StudyRun) -> Iterator[Derived]:
     paths = min(PATHS, setup.evaluation.sensitivity_paths, setup.evaluation.paths)
     run.tell(f"sensitivities of {len(goals)} more outputs at once")
     objectives = [goal for *_, goal in goals]
-    table = held_of_several(problem, policy, objectives, paths, engine=setup.engines.evaluate)
+    table = held_of_several(problem, policy, objectives, paths=paths, engine=setup.engines.evaluate)
     for (key, name, money, goal), held in zip(goals, table):
         estimated = estimate(goal, totals, problem.sources.evaluation)
         value = estimated.value + (key == "underfunded")

@@ -10,9 +10,9 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
 from snapo.problem.quickly import compiled_sooner
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact
 
 from ..fund.observation import RATIO, slots
 from ..fund.swap_limits import limit_unit
@@ -38,7 +38,8 @@ class ConstantMix(Policy):
             start[: len(weights)] = logits_of(case, weights)
         self.logits = jnp.asarray(start, jnp.float32)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         return self.limits(self.logits.astype(observation.dtype), smooth)
 
 
@@ -59,7 +60,8 @@ class GlidePath(Policy):
         self.logits = jnp.stack([mix.logits] * 2)
         self.bounds = jnp.asarray(ratios, jnp.float32) / UNIT
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         low, high = UNIT * self.bounds.astype(observation.dtype)
         width = jnp.maximum(high - low, 0.01)
         ratio = jnp.exp(RATIO * observation[self.place])
@@ -103,7 +105,8 @@ class LiabilityDriven(Policy):
         self.mix = jnp.asarray(np.log(np.maximum(np.abs(held - floor * whole), LEAST)), jnp.float32)
         self.hedge = mix.logits[count:] if case.buckets else None
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         kind = observation.dtype
         own = np.array(self.own)
         growth = UNIT * self.growth.astype(kind)
@@ -160,7 +163,8 @@ class StockBond(Policy):
         left = np.arange(math.ceil(self.years) + 1)
         self.weights = jnp.asarray([rule(float(each)) for each in left], jnp.float32)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         left = self.years * (1 - observation[self.place]) / 2
         table = self.weights.astype(observation.dtype)
         nodes = np.arange(table.shape[0])
@@ -222,7 +226,8 @@ class PresentMix(Policy):
         self.held = seen.get("weights", slice(0, 0))
         self.steps = case.steps
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         mix = jnp.asarray(self.mix.array, observation.dtype)
         count = self.held.stop - self.held.start
         if self.time < 0 or not count:
@@ -265,7 +270,8 @@ class OneOf(Policy):
         """The one that decides."""
         return self.rules[round(float(self.place.array))]
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         place = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
         actions = [rule(observation, smooth) for rule in self.rules]
         action = actions[0]
