@@ -61,8 +61,8 @@ class Chapter(Generic[Result]):
 
     def data(self, result: Result) -> dict[str, Any]:
         """The result as the file of the part has it."""
-        plain: Any = asdict  # of a type that is a dataclass, which no type variable can say
-        entries = [plain(row) for row in result] if isinstance(result, tuple) else plain(result)
+        entries: Any = result  # a dataclass, or rows of one, which no type variable can say
+        entries = [*map(asdict, entries)] if isinstance(result, tuple) else asdict(entries)
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
