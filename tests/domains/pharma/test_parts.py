@@ -19,7 +19,7 @@ from snapo.domains.pharma.chapters.ranges import RANGES
 from snapo.domains.pharma.chapters.verification import BALANCES, CONVERGENCE, Balance
 from snapo.domains.pharma.derivatives.convergence import Convergence
 from snapo.domains.pharma.quality.boundary import Boundary
-from snapo.domains.pharma.quality.ranges import ProvenRange, AcceptableRange
+from snapo.domains.pharma.quality.ranges import AcceptableRange, ProvenRange
 from snapo.domains.pharma.read.case import PARTS, resolve
 from snapo.domains.pharma.study import study
 from snapo.report.folder import Folder

@@ -8,7 +8,7 @@ from snapo.study.study import StudyRun
 
 from ..quality import pairs, ranges
 from ..quality.pairs import Pair, Together
-from ..quality.ranges import ProvenRange, AcceptableRange
+from ..quality.ranges import AcceptableRange, ProvenRange
 from ..quality.records import Parameter
 from ..shared import MESH, open_loop, sampled
 from .model import Statement, place, stated
