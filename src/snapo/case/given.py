@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from snapo.problem.form import Use
     from snapo.problem.inputs import Input
 
 SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
@@ -52,6 +53,12 @@ class Given:
     def used(self) -> np.ndarray:
         """`values[index]`, the numbers where they are used."""
         return self.values[self.index]
+
+    def use(self) -> "Use":
+        """Where the numbers are used, for a simulator: see `snapo.problem.form`."""
+        from snapo.problem.form import Use
+
+        return Use.of(self.name, len(self.values), self.index)
 
     def input(self) -> "Input":
         """The numbers as a differentiable input, with all that is said about them."""

@@ -1,6 +1,6 @@
 """A problem: all that `solve` needs to know, in one object that everything above takes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any
@@ -13,6 +13,7 @@ from . import inputs as inputs_
 from .actions import Actions
 from .code.lost import lost
 from .code.version import Version, following, of_preparation, of_rollout, reading_once
+from .form import form_of
 from .limits import Limit, priced
 from .noise import base as noise
 from .objective import Objective
@@ -62,6 +63,12 @@ class Problem:
         schedule, version = self.schedule, self.version
         with following(version):
             return self._kept("interface", version, lambda: self.simulator.interface(schedule))
+
+    @property
+    def form(self) -> Hashable:
+        """All that code compiled for its paths depends on: problems of one form share that code,
+        whatever their numbers, labels and units."""
+        return form_of((self.simulator, inputs_.unnamed(self.inputs)))
 
     @property
     def version(self) -> Version:

@@ -351,7 +351,7 @@ def second_order(
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     weights = problem.objective.weights(totals)
     names, values = list(problem.named), inputs_.values(inputs)
-    results = []
+    bare, results = inputs_.unnamed(inputs), []
     for direction in directions:
         unknown = set(direction) - set(names)
         if unknown:
@@ -362,9 +362,7 @@ def second_order(
         ]
         version = of_preparation(simulator, inputs), of_rollout(simulator, policy, problem.schedule)
         with engine.numbers(), following(version):
-            moved = _second(
-                engine, simulator, inputs, policy, draws, smooth, weights, values, along
-            )
+            moved = _second(engine, simulator, bare, policy, draws, smooth, weights, values, along)
             results.append({name: np.asarray(x) for name, x in zip(names, moved)})
     return results
 

@@ -12,7 +12,7 @@ from snapo.problem.process import Factors
 
 from ..read.tables import AMOUNT, FileName, NotNegative
 from .factor_prices import FactorPrices
-from .process import REVERSION, VOLATILITY, Delivery, use
+from .process import REVERSION, VOLATILITY, Delivery, Times, use
 
 
 class FactorTable(Table):
@@ -30,26 +30,28 @@ class GivenFactors(FactorPrices):
     - `correlation`: the strict lower triangle, row by row, index [F (F - 1) / 2].
     """
 
-    delivery: Delivery = eqx.field(static=True)
-    mean_reversion: Given = eqx.field(static=True)
-    volatility: Given = eqx.field(static=True)
-    correlation: Given = eqx.field(static=True)
+    delivery: Times
+    mean_reversion: Given
+    volatility: Given
+    correlation: Given
+    noise_size: int = eqx.field(static=True)
+    fast_factor: int = eqx.field(static=True)
 
-    @property
-    def noise_size(self) -> int:
-        return len(self.mean_reversion.values)
-
-    @property
-    def fast_factor(self) -> int:
-        moves = self.volatility.used().max(axis=0) > 0
-        return int(np.argmax(np.where(moves, self.mean_reversion.used(), -1.0)))
+    @classmethod
+    def of(cls, delivery: Delivery, mean_reversion: Given, volatility: Given, correlation: Given):
+        """With the number of factors, and the fast one among them."""
+        moves = volatility.used().max(axis=0) > 0
+        fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
+        numbers = mean_reversion, volatility, correlation
+        size = len(mean_reversion.values)
+        return cls(delivery.times, *numbers, size, fast)  # pyright: ignore[reportCallIssue]
 
     def parameters(self, inputs) -> Factors:
         size = self.noise_size
         lower = jnp.zeros((size, size))
         lower = lower.at[np.tril_indices(size, -1)].set(use(inputs, self.correlation))
         return Factors(
-            use(inputs, self.delivery.curve)[self.delivery.places],
+            self.delivery.forward(inputs),
             use(inputs, self.mean_reversion),
             use(inputs, self.volatility),
             lower + lower.T + jnp.eye(size),

@@ -39,7 +39,7 @@ class MultiFactor(GivenFactors):
         ]
         correlation = _correlation(section, table.correlation, len(factors))
         given = read_factors(section, factors, correlation, delivery, numbered=True)
-        return cls(delivery, *given)  # pyright: ignore[reportCallIssue]
+        return cls.of(delivery, *given)
 
     def words(self) -> str:
         return "Correlated mean-reverting factors"

@@ -24,7 +24,7 @@ class OneFactor(GivenFactors):
     @classmethod
     def read(cls, section: Section, table: OneFactorTable, delivery: Delivery):
         given = read_factors(section, [table], [], delivery, numbered=False)
-        return cls(delivery, *given)  # pyright: ignore[reportCallIssue]
+        return cls.of(delivery, *given)
 
     def words(self) -> str:
         return "One factor, mean-reverting, volatility by delivery day"

@@ -9,6 +9,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 from pydantic import Field
 
 from snapo.case.dates import single
@@ -18,7 +19,7 @@ from snapo.problem.process import Factors
 
 from ..read.tables import NotNegative
 from .factor_prices import FactorPrices
-from .process import REVERSION, VOLATILITY, Delivery, register, use
+from .process import REVERSION, VOLATILITY, Delivery, Times, register, use
 
 
 class SeasonalTable(Table):
@@ -43,12 +44,14 @@ class ThreeFactorSeasonal(FactorPrices):
 
     kind = "three-factor-seasonal"
     table = SeasonalTable
-    delivery: Delivery = eqx.field(static=True)
-    spot_mean_reversion: Given = eqx.field(static=True)
-    spot_volatility: Given = eqx.field(static=True)
-    long_term_volatility: Given = eqx.field(static=True)
-    seasonal_volatility: Given = eqx.field(static=True)
+    delivery: Times
+    spot_mean_reversion: Given
+    spot_volatility: Given
+    long_term_volatility: Given
+    seasonal_volatility: Given
+    season: Float[np.ndarray, " T+1"]
     noise_size: int = eqx.field(static=True, default=3)
+    fast_factor: int = eqx.field(static=True, default=0)
 
     @classmethod
     def read(cls, section: Section, table: SeasonalTable, delivery: Delivery):
@@ -57,20 +60,13 @@ class ThreeFactorSeasonal(FactorPrices):
             return dataclasses.replace(plain, words=words, **said)
 
         return cls(  # pyright: ignore[reportCallIssue]
-            delivery,
+            delivery.times,
             given("spot_mean_reversion", REVERSION, "speed at which the spot returns to the curve"),
             given("spot_volatility", VOLATILITY, "of the fast factor, which reverts"),
             given("long_term_volatility", VOLATILITY, "of the whole curve, in parallel"),
             given("seasonal_volatility", VOLATILITY, "of the summer-winter spread"),
+            season(delivery.dates, delivery.valuation),
         )
-
-    @property
-    def season(self) -> np.ndarray:
-        return season(self.delivery.dates, self.delivery.valuation)
-
-    @property
-    def fast_factor(self) -> int:
-        return 0
 
     def parameters(self, inputs) -> Factors:
         reversion = use(inputs, self.spot_mean_reversion)
@@ -81,7 +77,7 @@ class ThreeFactorSeasonal(FactorPrices):
             use(inputs, self.seasonal_volatility) / 2 * self.season,
         )
         return Factors(
-            use(inputs, self.delivery.curve)[self.delivery.places],
+            self.delivery.forward(inputs),
             jnp.stack([reversion, zero, zero]),
             jnp.stack(loading, axis=1),
             jnp.eye(3),
