@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from snapo.engine import Engine, Xla
+from snapo.engine.base import Uncontrolled
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
@@ -265,7 +266,7 @@ def sensitivities_and_totals(
     source = problem.sources.evaluation
     paths = source.available(paths)
     blocks = source.blocks(paths, int(np.clip(paths // LEAST, BLOCKS, MOST)))
-    if bound.simulator is not problem.simulator:
+    if isinstance(bound.simulator, Uncontrolled):
         totals = None  # a program without control variates may round in another way
     held = Way(problem, bound, policy, Exact(), True, actions, totals=totals).derivatives(blocks)
     moved = None

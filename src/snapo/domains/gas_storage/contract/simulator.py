@@ -108,6 +108,12 @@ class StorageSimulator(Simulator):
         """Of the rates between ratchet rows: "linear" or "step"."""
         return self.contract.ratchets.interpolation
 
+    def rolled(self):
+        # What the policy sees of guide and surprises is in the schedule.
+        names = ("contract", "process", "curve", "rate", "discounts", "guide", "surprises")
+        bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
+        return replace(self, **dict(zip(names, bare)))
+
     @property
     def horizon(self) -> int:
         return len(self.day)
