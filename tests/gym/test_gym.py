@@ -11,9 +11,9 @@ from tests.domains.inventory.inventory_cases import case
 from tests.gym.normals import on_the_noise_of
 
 import snapo
+from snapo.domains.control.chapters.baselines import agent
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.pendulum import Pendulum
-from snapo.domains.control.results.gymnasium import agent
 from snapo.domains.control.rules import rivals
 from snapo.domains.inventory.item.simulator import InventorySimulator, inputs_of
 from snapo.domains.inventory.setup import first_policy

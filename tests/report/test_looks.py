@@ -213,7 +213,7 @@ def browser():
 def reported(kind, folder):
     """The report of a sample run: no simulation, its files alone."""
     if kind == "store":
-        from tests.domains.gas_storage.sections.sample_run import write_run
+        from tests.domains.gas_storage.chapters.sample_run import write_run
 
         from snapo.domains.gas_storage import DOMAIN
 

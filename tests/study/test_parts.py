@@ -1,6 +1,7 @@
 """The tables of the parts that every study can have, against their definitions."""
 
 import json
+from dataclasses import asdict, dataclass
 
 import numpy as np
 import pytest
@@ -9,41 +10,40 @@ from tests.study.fake import parts
 from snapo.problem.inputs import Input
 from snapo.report.folder import Folder
 from snapo.report.page import Chart, Missing, Page, Text, render
-from snapo.report.sections.distribution import distribution
-from snapo.report.sections.fans import fans
-from snapo.report.sections.headline import headline
 from snapo.report.sections.lacking import not_asked, unless_left_out
-from snapo.report.sections.proof import certificate, history, making
-from snapo.report.sections.sensitivities import amount, sensitivities
-from snapo.study.parts import choice
-from snapo.study.parts import distribution as totals
-from snapo.study.parts.moves import direction
-from snapo.study.parts.profile import bands
+from snapo.report.sections.proof import history, making
+from snapo.study import choice
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION, distributed
+from snapo.study.chapters.headline import headline
+from snapo.study.chapters.profile import PROFILE, bands, profile
+from snapo.study.chapters.sensitivities import InputMove, direction, sensitivities
 from snapo.study.run_folder import plain_json
 
-SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, making)
+SECTIONS = (headline, sensitivities, DISTRIBUTION, PROFILE, history, CERTIFICATE, making)
 
 
 def described(total):
     """Every path is a group of its own."""
-    return totals.described(total, np.arange(total.size))
+    return distributed(total, np.arange(total.size))
 
 
 def test_a_distribution_is_that_of_its_paths():
     total = np.random.default_rng(0).normal(10, 2, 4000)
     found = described(total)
-    assert found["mean"] == total.mean() and found["paths"] == 4000
-    assert found["quantiles"]["p05"] == np.quantile(total, 0.05)
-    assert found["tail_mean"] == pytest.approx(np.sort(total)[:200].mean())
-    assert found["counts"].sum() == 4000, "paths beyond the edges are in the outermost bins"
-    assert len(found["edges"]) == len(found["counts"]) + 1
+    assert found.mean == total.mean() and found.paths == 4000
+    assert found.quantiles["p05"] == np.quantile(total, 0.05)
+    assert found.tail_mean == pytest.approx(np.sort(total)[:200].mean())
+    assert found.counts.sum() == 4000, "paths beyond the edges are in the outermost bins"
+    assert len(found.edges) == len(found.counts) + 1
 
 
 def test_totals_that_do_not_vary_or_are_not_finite():
     same = described(np.full(50, 3.0))
-    assert (same["counts"].tolist(), same["edges"].tolist()) == ([50], [2.5, 3.5])
-    assert described(np.array([1.0, np.nan, np.inf]))["paths"] == 1
-    assert described(np.array([np.nan])) == {"paths": 0}
+    assert (same.counts.tolist(), same.edges.tolist()) == ([50], [2.5, 3.5])
+    assert described(np.array([1.0, np.nan, np.inf])).paths == 1
+    assert described(np.array([np.nan])).paths == 0
 
 
 def test_bands_are_quantiles_over_paths():
@@ -62,7 +62,8 @@ def test_what_never_moves_is_a_sentence_and_no_picture(tmp_path):
         {"name": "sold", "kind": "outputs", "unit": "", **bands(np.arange(36.0).reshape(4, 9))},
     ]
     run = write(tmp_path, {"profile": {"profile": {"series": series, "paths": 9}}}, {}, {})
-    picture, sentence = fans(run, lambda each: 2.0 if each["name"] == "cost" else 1.0).blocks
+    doubled = profile(factor=lambda run, series: 2.0 if series.name == "cost" else 1.0)
+    picture, sentence = doubled(run).blocks
     assert isinstance(picture, Chart) and picture.caption.startswith("Sold (output of one step)")
     assert isinstance(sentence, Text)
     assert sentence.text == "Cost (output of one step) is 1\N{NO-BREAK SPACE}EUR at every week."
@@ -71,8 +72,8 @@ def test_what_never_moves_is_a_sentence_and_no_picture(tmp_path):
 def test_an_input_moves_by_its_own_move_or_by_a_share():
     assert direction(Input([2.0, -4.0])).tolist() == [0.02, -0.04]
     assert direction(Input([2.0, -4.0], move=0.5)).tolist() == [0.5, 0.5]
-    assert amount({"amount": 25.0, "unit": "bp"}) == "+25\N{NO-BREAK SPACE}bp"
-    assert amount({"amount": None, "share": 0.01}) == "+1\N{NO-BREAK SPACE}%"
+    assert InputMove("rate", amount=25.0, unit="bp").size == "+25\N{NO-BREAK SPACE}bp"
+    assert InputMove("rate", share=0.01).size == "+1\N{NO-BREAK SPACE}%"
 
 
 def write(folder, parts: dict, result: dict, states: dict) -> Folder:
@@ -110,16 +111,50 @@ def test_parts_are_chosen_with_all_that_they_need():
 def test_a_part_that_was_not_asked_for_is_no_part_that_is_missing(tmp_path):
     run = write(tmp_path, {}, {}, {"moves": {"state": "done", "note": ""}})
     run.details["left_out"] = ["profile", "moves", "bound"]
-    asked = unless_left_out(fans, "profile")
-    assert asked.__name__ == "fans" and asked(run).blocks == []
-    words = "The part “profile” is not among the `[report] parts`."
-    assert fans(run).blocks == [Missing(words)]
-    # One of an earlier run is told, and so is a section of which one part is there.
+    assert PROFILE(run).blocks == []
+    asked = unless_left_out(sensitivities, "profile")
+    assert asked.__name__ == "sensitivities" and asked(run).blocks == []
+    # The section has numbers of a part of an earlier run, and of several parts if one is there.
     for names in (("moves",), ("profile", "moves"), ("distribution",)):
-        assert unless_left_out(fans, *names)(run).blocks != []
+        assert unless_left_out(sensitivities, *names)(run).blocks != []
     (sentence,) = not_asked(run)
     assert sentence.text.endswith("(`[report] parts`): profile, bound.")
     assert not_asked(Folder({}, {}, {}, (), {}, {})) == []
+
+
+@dataclass(frozen=True)
+class Level:
+    height: Number
+    line: Floats
+
+
+@dataclass(frozen=True)
+class Lake:
+    levels: tuple[Level, ...]
+    deepest: str | None = None
+
+
+def lake(run) -> Lake:
+    return Lake((Level(np.nan, np.array([1.0, np.nan])), Level(2.0, np.zeros(0))))
+
+
+@pytest.mark.parametrize("key", ["", "lake"])
+def test_a_result_comes_back_from_its_file_as_it_was_measured(tmp_path, key):
+    chapter = Chapter("the lake", "A lake", Lake, lake, lambda run, x: [Text(str(x.deepest))],
+                      key=key)  # fmt: skip
+    part = chapter.part
+    run = write(tmp_path, {part.file.removesuffix(".json"): part.work(None)}, {}, {})
+    first, second = chapter.of(run).levels
+    assert np.isnan(first.height) and second.height == 2.0
+    assert first.line[0] == 1.0 and np.isnan(first.line[1]) and second.line.size == 0
+    assert chapter(run).blocks == [Text("None")] and chapter(run).name == "the-lake"
+    assert chapter.of(Folder({}, {}, {}, (), {}, {})) is None
+
+
+def test_a_file_of_another_form_is_a_missing_result(tmp_path):
+    chapter = Chapter("lake", "A lake", Lake, lake, lambda run, x: [], key="lake")
+    run = write(tmp_path, {"lake": {"lake": {"levels": "deep"}}}, {}, {"lake": {"state": "done"}})
+    assert chapter.of(run) is None and isinstance(chapter(run).blocks[0], Missing)
 
 
 def test_a_run_without_a_policy_says_why(tmp_path):
@@ -136,7 +171,9 @@ def test_sections_of_a_whole_run(tmp_path):
              "held": 12.5, "held_error": 0.5, "smooth": 12.0, "smooth_error": 1.0, "bump": 12.4,
              "bump_error": 0.1, "more": 12.0, "less": 12.8, "source": "held"}  # fmt: skip
     parts = {
-        "distribution": {"distribution": [{"name": "cash", "unit": "EUR", **described(total)}]},
+        "distribution": {
+            "distribution": [asdict(described(total)) | {"name": "cash", "unit": "EUR"}]
+        },
         "profile": {"profile": {"series": [fan], "paths": 40, "notes": ["a remark"]}},
         "moves": {"moves": [moved, moved | {"input": "snow", "more": None, "less": None}]},
         "certificate": {"certificate": {"bump_check": [], "feasibility": []}},

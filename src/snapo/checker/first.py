@@ -47,19 +47,19 @@ def simulator_mistakes(simulator: Simulator, inputs: PyTree) -> Findings:
     def look(notes: Notes) -> None:
         declared(notes, simulator, inputs)
         schedule = prepared(notes, simulator, inputs)
-        own = of_preparation(simulator, inputs) is None
-        form = form_of((simulator, unnamed(inputs), schedule)) if own else None
-        if own and form in _faultless:
+        library = of_preparation(simulator, inputs) is None
+        form = form_of((simulator, unnamed(inputs), schedule)) if library else None
+        if library and form in _faultless:
             return
         one_step(notes, simulator, schedule)
-        if not own:  # what snapo's own code is tested for
+        if not library:  # tests cover these for snapo's own code
             short_slices(notes, simulator, inputs, schedule)
             repeatable(notes, simulator, inputs, schedule)
             loops(notes, simulator, inputs, schedule)
             lost_derivatives(notes, simulator, inputs)
             tables(notes, simulator, schedule)
         within(notes, simulator, inputs, schedule)
-        if own and not notes.items:
+        if library and not notes.items:
             _faultless[form] = None
             while len(_faultless) > KEPT:
                 _faultless.popitem(last=False)

@@ -12,7 +12,7 @@ from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 from snapo.solver.adjoint import float64
 from snapo.solver.evaluate import path_totals
-from snapo.study.parts.profile import KINDS
+from snapo.study.chapters.profile import KINDS
 from snapo.study.study import Setup
 
 from .counts import Counts

@@ -25,7 +25,7 @@ from snapo.solver.sensitivity import sensitivities
 from snapo.solver.solution import Solution
 from snapo.solver.statistics import Estimate
 from snapo.solver.train import begin, train
-from snapo.study.parts.profile import KINDS, MOST_ENTRIES, bands, leaves
+from snapo.study.chapters.profile import KINDS, MOST_ENTRIES, bands, leaves
 from snapo.study.study import Measured, Setup, Study
 
 from .case.places import Places
@@ -260,7 +260,8 @@ def fans(shown: Mapping[str, Any]) -> list[dict[str, Any]]:
                 continue
             for i in range(values.shape[2]):
                 full = (name or kind) + (f".{i}" if values.shape[2] > 1 else "")
-                found.append({"name": full, "kind": kind, **bands(values[:, :, i])})
+                lines = {line: x.tolist() for line, x in bands(values[:, :, i]).items()}
+                found.append({"name": full, "kind": kind, **lines})
     return found
 
 

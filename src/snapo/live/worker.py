@@ -219,7 +219,7 @@ def main(arguments: list[str] | None = None) -> int:
     out = os.fdopen(os.dup(sys.stdout.fileno()), "w", encoding="utf-8")
     os.dup2(sys.stderr.fileno(), sys.stdout.fileno())
     post = Post(out)
-    from snapo.study.cores import use_every_core
+    from snapo.study.solving.prepare import use_every_core
 
     use_every_core()
     code = tuple(options.simulator.split(":")) if options.simulator else None

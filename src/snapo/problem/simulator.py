@@ -86,7 +86,7 @@ class Simulator(eqx.Module):
         """
         return self, lambda schedule: schedule
 
-    def rolled(self) -> "Simulator":
+    def on_paths(self) -> "Simulator":
         """This simulator as the engines roll it: without the arrays that only `prepare` reads."""
         return self
 
@@ -182,8 +182,8 @@ class Around(Simulator):
     def prepare(self, inputs):
         return self.own.prepare(inputs)
 
-    def rolled(self):
-        return replace(self, own=self.own.rolled())
+    def on_paths(self):
+        return replace(self, own=self.own.on_paths())
 
     def initial(self, constants, noise):
         return self.own.initial(constants, noise)

@@ -1,7 +1,6 @@
 """What every run with a trained policy shows as evidence: its training, its checks, its making."""
 
 import re
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -10,7 +9,7 @@ from . import charts
 from .drawing import draw
 from .folder import Folder
 from .page import Chart, Facts, Mark, Missing, Section, Table, Text
-from .quantity import MINUS, finite, number, percent, power, seconds
+from .quantity import MINUS, finite, number, seconds
 
 HISTORY = (
     ("objective", "Smooth objective, training paths", "other", 0.8),
@@ -22,7 +21,6 @@ BELOW = (
     ("temperature", "Temperature", "limit", "--"),
 )
 TOTAL = "of all parts, before this page"
-CHECKED = (("certificate.bump_check", "family"), ("certificate.feasibility", "limit"))
 
 
 def history(run: Folder, unit: str) -> Section:
@@ -79,66 +77,6 @@ def gradient(run: Folder) -> list[tuple[str, str, str]]:
     return [("Policy gradient norm", number(norm), f"zero at an optimum{known}")]
 
 
-def checks(run: Folder) -> list[tuple[str, bool]]:
-    """(subject, whether it held) of every check of the certificate with a verdict."""
-    return [
-        (str(each.get(key, "")).replace("_", " "), bool(each["passed"]))
-        for path, key in CHECKED
-        for each in run.get(path, [])
-        if each.get("passed") is not None
-    ]
-
-
-def bump_table(run: Folder, unit: str, name_of: Callable[[str], str]) -> Table | Missing:
-    """The adjoint against differences, one row per family of inputs; errors in `unit`."""
-    rows = run.get("certificate.bump_check", [])
-    if not rows:
-        return Missing("The adjoint was not checked against central differences in this run.")
-    body = [
-        (
-            name_of(str(each.get("family", ""))),
-            _direction(each.get("inputs")),
-            verdict(each.get("passed"), "holds", "fails", "at kinks: see nearby"),
-            power(each.get("worst_error")),
-            power(each.get("allowed")),
-            percent(crossing) if (crossing := finite(each.get("crossing"))) else "",
-        )
-        for each in rows
-    ]
-    head = [
-        ("Family of inputs", ""),
-        ("Bumped", ""),
-        ("", ""),
-        ("Worst error", unit),
-        ("Allowed", unit),
-        ("At a kink", "of paths"),
-    ]
-    caption = "Adjoint against central differences, per unit of the input, on the same paths"
-    decided = [bool(each["passed"]) for each in rows if each.get("passed") is not None]
-    folded = f"Adjoint against bumps: {sum(decided)} of {len(decided)} hold"
-    return Table(head, body, caption, 3, folded=folded)
-
-
-def limit_table(run: Folder, unit: str, step: str, when: Callable[[Any], str]) -> Table | Missing:
-    """The smallest slack of every limit, in `unit`; `step` names a step and `when` words one."""
-    rows = run.get("certificate.feasibility", [])
-    if not rows:
-        return Missing("The exact simulator's limits were not checked in this run.")
-    body = [
-        (
-            str(each.get("limit", "")).replace("_", " ").capitalize(),
-            verdict(each.get("passed"), "holds", "violated"),
-            power(each.get("worst")),
-            number(each.get("path"), 0),
-            when(each.get("step")),
-        )
-        for each in rows
-    ]
-    head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
-    caption = f"Limits over all paths and {step.lower()}s, exact simulator (slack: room to a limit)"
-    return Table(head, body, caption, 2)
-
-
 def verdict(passed: Any, good: str, bad: str, undecided: str = "not tried") -> Mark | str:
     """A mark with its word; a check that was not made says so."""
     return undecided if passed is None else Mark(bool(passed), good if passed else bad)
@@ -180,9 +118,3 @@ def made_with(run: Folder) -> Table | Missing:
     if not rows:
         return Missing("Engine, seed and versions are not in this run.")
     return Table([], rows, "How to get these numbers again", 2)
-
-
-def _direction(inputs: Any) -> str:
-    """What was bumped: a direction in words, or how many inputs."""
-    known = finite(inputs)
-    return str(inputs or "") if known is None else number(known, 0)

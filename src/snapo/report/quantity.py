@@ -164,6 +164,12 @@ def derivative_unit(value: str, unit: str) -> str:
     return f"{value or 'value'} per {unit}"
 
 
+def readable(name: str) -> str:
+    """A name of code in words: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
+    text = name.replace("_", " ").replace(".", " ")
+    return text[:1].upper() + text[1:]
+
+
 def with_unit(name: str, unit: str) -> str:
     """A name with its unit behind it: "Size, µm"; a number without a unit has none."""
     return name if unit in ("", "1") else f"{name}, {unit_words(unit)}"

@@ -14,9 +14,9 @@ from snapo.solver.files import write_text
 from snapo.solver.solution import POLICY, SOLUTION
 
 from . import run_folder
+from .chapters.bound import BOUND, bounded
+from .choice import no_policy
 from .domain import GOOD, Domain
-from .parts.bound import BOUND, bounded
-from .parts.choice import no_policy
 from .report import write_report
 from .study import Part, Study, StudyRun, Tell
 from .training import TRAINING

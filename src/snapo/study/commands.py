@@ -147,7 +147,7 @@ def certify(
     """
     from . import run_folder
     from .again import case_of_run, options_of_run
-    from .cores import use_every_core
+    from .solving.prepare import use_every_core
 
     record = run_folder.read(run)
     domain = domain_of_run(run, record, simulator)
@@ -155,7 +155,7 @@ def certify(
     tell(f"reading {file}")
     use_every_core()
     from .carry_out import certify as certified
-    from .parts.bound import PATHS
+    from .chapters.bound import PATHS
 
     case = domain.read(file, data)
     study = domain.study(case, options_of_run(domain, case, record, engine))
@@ -239,7 +239,7 @@ def bench(kind: str | None, engine: str, tell: "Tell") -> dict[str, str]:
 
     **Raises:** `CaseError` where the kind that was asked for has nothing to time.
     """
-    from .cores import use_every_core
+    from .solving.prepare import use_every_core
 
     wanted: Sequence[str] = list(installed()) if kind is None else [kind]
     found = {}

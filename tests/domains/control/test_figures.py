@@ -4,10 +4,10 @@ import pytest
 from benchmarks.reinforcement_learning.lessons import lessons
 
 import snapo
+from snapo.domains.control.chapters.baselines import agent
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.mountain_car import MountainCar
 from snapo.domains.control.plants.pendulum import Pendulum
-from snapo.domains.control.results.gymnasium import agent
 
 pytest.importorskip("gymnasium")
 import snapo.gym

@@ -9,11 +9,10 @@ import pytest
 import snapo
 from snapo.case.table import load
 from snapo.domains.control import DOMAIN
-from snapo.domains.control.closed_form import estimation_cost, optimum
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.double_integrator import DoubleIntegrator
 from snapo.domains.control.plants.linear import LinearQuadratic
-from snapo.domains.control.riccati import Linear, expected_cost, riccati
+from snapo.domains.control.regulator import Linear, estimation_cost, expected_cost, optimum, riccati
 from snapo.domains.control.study import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.inputs import plain

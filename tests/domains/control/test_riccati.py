@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.domains.control.closed_form import optimum, solved
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.linear import LinearQuadratic
-from snapo.domains.control.riccati import Linear, riccati
+from snapo.domains.control.regulator import Linear, optimum, riccati, solved
 from snapo.domains.control.rules import rivals
 from snapo.problem.inputs import named, plain
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from tests.domains.gas_storage.storage_cases import CASES, changed
 
-from snapo.domains.gas_storage.results.certificate import off_ties
+from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.setup import make_setup
 from snapo.solver import certificate
 from snapo.solver.certificate import certify_derivatives

@@ -18,7 +18,7 @@ from tests.domains.gas_storage.storage_cases import CASES, changed, tables_of
 from snapo.case.error import CaseError
 from snapo.case.table import load
 from snapo.domains.gas_storage import DOMAIN
-from snapo.domains.gas_storage.results import values
+from snapo.domains.gas_storage.chapters import value
 from snapo.solver import checkpoint, train
 from snapo.study import commands, run_folder
 from snapo.study.carry_out import carry_out
@@ -249,7 +249,7 @@ def test_a_part_that_fails_loses_no_other(folder, whole, tmp_path, monkeypatch):
     def broken(*given):
         raise ZeroDivisionError("nothing to divide by")
 
-    monkeypatch.setattr(values, "_ladder", broken)
+    monkeypatch.setattr(value, "_ladder", broken)
     result = solve(folder, out, resume=True, reference=True)
     assert result["status"] == "value ladder failed"
     assert result["failures"] == {"value ladder": "ZeroDivisionError: nothing to divide by"}

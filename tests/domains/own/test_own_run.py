@@ -97,7 +97,7 @@ def test_the_certificate_holds(solved):
 
 def test_the_report_tells_all_of_it(solved):
     page = (solved / "report.html").read_text()
-    for anchor in ("value", "sensitivities", "distribution", "fans", "history", "certificate",
+    for anchor in ("value", "sensitivities", "distribution", "profile", "history", "certificate",
                    "making"):  # fmt: skip
         assert f'<section id="{anchor}"' in page
     for words in ("Shop", "8 days", "+10", "cents", "at the start", "simulator:Shop", "EUR"):

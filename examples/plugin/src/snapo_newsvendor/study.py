@@ -14,16 +14,13 @@ from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation,
 from snapo.case.table import Count, Positive, Table, parse
 from snapo.engine import choose
 from snapo.report.folder import Folder
-from snapo.report.sections.distribution import distribution
-from snapo.report.sections.fans import fans
-from snapo.report.sections.headline import headline
-from snapo.report.sections.proof import certificate, history, making
-from snapo.report.sections.sensitivities import sensitivities
+from snapo.report.sections.proof import history, making
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.headline import headline
+from snapo.study.chapters.profile import PROFILE
+from snapo.study.chapters.sensitivities import MOVES, sensitivities
 from snapo.study.domain import Options, Report
-from snapo.study.parts.certificate import CERTIFICATE
-from snapo.study.parts.distribution import distribution_part
-from snapo.study.parts.moves import MOVES
-from snapo.study.parts.profile import profile_part
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -106,7 +103,8 @@ def lines(case: Case) -> list[str]:
 
 def study(case: Case, options: Options) -> Study:
     setup = make_setup(case, options.engine)
-    parts = [TRAINING, distribution_part(UNITS), profile_part(UNITS), MOVES, CERTIFICATE]
+    chapters = (DISTRIBUTION, PROFILE, MOVES, CERTIFICATE)
+    parts = [TRAINING, *(chapter.part for chapter in chapters)]
     if options.reference:
         parts.append(Part("best rule", lambda run: best_rule(run, case)))
 
@@ -116,6 +114,7 @@ def study(case: Case, options: Options) -> Study:
     about = {
         "title": case.title,
         "unit": "EUR",
+        "units": UNITS,
         "step": "day",
         "horizon": case.shop.days,
         "objective": "mean profit",
@@ -153,5 +152,5 @@ def about(run: Folder) -> list[tuple[str, str]]:
     return [("Days", str(run.get("horizon"))), ("Best level", f"{run.get('level'):.1f} pieces")]
 
 
-SECTIONS = (headline, sensitivities, distribution, fans, history, certificate, making)
+SECTIONS = (headline, sensitivities, DISTRIBUTION, PROFILE, history, CERTIFICATE, making)
 REPORT = Report("A shop", Folder, about, SECTIONS)

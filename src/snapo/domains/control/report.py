@@ -2,19 +2,21 @@
 
 from snapo.report.folder import Folder
 from snapo.report.quantity import number
-from snapo.report.sections.distribution import distribution
-from snapo.report.sections.fans import fans
-from snapo.report.sections.headline import headline
-from snapo.report.sections.proof import certificate, history, making
-from snapo.report.sections.sensitivities import sensitivities
+from snapo.report.sections.proof import history, making
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.headline import headline
+from snapo.study.chapters.profile import PROFILE
+from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-from .sections.costs import costs
-from .sections.plane import plane
-from .sections.rivals import rivals
+from .chapters.baselines import BASELINES
+from .chapters.costs import costs
+from .chapters.plane import PLANE
 
 SECTIONS = (
-    headline, rivals, costs, plane, fans, sensitivities, distribution, history, certificate, making,
+    headline, BASELINES, costs, PLANE, PROFILE, sensitivities, DISTRIBUTION, history, CERTIFICATE,
+    making,
 )  # fmt: skip
 
 

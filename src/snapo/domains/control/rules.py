@@ -11,7 +11,7 @@ from snapo.problem.inputs import Frozen, plain
 from snapo.problem.policy import Constant, Policy
 
 from .plants.plant import Plant, Values
-from .riccati import linearised, riccati
+from .regulator import linearised, riccati
 
 
 class Feedback(Policy):

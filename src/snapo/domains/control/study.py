@@ -9,22 +9,21 @@ from snapo.problem.inputs import named
 from snapo.problem.problem import Problem
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import PROFILE
+from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.parts.certificate import CERTIFICATE
-from snapo.study.parts.distribution import distribution_part
-from snapo.study.parts.moves import MOVES
-from snapo.study.parts.profile import profile_part
 from snapo.study.ready import at_values, following
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
+from .chapters.baselines import BASELINES, GYMNASIUM
+from .chapters.costs import reward_and_costs
+from .chapters.plane import PLANE
+from .chapters.today import today
 from .plants.plant import MEASURED, Plant
 from .records import ControlCase
-from .results.gymnasium import gymnasium_part
-from .results.plane import plane_part
-from .results.rivals import rivals_part
-from .results.shown import reward_and_costs
-from .results.today import today
 
 
 def lines(case: ControlCase) -> list[str]:
@@ -59,20 +58,13 @@ def _bounded(plant: Plant) -> bool:
 def study(case: ControlCase, options: Options) -> Study:
     """Training, distribution, fans, moves, rivals, the plane of states, and the certificate."""
     setup, plant = make_setup(case, options.engine), case.plant
-    parts = [
-        TRAINING,
-        distribution_part(units(plant)),
-        profile_part(units(plant)),
-        MOVES,
-        rivals_part(plant),
-        plane_part(plant),
-    ]
+    chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
         if not plant.twin:
             what = f'no environment of Gymnasium is known for the plant "{plant.type}"'
             raise CaseError("--reference", "", None, what)
-        parts.append(gymnasium_part(plant))
-    parts.append(CERTIFICATE)
+        chapters.append(GYMNASIUM)
+    parts = [TRAINING, *(chapter.part for chapter in [*chapters, CERTIFICATE])]
     about = {
         "title": case.title,
         "step": "step",
@@ -105,10 +97,12 @@ def study(case: ControlCase, options: Options) -> Study:
 
 def _result(run: StudyRun) -> dict[str, Any]:
     """The trained policy beside the best rival, the closed form and the real environment."""
-    references = {each["name"]: each["value"] for each in run.get("rivals", [])}
-    if run.get("gymnasium"):
-        references[run.get("gymnasium.name")] = run.get("gymnasium.mean")
-    leads = [(each["name"], each["less"], each["less_error"]) for each in run.get("rivals", [])]
+    baselines, played = BASELINES.of(run), GYMNASIUM.of(run)
+    rules = baselines.rivals if baselines else ()
+    references = {rule.name: rule.value for rule in rules}
+    if played:
+        references[played.name] = played.mean
+    leads = [(rule.name, rule.less, rule.less_error) for rule in rules]
     return trained(run, references, leads)
 
 

@@ -6,36 +6,39 @@ import numpy as np
 
 from snapo.report import charts
 from snapo.report.drawing import draw_alone
-from snapo.report.quantity import array, decimals, finite, long_date
+from snapo.report.page import Section
+from snapo.report.quantity import long_date
 from snapo.report.sections.bound import bound
 from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
 from snapo.study.domain import Report
 
-from .sections import evidence, headline, position, risk, today, value
-from .sections.run import Run
+from .chapters.certificate import CERTIFICATE
+from .chapters.deltas import DELTAS, daily, month_painter
+from .chapters.evidence import assumptions, history
+from .chapters.headline import headline
+from .chapters.position import POSITION, inventory
+from .chapters.risk import risk, sliders
+from .chapters.run import StorageRun
+from .chapters.today import ladder
+from .chapters.value import VALUES, cash_flow, rungs
 
 HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"}
+
+
+def today(run: StorageRun) -> Section:
+    """The decision of today, from the chapter of the store over time."""
+    position = POSITION.of(run)
+    return ladder(run, None if position is None else position.today)
+
+
 SECTIONS = (
-    headline.headline,
-    value.value_ladder,
-    bound,
-    position.curve,
-    position.inventory,
-    position.monthly,
-    position.daily,
-    risk.risk,
-    risk.sliders,
-    today.today,
-    value.cash_flow,
-    evidence.history,
-    evidence.certificate,
-    evidence.assumptions,
-    making,
-)
+    headline, VALUES, bound, POSITION, inventory, DELTAS, daily, risk, sliders, today, cash_flow,
+    history, CERTIFICATE, assumptions, making,
+)  # fmt: skip
 
 
-def _about(run: Run) -> list[tuple[str, str]]:
+def _about(run: StorageRun) -> list[tuple[str, str]]:
     found = []
     if run.get("valuation_date"):
         found.append(("Valuation date", long_date(run.get("valuation_date"))))
@@ -49,7 +52,7 @@ def _about(run: Run) -> list[tuple[str, str]]:
     return found
 
 
-REPORT = Report("Gas storage", Run, _about, SECTIONS)
+REPORT = Report("Gas storage", StorageRun, _about, SECTIONS)
 
 
 def readme_picture(folder: Path) -> str:
@@ -57,29 +60,16 @@ def readme_picture(folder: Path) -> str:
 
     Raises `ValueError` where the run lacks either.
     """
-    run = Run.read(Path(folder))
-    ladder = [each for each in run.get("value_ladder", []) if finite(each.get("value")) is not None]
-    months = run.get("deltas_monthly", [])
-    volumes = array([each.get("undiscounted") for each in months])
-    if not ladder or volumes is None:
+    run = StorageRun.read(Path(folder))
+    values, deltas = VALUES.of(run), DELTAS.of(run)
+    months = deltas.deltas_monthly if deltas else ()
+    if values is None or not values.known or not any(np.isfinite(x.undiscounted) for x in months):
         raise ValueError("the run has no `value_ladder` or no `deltas_monthly`.")
-    places = decimals([each["value"] for each in ladder])
-    main = finite(run.result.get("value"))
-    rungs = [
-        charts.Rung(
-            str(each["name"]),
-            float(each["value"]),
-            run.worth(each["value"], each.get("standard_error"), places),
-            finite(each.get("standard_error")),
-            finite(each["value"]) == main,
-        )
-        for each in ladder
-    ]
 
     def paint(left, right):
-        charts.ladder(left, rungs)
+        charts.ladder(left, rungs(run, values.known))
         left.set_title("Value of the contract", **HEADING)
-        position.month_painter(run, months, np.asarray(volumes))(right)
+        month_painter(run, months)(right)
         right.set_title(f"Delta by delivery month, {run.volume}", **HEADING)
 
     title = f"{run.get('title', 'Gas storage')}: value ladder and deltas by delivery month"

@@ -59,7 +59,7 @@ def make_setup(
 
 
 def moved_setup(setup: Setup, case: StorageCase) -> Setup:
-    """The setup of a case that differs in its numbers alone: `make_setup(case)`.
+    """The setup of a case that differs only in its numbers: `make_setup(case)`.
 
     Nothing is compiled where the case has the same form.
     """

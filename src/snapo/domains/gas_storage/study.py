@@ -6,22 +6,22 @@ from typing import Any
 import numpy as np
 
 from snapo.problem.problem import Problem
+from snapo.study.chapters.bound import BOUND
 from snapo.study.domain import Options
-from snapo.study.parts.bound import BOUND
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
 from .bounds.relaxation import StoreRelaxation
 from .bounds.value_iteration import FittedValue
+from .chapters.certificate import CERTIFICATE
+from .chapters.deltas import DELTAS
+from .chapters.position import POSITION
+from .chapters.risk import SHADOW_PRICES
+from .chapters.today import today
+from .chapters.value import INTRINSIC, REFERENCE, VALUES, Reference, intrinsic_chapter
 from .contract.records import Market, StorageCase
 from .references.intrinsic import intrinsic
-from .references.refined import refined
-from .results.certificate import CERTIFICATE
-from .results.deltas import DELTAS
-from .results.profile import PROFILE, today
-from .results.shadow_prices import SHADOW_PRICES
-from .results.values import VALUES
-from .setup import bare_problem, case_of, factors, fitted_value, make_setup, moved_setup
+from .setup import bare_problem, fitted_value, make_setup, moved_setup
 
 
 def discount(market: Market, days: np.ndarray) -> np.ndarray:
@@ -77,13 +77,14 @@ def study(case: StorageCase, options: Options) -> Study:
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Ready(case, options.engine), bare_problem(case)
-    parts = [_intrinsic(bare, case), TRAINING, PROFILE, DELTAS, SHADOW_PRICES, CERTIFICATE]
+    chapters = (POSITION, DELTAS, SHADOW_PRICES, CERTIFICATE)
+    parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
     if callable(relaxation):
         parts.append(BOUND)
     if options.reference:
-        parts.append(DYNAMIC_PROGRAMMING)
-    parts.append(VALUES)
+        parts.append(REFERENCE.part)
+    parts.append(VALUES.part)
     return Study(
         KIND,
         _about(case, bare),
@@ -156,40 +157,15 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
     return about | {"forward": forward, "inputs": inputs}
 
 
-def _intrinsic(problem: Problem, case: StorageCase) -> Part:
-    """ "intrinsic": value and net injections [T] of the best plan against today's curve."""
-
-    def work(run: StudyRun) -> dict[str, Any]:
-        plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
-        return {"intrinsic": {"value": plan.value, "net": plan.net}}
-
-    return Part("intrinsic value", work)
-
-
-def _dynamic_programming(run: StudyRun) -> dict[str, Any]:
-    """ "dynamic_programming": the exact value, None where the price process has no lattice; and
-    "dynamic_programming_error": by how much finer grids still moved it."""
-    setup = run.setup
-    found = factors(setup.problem)
-    if found is None or not found.exact:
-        return {"dynamic_programming": None, "dynamic_programming_error": None}
-    kind = case_of(setup).contract.ratchets.interpolation
-    value, error = refined(setup.problem.schedule, found, kind)
-    return {"dynamic_programming": value, "dynamic_programming_error": error}
-
-
-DYNAMIC_PROGRAMMING = Part("dynamic programming", _dynamic_programming)
-
-
 def _result(run: StudyRun) -> dict[str, Any]:
+    plan, reference = INTRINSIC.of(run), REFERENCE.of(run) or Reference()
+    exact, error = reference.dynamic_programming, reference.dynamic_programming_error
     references = {
-        "intrinsic": run.get("intrinsic.value"),
-        "dynamic_programming": run.get("dynamic_programming"),
+        "intrinsic": plan.value if plan else None,
+        "dynamic_programming": exact,
         "upper_bound": run.get("bound.upper.value"),
     }
-    error = run.get("dynamic_programming_error")
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    exact = references["dynamic_programming"]
     return trained(run, references, exact=exact) | {"bound": run.get("bound")} | errors
 
 

@@ -1,14 +1,13 @@
 """How an inventory run is told."""
 
-from typing import Any
-
 from snapo.report.folder import Folder
 from snapo.report.page import Section
 from snapo.report.quantity import number
-from snapo.report.sections.distribution import distribution
-from snapo.report.sections.fans import fans
-from snapo.report.sections.proof import certificate, history, making
-from snapo.report.sections.sensitivities import sensitivities
+from snapo.report.sections.proof import history, making
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import BandSeries, profile
+from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 from .network.sections import places
@@ -22,22 +21,24 @@ def decisions(run: Folder) -> Section:
     return places(run) if run.get("network") else rule(run)
 
 
-def course(run: Folder) -> Section:
-    """Bands over time, every output as that of its period: a run holds its part of the mean."""
-    counted = float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
-    parts = f"/{run.get('step', 'period')}"  # a discounted cost has no part of a mean
+def counted_periods(run: Folder) -> float:
+    """The periods of the run that count: without those of the warm-up."""
+    return float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
 
-    def factor(each: dict[str, Any]) -> float:
-        unit = str(each.get("unit") or "")
-        cost = unit.startswith(str(run.get("currency", "\0"))) and not unit.endswith(parts)
-        return 1.0 if each["kind"] != "outputs" or cost else counted
 
-    return fans(run, factor)
+def of_its_period(run: Folder, series: BandSeries) -> float:
+    """The factor that makes an output that of its period: a run has its part of the mean.
+
+    A discounted cost has no part of a mean.
+    """
+    mean = series.unit.endswith(f"/{run.get('step', 'period')}")
+    cost = series.unit.startswith(str(run.get("currency", "\0"))) and not mean
+    return 1.0 if series.kind != "outputs" or cost else counted_periods(run)
 
 
 SECTIONS = (
-    service, decisions, rivals, sensitivities, lead_time, distribution, course, history,
-    certificate, making,
+    service, decisions, rivals, sensitivities, lead_time, DISTRIBUTION,
+    profile(factor=of_its_period), history, CERTIFICATE, making,
 )  # fmt: skip
 
 
@@ -46,7 +47,7 @@ def about(run: Folder) -> list[tuple[str, str]]:
     step = str(run.get("step", "period"))
     lead = "" if run.get("network") else f"{number(run.get('lead_time'), 0)} {step}s"
     unmet = "lost" if run.get("lost") else "delivered later"
-    counted = float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
+    counted = counted_periods(run)
     horizon = f"{number(counted, 0)} {step}s after {number(run.get('warm_up'), 0)} of warm-up"
     return [("Demand", str(run.get("demand", ""))), ("Without stock", f"demand is {unmet}"),
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip

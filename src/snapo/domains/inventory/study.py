@@ -3,11 +3,11 @@
 from typing import Any
 
 from snapo.problem.problem import Problem
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import profile
+from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.parts.certificate import CERTIFICATE
-from snapo.study.parts.distribution import distribution_part
-from snapo.study.parts.moves import MOVES
-from snapo.study.parts.profile import profile_part
 from snapo.study.study import Part, Study, StudyRun
 from snapo.study.training import TRAINING
 
@@ -75,11 +75,11 @@ def study(case: InventoryCase, options: Options) -> Study:
         SERVICE,
         LEVELS,
         RIVALS,
-        MOVES,
+        MOVES.part,
         *([LEAD_TIME] if case.other_leads else []),
-        distribution_part(units),
-        profile_part(units, without=("likelihood", "missed")),
-        CERTIFICATE,
+        DISTRIBUTION.part,
+        profile(without=("likelihood", "missed")).part,
+        CERTIFICATE.part,
     ]
     return Study(
         KIND,

@@ -8,7 +8,7 @@ from snapo.case.error import CaseError
 from snapo.case.settings import FollowingTable, check_window, read_evaluation, read_training
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
-from snapo.study.cores import use_every_core
+from snapo.study.solving.prepare import use_every_core
 
 from .inputs import read_inputs
 from .load import beside, load_class, readable

@@ -3,16 +3,17 @@
 from snapo.report.folder import Folder
 from snapo.report.quantity import number
 from snapo.report.sections.bound import bound
-from snapo.report.sections.distribution import distribution
-from snapo.report.sections.fans import fans
-from snapo.report.sections.headline import headline
 from snapo.report.sections.limits import limits
-from snapo.report.sections.proof import certificate, history, making
-from snapo.report.sections.sensitivities import sensitivities
+from snapo.report.sections.proof import history, making
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.headline import headline
+from snapo.study.chapters.profile import PROFILE
+from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 SECTIONS = (
-    headline, limits, sensitivities, distribution, fans, bound, history, certificate, making,
+    headline, limits, sensitivities, DISTRIBUTION, PROFILE, bound, history, CERTIFICATE, making,
 )  # fmt: skip
 
 

@@ -16,12 +16,12 @@ from snapo.problem.smooth import Exact
 from snapo.solver.relaxations.known import UNKNOWN, Relaxable, bounded, relaxation_of
 from snapo.solver.solve import Evaluation
 from snapo.solver.train import Training
+from snapo.study.chapters.bound import BOUND
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import PROFILE, leaves
+from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.parts.bound import BOUND
-from snapo.study.parts.certificate import CERTIFICATE
-from snapo.study.parts.distribution import distribution_part
-from snapo.study.parts.moves import MOVES
-from snapo.study.parts.profile import leaves, profile_part
 from snapo.study.ready import at_values, following
 from snapo.study.study import Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
@@ -104,7 +104,8 @@ def study(case: OwnCase, options: Options) -> Study:
     known = (options.about or {}).get("notes")
     notes = _notes(case) if known is None else known
     setup = make_setup(case, options.engine)
-    parts = [TRAINING, distribution_part(case.units), profile_part(case.units), MOVES, CERTIFICATE]
+    chapters = (DISTRIBUTION, PROFILE, MOVES, CERTIFICATE)
+    parts = [TRAINING, *(chapter.part for chapter in chapters)]
     if isinstance(setup.problem.simulator, Relaxable):
         parts.append(BOUND)
     about = {

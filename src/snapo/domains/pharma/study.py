@@ -11,8 +11,8 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.chain import Chain
 from snapo.solver.provenance.versions import versions
+from snapo.study import choice
 from snapo.study.domain import Options
-from snapo.study.parts import choice
 from snapo.study.run_folder import case_files
 from snapo.study.study import Measured, Part, Shown, Study, StudyRun
 

@@ -10,10 +10,8 @@ from snapo.solver.learning.growth import Growth
 from .. import charts, evidence
 from ..drawing import draw
 from ..folder import Folder
-from ..page import Block, Chart, Facts, Missing, Section, Table, Text
-from ..quantity import finite, number, seconds
-from .distribution import words
-from .lacking import lacking
+from ..page import Block, Chart, Facts, Section, Table, Text
+from ..quantity import number, readable, seconds
 
 PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and their lines
 
@@ -74,21 +72,6 @@ def _growth(run: Folder, leaves: list[str]) -> str:
     return told
 
 
-def certificate(run: Folder) -> Section:
-    """Every test that this very run was put to."""
-    title, short = "Certificate: why to believe this number", "Certificate"
-    if not run.get("certificate"):
-        return Section("certificate", title, short, [lacking(run, "certificate")])
-    step = str(run.get("step", "step")).capitalize()
-    blocks: list[Block] = [evidence.bump_table(run, run.unit, words)]
-    if run.get("certificate.feasibility"):
-        blocks.append(evidence.limit_table(run, "", step, lambda t: number(finite(t), 0)))
-    else:
-        text = "The simulator declares no limits: its method `slack` names none."
-        blocks.append(Missing(text))
-    return Section("certificate", title, short, blocks)
-
-
 def making(run: Folder) -> Section:
     """The state of every part, times, engine, seed and versions."""
     blocks: list[Block] = [_parts(run), *_times(run), evidence.made_with(run)]
@@ -108,7 +91,7 @@ def _times(run: Folder) -> list[Facts]:
 def _parts(run: Folder) -> Table:
     rows = [
         (
-            words(name),
+            readable(name),
             evidence.verdict(state.get("state") == "done", "done", str(state.get("state"))),
             str(state.get("note") or ""),
             seconds(state.get("seconds")),

@@ -26,7 +26,7 @@ from snapo.report.quantity import finite
 from snapo.solver.solution import POLICY
 
 from .. import run_folder
-from ..parts.choice import no_policy
+from ..choice import no_policy
 from ..training import TRAINING
 
 ZIP = b"PK"  # with which every .npz begins

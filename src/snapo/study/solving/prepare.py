@@ -1,7 +1,9 @@
 """A run made ready: its folder, all that decides its numbers, and its study."""
 
+import os
 import time
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -9,11 +11,23 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from snapo.case.error import CaseError, Unquoted
 
 from .. import run_folder
-from ..cores import use_every_core
 from ..domain import Loaded, Options, RunsCode
 
 if TYPE_CHECKING:
     from ..study import Study, Tell
+
+
+def use_every_core() -> None:
+    """XLA runs one device per core, where JAX has not computed yet.
+
+    On a machine with a GPU everything but an engine's rollouts runs on the processor all the same:
+    its many small programs take longer to compile for a GPU than to run.
+    """
+    import jax
+
+    jax.config.update("jax_default_device", "cpu")
+    with suppress(RuntimeError):  # it has computed already: then it keeps the devices it has
+        jax.config.update("jax_num_cpu_devices", os.cpu_count() or 1)
 
 
 class Wanted(NamedTuple):

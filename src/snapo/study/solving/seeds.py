@@ -17,8 +17,8 @@ from snapo.case.error import CaseError
 from snapo.solver.files import write_csv
 
 from .. import run_folder
+from ..choice import chosen
 from ..domain import Asked, Loaded, load, remarks
-from ..parts.choice import chosen
 from ..run_folder import SEEDS
 from ..study import Part, Study, StudyRun
 from ..training import TRAINING

@@ -15,11 +15,11 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.domains.gas_storage.storage_cases import changed, read
 
+from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.contract.simulator import StorageSimulator
 from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.policy.value_table import Knots, ValueTable, readings
 from snapo.domains.gas_storage.references.marginal import marginal_values
-from snapo.domains.gas_storage.results.certificate import off_ties
 from snapo.domains.gas_storage.setup import bare_problem, factors
 from snapo.engine import Xla
 from snapo.engine.native import Native

@@ -8,9 +8,9 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.domains.gas_storage.storage_cases import bare, read
 
+from snapo.domains.gas_storage.chapters.certificate import off_ties
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.policy.network import StoragePolicy
-from snapo.domains.gas_storage.results.certificate import off_ties
 from snapo.domains.gas_storage.setup import bare_problem, make_setup
 from snapo.engine import Xla
 from snapo.engine.native import Native

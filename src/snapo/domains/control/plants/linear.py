@@ -14,7 +14,7 @@ class LinearQuadratic(Plant):
     """x' = A x + B u + G z with z standard normal; a step costs x'Q x + u'R u, the end x'Q_T x.
 
     Without `limit` the best rule is linear, and value and derivatives are known in closed form:
-    see `riccati.py`. With it, every action lies between -limit and limit.
+    see `regulator.py`. With it, every action lies between -limit and limit.
     """
 
     type: ClassVar = "linear-quadratic"

@@ -108,7 +108,7 @@ class StorageSimulator(Simulator):
         """Of the rates between ratchet rows: "linear" or "step"."""
         return self.contract.ratchets.interpolation
 
-    def rolled(self):
+    def on_paths(self):
         # What the policy sees of guide and surprises is in the schedule.
         names = ("contract", "process", "curve", "rate", "discounts", "guide", "surprises")
         bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])

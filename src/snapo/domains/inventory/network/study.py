@@ -2,11 +2,11 @@
 
 from typing import Any
 
+from snapo.study.chapters.certificate import CERTIFICATE
+from snapo.study.chapters.distribution import DISTRIBUTION
+from snapo.study.chapters.profile import profile
+from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
-from snapo.study.parts.certificate import CERTIFICATE
-from snapo.study.parts.distribution import distribution_part
-from snapo.study.parts.moves import MOVES
-from snapo.study.parts.profile import profile_part
 from snapo.study.study import Part, Study, StudyRun
 from snapo.study.training import TRAINING
 
@@ -83,8 +83,8 @@ def study(case: NetworkCase, options: Options) -> Study:
     setup = make_setup(case, options.engine)
     units = units_of(case)
     leads = [LEAD_TIMES] if case.other_leads else []
-    parts = [TRAINING, SERVICE, RIVALS, MOVES, *leads, distribution_part(units),
-             profile_part(units, without=("likelihood",)), CERTIFICATE]  # fmt: skip
+    parts = [TRAINING, SERVICE, RIVALS, MOVES.part, *leads, DISTRIBUTION.part,
+             profile(without=("likelihood",)).part, CERTIFICATE.part]  # fmt: skip
     return Study(
         "inventory",
         _about(case, units),

@@ -4,8 +4,8 @@ from snapo.report.evidence import notes
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Facts, Headline, Section, Table
 from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
-from snapo.report.sections.headline import marks
 from snapo.report.sections.lacking import lacking
+from snapo.study.chapters.headline import marks
 
 SHARES = {
     "fill_rate": ("Fill rate", "of demand is met from stock at once"),

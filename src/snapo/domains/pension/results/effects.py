@@ -7,7 +7,7 @@ import numpy as np
 from snapo.problem.inputs import Input, plain
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
-from snapo.study.parts.moves import interval
+from snapo.study.chapters.sensitivities import interval
 from snapo.study.study import Setup, StudyRun
 
 from ..people.longer_life import longer_life

@@ -5,9 +5,8 @@ from functools import cache
 from typing import Any
 
 from snapo.solver.provenance.versions import versions
+from snapo.study import choice
 from snapo.study.domain import Options
-from snapo.study.parts import choice
-from snapo.study.parts.certificate import certificate
 from snapo.study.study import Part, Setup, Study, StudyRun
 from snapo.study.training import TRAINING, trained
 
@@ -16,6 +15,7 @@ from ..bounds.relaxation import FundRelaxation
 from ..pots import outcome
 from ..records.case import PensionCase
 from ..records.parts import OF_RIGHTS
+from ..sections.evidence import CERTIFICATE
 from . import (
     attribution,
     compare,
@@ -43,7 +43,7 @@ PARTS = (
     Part("today", today.work, ("paths",)),
     Part("sensitivities", effects.work, TRAINED),
     Part("outputs", outputs.work, (*TRAINED, "reconciliation")),
-    certificate(tolerance=lambda problem: 1e-9),  # of a share: round-off
+    CERTIFICATE.part,
     Part("attribution", attribution.work, TRAINED),
     Part("variance by source", variance.work, TRAINED),
     Part("market consistency", consistency.work, (*TRAINED, "reconciliation")),

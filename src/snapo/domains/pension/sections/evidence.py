@@ -1,9 +1,11 @@
 """Evidence for the numbers: training history, certificate, assumptions and versions."""
 
 from snapo.report import evidence
-from snapo.report.page import Block, Facts, Missing, Section, Table, Text
+from snapo.report.page import Block, Facts, Section, Table, Text
 from snapo.report.quantity import finite, number
 from snapo.report.sections.lacking import not_asked
+from snapo.study.chapters.certificate import Certificate, bump_table, certificate, limit_table
+from snapo.study.chapters.certificate import checks as certified
 
 from .run import PensionRun
 from .words import name_of
@@ -17,7 +19,7 @@ def checks(run: PensionRun) -> list[tuple[str, bool]]:
         for each in run.get(path, [])
         if each.get("ok") is not None and each.get("given", 0.0) is not None
     ]
-    return [*found, *evidence.checks(run)]
+    return [*found, *certified(run)]
 
 
 def history(run: PensionRun) -> Section:
@@ -25,20 +27,18 @@ def history(run: PensionRun) -> Section:
     return evidence.history(run, "objective")
 
 
-def certificate(run: PensionRun) -> Section:
-    """The adjoint against bumps, and every limit kept."""
-    title = "Certificate: evidence for the sensitivities"
-    if not run.get("certificate"):
-        text = "This run was not certified."
-        return Section("certificate", title, "Certificate", [Missing(text)])
-    gap = number(run.get("certificate.smoothing_gap"))
+def show_certificate(run: PensionRun, result: Certificate) -> list[Block]:
+    """The adjoint against bumps, and every limit."""
+    gap = number(result.smoothing_gap)
     facts = [("Smoothing gap", gap, "exact less smooth, in the objective")]
-    blocks: list[Block] = [Facts([*facts, *evidence.gradient(run)])]
-    blocks += [
-        evidence.bump_table(run, "", name_of),
-        evidence.limit_table(run, "", "Step", _step),
+    return [
+        Facts([*facts, *evidence.gradient(run)]),
+        bump_table(result, "", name_of),
+        limit_table(result, "", "Step", _step),
     ]
-    return Section("certificate", title, "Certificate", blocks)
+
+
+CERTIFICATE = certificate(tolerance=lambda problem: 1e-9, show=show_certificate)  # of a share
 
 
 def _step(step) -> str:

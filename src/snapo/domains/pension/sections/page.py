@@ -29,7 +29,7 @@ SECTIONS = (
     unless_left_out(reconciliation.stress, "stress"),
     unless_left_out(evidence.history, "training"),
     unless_left_out(bound, "training"),
-    unless_left_out(evidence.certificate, "certificate"),
+    evidence.CERTIFICATE,
     evidence.assumptions,
 )
 MEASURES = {

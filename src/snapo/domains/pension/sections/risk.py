@@ -4,7 +4,6 @@ from snapo.report.bands import Swing, tornado
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Missing, Section, Table, Text
 from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus, rough
-from snapo.report.sections.sensitivities import half_width
 
 from .run import PensionRun
 from .words import name_of
@@ -21,6 +20,12 @@ HELD = (
 )
 TOP = 14
 TEXTS = frozenset({0, 1, 5})  # columns of text in the tables of single numbers
+
+
+def half_width(row: dict) -> float:
+    """Half the width of a row's interval; 0 where it has none."""
+    low, high = finite(row.get("low")), finite(row.get("high"))
+    return 0.0 if low is None or high is None else (high - low) / 2
 
 
 def _scale(run: PensionRun) -> tuple[float, str]:

@@ -1,0 +1,168 @@
+"""The trained policy compared with classical rules, the closed form and Gymnasium."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.engine import Xla
+from snapo.problem.inputs import plain
+from snapo.problem.policy import Policy
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Text
+from snapo.report.quantity import decimals, number, plus_minus
+from snapo.report.rows import Bar, Column, WithError, ladder, table
+from snapo.report.sections.lacking import lacking
+from snapo.solver.evaluate import path_totals, worth_of_groups
+from snapo.solver.statistics import of_shares
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..inputs import make_inputs
+from ..plants.plant import Plant
+from ..regulator import optimum
+from ..rules import rivals
+
+if TYPE_CHECKING:
+    from snapo.gym.agent import Agent
+
+STARTS = 2000
+
+
+@dataclass(frozen=True)
+class Baseline:
+    """A rule: its `value`, and by how much the trained policy earns more on the same paths.
+
+    - `less`, `less_error`: the policy's value less its own, and the standard error of that.
+    """
+
+    name: str
+    value: Number
+    less: Number
+    less_error: Number
+
+
+@dataclass(frozen=True)
+class Baselines:
+    """The rules, the best first; `optimum`: the closed form, None where it is not known."""
+
+    rivals: tuple[Baseline, ...]
+    optimum: float | None = None
+
+
+def measure(run: StudyRun) -> Baselines:
+    """All classical rules of the plant on the paths of the trained policy."""
+    problem, plant = run.setup.problem, plant_of(run)
+    source, objective = problem.sources.evaluation, problem.objective
+    trained = worth_of_groups(objective, run.solution.totals, source)
+    rules = []
+    for name, rule in rivals(plant, problem.inputs).items():
+        # A rule is valued once: XLA compiles it faster than the native engine.
+        totals = path_totals(
+            problem, rule, run.solution.paths["evaluate"], engine=Xla(precision="float64")
+        )
+        shares = worth_of_groups(objective, totals, source)
+        gap = of_shares(trained - shares)
+        rules.append(Baseline(name, float(np.mean(shares)), gap.value, gap.standard_error))
+    rules.sort(key=lambda rule: -rule.value)
+    return Baselines(tuple(rules), optimum(plant, plain(problem.inputs)))
+
+
+def plant_of(run: StudyRun) -> Plant:
+    """The plant of the run's problem."""
+    plant = run.setup.problem.simulator
+    assert isinstance(plant, Plant)
+    return plant
+
+
+def show(run: Folder, result: Baselines) -> Sequence[Block]:
+    """A ladder of rewards, and what the policy earns more than each rule."""
+    value = run.result.get("value")
+    rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
+    if not rules or value is None:
+        return [lacking(run, "rivals")]
+    bars = [Bar("trained policy", value, run.result.get("standard_error"), strong=True)]
+    bars += [Bar(rule.name, rule.value) for rule in rules]
+    if result.optimum is not None:
+        bars.append(Bar("optimum, in closed form", result.optimum))
+    places = decimals([bar.value for bar in bars], 5)
+    bars.sort(key=lambda bar: -bar.value)
+    columns = (
+        Column("Rule", "name"),
+        Column("Reward", "value"),
+        Column("Policy earns more", lambda x: WithError(x.less, x.less_error), sign=True),
+    )
+    blocks: list[Block] = [
+        ladder("rivals-ladder", bars, "Mean reward of an episode; more is better.", places),
+        table(rules, columns, "Classical rules on the policy's own paths", places=places),
+    ]
+    if (best := result.optimum) is not None:
+        share = 100 * (best - value) / abs(best) if best else 0.0
+        blocks.append(Text(f"The policy costs {share:.2f} % more than the optimum in closed form."))
+    if (real := GYMNASIUM.of(run)) is not None:
+        mean, error = number(real.mean, 2), plus_minus(real.standard_error, 2)
+        reward = f"In Gymnasium's own {real.name} it earns {mean} {error}"
+        starts = f"over {number(real.starts, 0)} starts (reset with the seeds 0, 1, …)."
+        blocks.append(Text(f"{reward} {starts}"))
+    regulator = "Riccati's for the plant around its target, clipped to the limits."
+    return [*blocks, Text(f"The linear regulator is {regulator}")]
+
+
+BASELINES = Chapter("rivals", "Beside classical rules", Baselines, measure, show)
+
+
+@dataclass(frozen=True)
+class TwinReward:
+    """Episodes of the policy in an environment of Gymnasium: mean reward and standard error.
+
+    - `starts`: episodes, whose starts are those of `reset(seed=0)`, `reset(seed=1)` …
+    """
+
+    name: str
+    mean: Number
+    standard_error: Number
+    starts: int
+
+
+def agent(plant: Plant, policy: Policy, inputs: Any) -> "Agent":
+    """The policy as a function from the environment's observations to its actions."""
+    from snapo.gym import Agent
+
+    p = plain(inputs)["plant"]
+    return Agent(
+        policy,
+        lambda observation: plant.from_twin(p, observation),
+        lambda action: plant.to_twin(p, action),
+    )
+
+
+def play_twin(run: StudyRun) -> TwinReward:
+    """The trained policy in the environment that has the plant's numbers."""
+    from snapo.gym.played import play
+
+    problem, plant, policy = run.setup.problem, plant_of(run), run.solution.policy
+    _check_same(plant, plain(problem.inputs))
+    assert policy is not None
+    played = play(agent(plant, policy, problem.inputs), plant.twin, STARTS)
+    return TwinReward(plant.twin, played.mean, played.standard_error, STARTS)
+
+
+def _check_same(plant: Plant, values: Any) -> None:
+    """Refuses a case whose numbers are not those of the environment."""
+    usual = plain(make_inputs(type(plant)))
+    for group in ("plant", "cost"):
+        for name, value in values[group].items():
+            if not np.array_equal(value, usual[group][name]):
+                allowed = f"{plant.twin} has {usual[group][name]:g}; leave --reference out"
+                raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
+    if values["noise"] or values["measurement"] or plant.clock:
+        allowed = f"{plant.twin} has no disturbances, no errors of measurement and shows no clock; "
+        allowed += "leave --reference out"
+        raise CaseError("--reference", "", None, allowed)
+
+
+GYMNASIUM = Chapter(
+    "gymnasium", "In Gymnasium", TwinReward, play_twin, lambda run, played: [], key="gymnasium"
+)

@@ -1,0 +1,53 @@
+"""The reward of an episode by part: the cost of each state and of each action."""
+
+from snapo.report.folder import Folder
+from snapo.report.page import Section, Table
+from snapo.report.quantity import decimals, measured, percent, readable
+from snapo.report.rows import Bar, ladder
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapters.distribution import DISTRIBUTION, OutputTotal
+from snapo.study.study import Measured, Shown
+
+ENDING = "_cost"  # of the names of outputs that are costs
+
+
+def costs(run: Folder) -> Section:
+    """A ladder of the parts, and a table with standard errors."""
+    title, short = "Cost by part", "Costs"
+    result = DISTRIBUTION.of(run)
+    totals = [x for x in result.distribution if _is_cost(x)] if result else []
+    if not totals:
+        return Section("costs", title, short, [lacking(run, "distribution")])
+    totals.sort(key=lambda total: -total.mean)
+    places = decimals([total.mean for total in totals], 4)
+    whole = sum(total.mean for total in totals)
+    bars = [Bar(_name(x.name), x.mean, x.standard_error) for x in totals]
+    caption = "Mean cost of an episode by part, under the trained policy."
+    rows = [
+        (bar.name, *measured(bar.value, bar.error, places),
+         percent(bar.value / whole) if whole else "")
+        for bar in bars
+    ]  # fmt: skip
+    head = [("Part", ""), ("Mean of an episode", ""), ("", ""), ("Share", "")]
+    blocks = [ladder("costs-ladder", bars, caption, places), Table(head, rows, title)]
+    return Section("costs", title, short, blocks)
+
+
+def _is_cost(total: OutputTotal) -> bool:
+    return total.paths > 0 and total.name.endswith(ENDING)
+
+
+def _name(output: str) -> str:
+    return readable(output.removesuffix(ENDING))
+
+
+def reward_and_costs(measured: Measured) -> list[Shown]:
+    """The live page's table: the reward, and the cost of every state and action."""
+    names = [name for name in measured.totals if name.endswith(ENDING)]
+    rows = [
+        (f"cost of {_name(name).lower()}", *measured.mean(measured.totals[name])) for name in names
+    ]
+    rows.sort(key=lambda row: -row[1])
+    columns = (("", ""), ("mean of an episode", ""), ("± standard error", ""))
+    reward = ("reward", *measured.mean(measured.totals["reward"]))
+    return [Shown("Reward and costs by part", columns, [reward, *rows])]

@@ -1,1 +1,0 @@
-"""The sections of a report that only control has."""

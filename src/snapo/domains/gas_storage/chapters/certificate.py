@@ -1,0 +1,128 @@
+"""Why to believe the number: the adjoint against bumps, limits, homogeneity in the curve."""
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.report import evidence
+from snapo.report.page import Block, Facts
+from snapo.report.quantity import decimals, finite, long_date, number, percent, power
+from snapo.solver.certificate import nudged
+from snapo.solver.solution import Solution
+from snapo.study.chapter import Number
+from snapo.study.chapters.certificate import Certificate, bump_table, certificate, limit_table
+from snapo.study.study import Setup, StudyRun
+
+from ..setup import OUTPUT, beside, case_of
+from .run import StorageRun
+
+TRIES = 16  # at finding inputs nearby that still can be met
+
+
+def off_ties(problem: Problem) -> Problem:
+    """The problem a hair away, where the contract still can be met, for a check by differences.
+
+    With round numbers a store fills or empties on the very day that its rates allow, and a full
+    one without losses stays exactly full: kinks on every path.
+    """
+    for seed in range(TRIES):
+        moved = nudged(problem, seed)
+        steps, inventory = moved.schedule.steps, moved.schedule.constants.inventory
+        if np.all(steps.low <= steps.high) and steps.low[0] <= inventory <= steps.high[0]:
+            return moved
+    return problem
+
+
+@dataclass(frozen=True)
+class Homogeneity:
+    """The sum of forward times delta (`left`), value plus costs (`right`), and `error`, theirs."""
+
+    left: Number
+    right: Number
+    error: Number
+    paths: int = 0
+
+
+@dataclass(frozen=True)
+class StorageCertificate(Certificate):
+    """The checks of a store.
+
+    - `homogeneity`: None where the price or the contract is not proportional to the curve.
+    - `control_variate`: {"explained": share of the variance}.
+    """
+
+    homogeneity: Homogeneity | None = None
+    control_variate: dict[str, float | None] = field(default_factory=dict)
+
+
+def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
+    """Sum of F x delta = value + present value of costs, decisions held, on the same paths.
+
+    It holds path by path for any policy, where prices are the forward curve times noise and all
+    of the value is paid in gas and proportional costs.
+    """
+    table, case = solution.sensitivities, case_of(setup)
+    if table is None or not case.model.proportional:
+        return None
+    evaluation, curve = setup.evaluation, case.market.forward_curve
+    source = setup.problem.sources.evaluation
+    paths = source.available(min(evaluation.sensitivity_paths, evaluation.paths))
+    left = float(np.sum(curve.values * table.held[curve.name].value))
+    earned = np.asarray(solution.totals[OUTPUT]) + np.asarray(solution.totals["costs"])
+    right = float(np.mean(earned[:paths]))
+    return Homogeneity(left, right, left - right, paths)
+
+
+def _more(run: StudyRun) -> dict[str, Any]:
+    return {
+        "homogeneity": homogeneity(run.setup, run.solution),
+        "control_variate": {"explained": run.solution.control},
+    }
+
+
+def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]:
+    """Key figures, the adjoint against bumps, and every limit."""
+    facts = _facts(run, result)
+    return [
+        *([Facts(facts)] if facts else []),
+        bump_table(result, run.currency, lambda name: run.said(name).title()),
+        limit_table(result, run.volume, "Day", lambda step: _day(run, step)),
+    ]
+
+
+def _facts(run: StorageRun, result: StorageCertificate) -> list[tuple[str, str, str]]:
+    facts = []
+    if (gap := finite(result.smoothing_gap)) is not None:
+        value = finite(run.result.get("value"))
+        share = f" ({percent(gap / abs(value), 2)})" if value else ""
+        facts.append(("Smoothing gap", run.money(gap), f"exact less smooth{share}"))
+    facts += evidence.gradient(run)
+    if (sums := result.homogeneity) is not None:
+        places = decimals([sums.left, sums.right])
+        note = f"value + costs: {run.money(sums.right, places)}; difference {power(sums.error)}"
+        facts.append(("Σ forward × delta", run.money(sums.left, places), note))
+    facts += [
+        (f"Control variate: {key.replace('_', ' ')}", number(share), "")
+        for key, share in result.control_variate.items()
+    ]
+    return facts
+
+
+def _day(run: StorageRun, step: Any) -> str:
+    index, days = finite(step), run.days
+    if index is None or days is None or not 0 <= index < len(days):
+        return number(index, 0)
+    return long_date(days[int(index)])
+
+
+CERTIFICATE = certificate(
+    bump_paths=512,
+    tolerance=lambda problem: 1e-6 * float(problem.schedule.constants.rate_scale),
+    near=off_ties,
+    problem_of=beside,
+    result=StorageCertificate,
+    more=_more,
+    show=show_certificate,
+)

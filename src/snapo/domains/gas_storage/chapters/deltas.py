@@ -1,0 +1,254 @@
+"""Deltas by delivery day and month, next to the volumes of the intrinsic plan."""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from snapo.report import charts
+from snapo.report.axes import days as date_numbers
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Section, Table
+from snapo.report.quantity import SPACE, decimals, long_month, number
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import StudyRun
+
+from ..setup import case_of
+from .position import POSITION
+from .run import StorageRun
+from .value import INTRINSIC
+
+SIGN = (
+    "A positive delta is a month in which the storage is long (it will withdraw): the hedge sells"
+    " that volume of futures; a negative delta is bought."
+)
+EMPTY = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class DailyDeltas:
+    """Deltas [T] by decision day, in the unit of gas.
+
+    - `discounted`: of the present value, with `low` and `high` of its 95 % interval and the
+      `standard_error` of the held derivative; `undiscounted`: the volume of futures.
+    - `moved`: by how much it moved in the second half of training; `intrinsic`: of that plan.
+    """
+
+    discounted: Floats = field(default_factory=lambda: EMPTY)
+    low: Floats = field(default_factory=lambda: EMPTY)
+    high: Floats = field(default_factory=lambda: EMPTY)
+    standard_error: Floats = field(default_factory=lambda: EMPTY)
+    undiscounted: Floats = field(default_factory=lambda: EMPTY)
+    moved: Floats = field(default_factory=lambda: EMPTY)
+    intrinsic: Floats = field(default_factory=lambda: EMPTY)
+
+
+@dataclass(frozen=True)
+class MonthDelta:
+    """The delta of a delivery month, `month` as "2021-04", with the meanings of `DailyDeltas`.
+
+    - `sampling`, `policy`: the parts of the half-width of the discounted interval; `source`: see
+      `solver.derivatives.interval.Reported`; `smooth`: through the policy's reaction.
+    """
+
+    month: str
+    discounted: Number = np.nan
+    low: Number = np.nan
+    high: Number = np.nan
+    sampling: Number = np.nan
+    policy: Number = np.nan
+    source: str = ""
+    standard_error: Number = np.nan
+    undiscounted: Number = np.nan
+    undiscounted_low: Number = np.nan
+    undiscounted_high: Number = np.nan
+    moved: Number = np.nan
+    smooth: Number = np.nan
+    intrinsic: Number = np.nan
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval of the undiscounted delta."""
+        return (self.undiscounted_high - self.undiscounted_low) / 2
+
+    @property
+    def hedge(self) -> str:
+        """What a hedge does with futures of the month."""
+        if not np.isfinite(self.undiscounted) or self.undiscounted == 0:
+            return ""
+        return "sell" if self.undiscounted > 0 else "buy"
+
+
+@dataclass(frozen=True)
+class CurveDeltas:
+    """The deltas by day and by month."""
+
+    deltas_daily: DailyDeltas = field(default_factory=DailyDeltas)
+    deltas_monthly: tuple[MonthDelta, ...] = ()
+
+
+def measure(run: StudyRun) -> CurveDeltas:
+    """The reported derivatives with respect to the forward curve; writes profile.csv."""
+    setup, table, plan = run.setup, run.solution.sensitivities, INTRINSIC.of(run)
+    case, steps = case_of(setup), setup.problem.schedule.steps
+    count, curve = len(case.days), case.market.forward_curve.name
+    if table is None or plan is None:
+        return CurveDeltas()
+    delta = table.of(curve)
+    moved = np.zeros(delta.value.size) if table.moved is None else table.moved[curve].value
+    smooth = None if table.smooth is None else table.smooth[curve]
+    net = plan.net
+    sold = -net * np.where(net < 0, 1 - steps.withdrawal_fuel, 1 + steps.injection_fuel)
+    rate = np.ones(delta.value.size)
+    rate[:count] = steps.gas_discount
+    numbers = delta.numbers()[:count]
+    daily = DailyDeltas(
+        delta.value[:count],
+        np.array([interval.low for interval in numbers]),
+        np.array([interval.high for interval in numbers]),
+        table.held[curve].standard_error[:count],
+        (delta.value / rate)[:count],
+        moved[:count],
+        sold,
+    )
+    months = np.array([day.strftime("%Y-%m") for day in case.days])
+    monthly = []
+    for month in dict.fromkeys(months):
+        days = np.zeros(delta.value.size)
+        days[:count] = months == month
+        futures = delta.along(days / rate)
+        monthly.append(
+            MonthDelta(
+                month,
+                *delta.along(days),
+                delta.source,
+                table.held[curve].along(days)[1],
+                futures.value,
+                futures.low,
+                futures.high,
+                float(moved @ days),
+                np.nan if smooth is None else smooth.along(days)[0],
+                float(sold @ days[:count]),
+            )
+        )
+    run.write_csv("profile.csv", *_profile(run, daily))
+    return CurveDeltas(daily, tuple(monthly))
+
+
+def _profile(run: StudyRun, daily: DailyDeltas) -> tuple[tuple[str, ...], Iterable[tuple]]:
+    """Header and rows of profile.csv, one row per decision day."""
+    days, position = run.get("days"), POSITION.of(run)
+    assert position is not None
+    columns = {"date": days, "forward": run.get("forward")}
+    for name, band in (("inventory", position.inventory), ("flow", position.flow)):
+        for line in ("mean", "p05", "p95"):
+            columns[f"{name}_{line}"] = getattr(band, line)[: len(days)]
+    columns["trigger_injection"] = position.trigger_injection
+    columns["trigger_withdrawal"] = position.trigger_withdrawal
+    columns["delta"] = daily.discounted
+    columns["delta_undiscounted"] = daily.undiscounted
+    return tuple(columns), zip(*columns.values())
+
+
+def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
+    """Deltas by delivery month with intervals, against the intrinsic volumes."""
+    months = deltas.deltas_monthly
+    if not any(np.isfinite(x.undiscounted) for x in months):
+        return [lacking(run, DELTAS.name)]
+    bars = [f"{long_month(x.month)} {number(x.undiscounted, 0)}" for x in months]
+    alt = f"Bars of the delta per delivery month in {run.volume}: " + ", ".join(bars) + "."
+    svg = draw("deltas-by-month", alt, month_painter(run, months), 280)
+    caption = (
+        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
+        " error and error of the policy together. Hatched: how far the delta still moved in the"
+        " last half of training."
+    )
+    return [Chart(svg, caption), _month_table(run, months)]
+
+
+def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> Callable[[Axes], None]:
+    """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
+    columns = [(x.undiscounted, x.half_width, x.moved, x.intrinsic) for x in months]
+    values, halves, moved, intrinsic = np.array(columns, np.float64).T
+    options = {
+        "names": ("Long: sell", "Short: buy"),
+        "half": np.nan_to_num(halves) if np.isfinite(halves).any() else None,
+        "moved": moved if np.isfinite(moved).any() else None,
+        "compare": ("Intrinsic plan", intrinsic) if np.isfinite(intrinsic).any() else None,
+    }
+    labels = _month_labels([x.month for x in months])
+    return lambda axes: charts.signed_bars(axes, labels, values, run.volume, **options)
+
+
+def _month_labels(months: Sequence[str]) -> list[str]:
+    """ "Apr", or every second, third … where there are many; the year where a new one begins."""
+    step = next((step for step in (1, 2, 3, 6, 12) if len(months) <= 18 * step), 24)
+    labels, last = [""] * len(months), ""
+    for i in range(0, len(months), step):
+        name, _, year = long_month(months[i]).partition(SPACE)
+        labels[i] = name if year == last else f"{name}\n{year}"
+        last = year
+    return labels
+
+
+def _month_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
+    summed = ("undiscounted", "intrinsic", "moved", "discounted", "smooth")
+    places = decimals([getattr(x, name) for x in months for name in summed], 4)
+    rows = [
+        (
+            long_month(x.month),
+            x.hedge,
+            *(number(v, places) for v in (x.undiscounted, x.undiscounted_low, x.undiscounted_high)),
+            number(x.intrinsic, places),
+            number(x.moved, places, sign=True),
+            number(x.discounted, places),
+            *(number(v, max(places, 1)) for v in (x.sampling, x.policy)),
+            number(x.smooth, places),
+        )
+        for x in months
+    ]
+    total = {name: number(np.nansum([getattr(x, name) for x in months]), places) for name in summed}
+    rows.append(("All months", "", total["undiscounted"], "", "", total["intrinsic"], "",
+                 total["discounted"], "", "", ""))  # fmt: skip
+    names = ("Delta", "95 % low", "high", "Intrinsic", "Moved", "Discounted", "± sampling",
+             "± policy", "Smooth")  # fmt: skip
+    head = [("Delivery", ""), ("Hedge", ""), *((name, run.volume) for name in names)]
+    return Table(head, rows, texts=2, strong=frozenset([len(rows) - 1]))
+
+
+def daily(run: StorageRun) -> Section:
+    """The same deltas by delivery day: one thin bar a day."""
+    title, short = "Deltas by delivery day", "Daily deltas"
+    deltas, days = DELTAS.of(run), run.days
+    by_day = DailyDeltas() if deltas is None else deltas.deltas_daily
+    values = by_day.undiscounted
+    if days is None or not np.isfinite(values).any():
+        return Section("daily", title, short, [lacking(run, DELTAS.name)])
+    half, compare = None, None
+    if by_day.low.size and by_day.discounted.size:
+        discounted = by_day.discounted
+        factor = np.divide(values, discounted, out=np.ones_like(values), where=discounted != 0)
+        half = np.nan_to_num((by_day.high - by_day.low) / 2 * np.abs(factor))
+    if by_day.intrinsic.size:
+        compare = ("Intrinsic plan", by_day.intrinsic)
+    when, names = date_numbers(days), ("Long: sell", "Short: buy")
+    svg = draw(
+        "deltas-by-day",
+        f"Delta of each of {len(values)} delivery days, from {run.gas(np.nanmin(values))} to"
+        f" {run.gas(np.nanmax(values))}.",
+        lambda axes: charts.signed_strip(
+            axes, when, values, run.volume, names, half=half, compare=compare
+        ),
+        height=220,
+    )
+    caption = (
+        "One sensitivity per day of the forward curve, all from one adjoint pass; whiskers are"
+        " 95 % intervals. The numbers are in sensitivities.csv."
+    )
+    return Section("daily", title, short, [Chart(svg, caption)])
+
+
+DELTAS = Chapter("deltas", "Deltas by delivery month", CurveDeltas, measure, show, "Deltas",
+                 needs=("intrinsic value", "training", "profile"))  # fmt: skip

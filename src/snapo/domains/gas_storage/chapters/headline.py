@@ -1,0 +1,124 @@
+"""The first screen: the value of the contract and the decision of today."""
+
+from snapo.report.evidence import notes
+from snapo.report.page import Block, Facts, Headline, Mark, Missing, Section
+from snapo.report.quantity import (
+    decimals,
+    finite,
+    long_date,
+    number,
+    part_of,
+    percent,
+    plus_minus,
+    quantity,
+)
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapters.certificate import checks
+
+from .position import POSITION, Cycles, Position
+from .run import StorageRun
+from .today import FirstDecision
+from .value import VALUES
+
+TONES = {"inject": "inject", "withdraw": "withdraw", "hold": "main"}
+
+
+def headline(run: StorageRun) -> Section:
+    """The value with its standard error, and the decision of the day in one sentence."""
+    value, error = finite(run.result.get("value")), run.result.get("standard_error")
+    if value is None:
+        status = run.result.get("status") or "unknown"
+        sentence = f"There is no value in result.json (status: {status})."
+        return Section("headline", "Value and decision", "", [Missing(sentence)])
+    places, position = decimals([value]), POSITION.of(run) or Position()
+    now = position.today or FirstDecision()
+    block = Headline(
+        label="Value of the contract",
+        value=run.money(value, places),
+        error=plus_minus(error, places),
+        note=_error_note(value, error),
+        action=_verb(run, now) if now.action else "",
+        sentence=_sentence(run, now) if now.action else "",
+        tone=TONES.get(now.action, "main"),
+        when=_when(run, now),
+        marks=_marks(run),
+    )
+    blocks: list[Block] = [block, *notes(run)]
+    if not now.action:
+        blocks.append(lacking(run, POSITION.name))
+    if facts := _facts(run, value, places, position.cycles, now):
+        blocks.append(Facts(facts))
+    return Section("headline", "Value and decision", "", blocks)
+
+
+def _error_note(value: float, error) -> str:
+    known = finite(error)
+    text = "exact contract on fresh scenarios, present value"
+    if known is None:
+        return f"{text[0].upper()}{text[1:]}."
+    share = f" ({part_of(known / abs(value))} of the value)" if value else ""
+    return f"± one standard error{share}; {text}."
+
+
+def _marks(run: StorageRun) -> list[Mark]:
+    found = checks(run)
+    failed = [name for name, passed in found if not passed]
+    if not found:
+        return []
+    if failed:
+        return [Mark(False, f"{len(failed)} of {len(found)} checks fail; see the certificate")]
+    return [Mark(True, f"all {len(found)} checks of the certificate hold")]
+
+
+def _when(run: StorageRun, now: FirstDecision) -> str:
+    if now.date and now.date != run.get("valuation_date", now.date):
+        return f"First decision, {long_date(now.date)}"
+    return "Decision of today"
+
+
+def _verb(run: StorageRun, now: FirstDecision) -> str:
+    volume, verb = finite(now.volume), now.action.capitalize()
+    return f"{verb} {run.gas(abs(volume))}" if now.action != "hold" and volume else verb
+
+
+def _sentence(run: StorageRun, now: FirstDecision) -> str:
+    """ "25 April 2021: spot is 16.61, above the withdrawal trigger of 16.20 …"."""
+    price = run.price
+    spot, low, high = (finite(x) for x in (now.spot, now.inject_below, now.withdraw_above))
+    places = _price_places([spot, low, high])
+    limits = []
+    if low is not None:
+        limits.append(f"inject below {quantity(low, price, places)}")
+    if high is not None:
+        limits.append(f"withdraw above {quantity(high, price, places)}")
+    rule = ", ".join(limits) + (" and hold between" if len(limits) == 2 else "")
+    start = f"{long_date(now.date)}: the spot price is {quantity(spot, price, places)}"
+    store = finite(now.inventory)
+    start += f" with {run.gas(store)} in store." if store is not None else "."
+    return f"{start} The rule at this inventory: {rule}." if rule else start
+
+
+def _price_places(prices) -> int:
+    """Cents for prices of everyday size, more for small ones."""
+    return max(2, min(decimals(prices, 4), 6))
+
+
+def _facts(
+    run: StorageRun, value: float, places: int, cycles: Cycles, now: FirstDecision
+) -> list[tuple[str, str, str]]:
+    facts = []
+    intrinsic = finite((run.result.get("references") or {}).get("intrinsic"))
+    if intrinsic is not None:
+        facts.append(("Intrinsic value", run.money(intrinsic, places), "locked in today"))
+        share = f"{percent((value - intrinsic) / value)} of the value" if value else ""
+        facts.append(("Extrinsic value", run.money(value - intrinsic, places), share))
+    values = VALUES.of(run)
+    if values is not None and (fee := finite(values.break_even_fee)) is not None:
+        note = f"per {run.volume} of working volume"
+        facts.append(("Break-even fee", run.money(fee, max(2, decimals([fee], 4))), note))
+    if finite(cycles.mean) is not None:
+        facts.append(("Cycles", number(cycles.mean, 2), f"{cycles.unit}, mean"))
+    if finite(now.marginal_value) is not None:
+        note = f"of one more {run.volume} in store today"
+        facts.append(("Marginal value", quantity(now.marginal_value, run.price, 2), note))
+    return facts

@@ -1,0 +1,267 @@
+"""Other sensitivities: vegas, shadow prices of the capacities, costs and rates, and sliders.
+
+At a limit the value of one unit more and of one unit less differ: an inventory that is exactly full
+can use more room, and must give up room that is taken away. Both shadow prices come from the exact
+simulator with the decisions held, on the same paths, one unit up and one unit down.
+"""
+
+import math
+from collections import Counter, defaultdict
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from snapo.problem.policy import Policy
+from snapo.problem.smooth import Exact
+from snapo.report.page import Block, Missing, Section, Slider, Sliders, Table
+from snapo.report.quantity import MONTHS, SPACE, decimals, finite, long_month, number, plus_minus
+from snapo.report.rows import Column, table
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..setup import OUTPUT, beside, case_of, policy_of
+from .run import SPAN, Said, Sensitivity, StorageRun
+
+PATHS = 2048  # of shadow prices
+UNITS = 1.0  # of the capacity; small against it, large against rounding
+# Families of inputs; every input says to which it belongs.
+CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
+CAVEAT = (
+    "First order only: the change is each shift times its reported derivative."
+    " {bound}For other inputs the curvature may have either sign. For large moves,"
+    " change the case and solve again."
+)
+# Held decisions earn an amount linear in the curve; it bounds the mean, not a measure of risk.
+BOUND = (
+    "For a move of the forward curve the change is that of the present plan; with the decisions"
+    " chosen anew the contract is worth at least as much, and the gap grows with the square of the"
+    " move. "
+)
+
+
+@dataclass(frozen=True)
+class ShadowPrice:
+    """The value of one unit more of a capacity (`up`), and of its last unit (`down`)."""
+
+    name: str
+    up: Number = np.nan
+    down: Number = np.nan
+    unit: str = ""
+
+
+@dataclass(frozen=True)
+class ShadowPrices:
+    """The shadow prices of all capacities."""
+
+    shadow_prices: tuple[ShadowPrice, ...] = ()
+
+
+def measure(run: StudyRun) -> ShadowPrices:
+    """The shadow prices under the decisions of the trained policy."""
+    case = case_of(run.setup)
+    contract, unit = case.contract, case.volume_unit
+    ratchets = contract.ratchets
+    capacities = [
+        ("working volume", contract.max_inventory.name, unit),
+        ("injection capacity", ratchets.injection.name, f"{unit}/day"),
+        ("withdrawal capacity", ratchets.withdrawal.name, f"{unit}/day"),
+        ("gas in store today", contract.inventory.name, unit),
+    ]
+    replay = _Replay(run.setup, policy_of(run.solution))
+    base, prices = replay.value({}), []
+    for name, key, unit in capacities:
+        up, down = (replay.value({key: sign * UNITS}) for sign in (1, -1))
+        prices.append(ShadowPrice(name, (up - base) / UNITS, (base - down) / UNITS, unit))
+    return ShadowPrices(tuple(prices))
+
+
+class _Replay:
+    """Values of the exact simulator under recorded decisions, with inputs shifted."""
+
+    def __init__(self, setup: Setup, policy: Policy):
+        self.problem, self.engine = beside(setup), setup.engines.evaluate
+        source = self.problem.sources.evaluation
+        bound = self.engine.bind(self.problem)
+        paths = source.available(PATHS)
+        blocks = source.blocks(paths, max(1, paths // 512))
+        self.draws = [source.draws(block, self.problem.simulator) for block in blocks]
+        self.actions = [
+            bound.values(policy, draws, Exact(), record=("action",)).record["action"]
+            for draws in self.draws
+        ]
+
+    def value(self, shifts: dict[str, float]) -> float:
+        """The mean cash flow with all entries of these inputs shifted; NaN if not feasible."""
+        named = self.problem.named
+        values = {name: named[name].value + shift for name, shift in shifts.items()}
+        if any(np.any(value < 0) for value in values.values()):
+            return float("nan")
+        moved = self.problem.at(values)
+        if np.any(moved.schedule.steps.low > moved.schedule.steps.high):
+            return float("nan")
+        bound = self.engine.bind(moved, controls=False)
+        totals = [
+            bound.values(None, draws, Exact(), actions=actions).totals[OUTPUT]
+            for draws, actions in zip(self.draws, self.actions)
+        ]
+        return float(np.mean([np.mean(total) for total in totals]))
+
+
+def risk(run: StorageRun) -> Section:
+    """Vegas, shadow prices, and parallel shifts of every other input."""
+    prices = SHADOW_PRICES.of(run)
+    shadow = lacking(run, SHADOW_PRICES.name) if prices is None else show(run, prices)[0]
+    blocks: list[Block] = [_vegas(run), shadow]
+    if (others := _others(run)) is not None:
+        blocks.append(others)
+    title = "Vegas, shadow prices and other sensitivities"
+    return Section("risk", title, "Vegas", blocks)
+
+
+def _vegas(run: StorageRun) -> Table | Missing:
+    """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
+    lines = run.group(*MODEL)
+    if not lines:
+        return Missing("Vegas are not in this run (supplied price paths have no model numbers).")
+    many = {name for name, count in Counter(each.input for each in lines).items() if count > 12}
+    rows = [_row(run, [each]) for each in lines if each.input not in many]
+    rows += [_row(run, [each for each in lines if each.input == name]) for name in sorted(many)]
+    return _moves(run, rows, "Vegas: sensitivity to the price model")
+
+
+def show(run: StorageRun, result: ShadowPrices) -> Sequence[Block]:
+    """The table of shadow prices."""
+    prices = result.shadow_prices
+    if not prices:
+        return [lacking(run, SHADOW_PRICES.name)]
+    places = decimals([x for price in prices for x in (price.up, price.down)], 4)
+    columns = (
+        Column("Capacity", lambda price: price.name.capitalize()), Column("Unit", "unit"),
+        Column("One more is worth", "up", run.currency, sign=True),
+        Column("One less costs", "down", run.currency, sign=True),
+    )  # fmt: skip
+    return [table(prices, columns, "Shadow prices of volume and capacity", places=places)]
+
+
+def _others(run: StorageRun) -> Table | None:
+    """Parallel shifts: the sensitivities of an input summed over its labels."""
+    groups: dict[str, list[Sensitivity]] = defaultdict(list)
+    for each in run.sensitivities:
+        if run.said(each.input).group not in (CURVE, *MODEL):
+            groups[each.input].append(each)
+    if not groups:
+        return None
+    rows = [_row(run, members) for members in groups.values()]
+    folded = f"Sensitivities to {len(rows)} other inputs"
+    return _moves(run, rows, "Parallel shifts of the other inputs", folded)
+
+
+def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
+    """One line for a number, or for several of one input that move together.
+
+    Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
+    The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is left
+    out. Where there is one, it tells how many digits mean anything.
+    """
+    first = members[0]
+    said = run.said(first.input, first.unit)
+    total, error = said.move * math.fsum(each.value or 0.0 for each in members), None
+    if len(members) == 1 and first.low is not None and first.high is not None:
+        error = said.move * (first.high - first.low) / 2
+    label, move = first.label if len(members) == 1 else "", _move(said)
+    if len(members) > 1:
+        move = f"{move}, all {len(members)} numbers together"
+    places = min(decimals([error], 2) if error else decimals([total], 4), 6)
+    change = number(total, places, True)
+    return (said.title(label), said.words, move, change, plus_minus(error, places), first.source)
+
+
+def _move(said: Said) -> str:
+    """ "1 volatility point", "10 bp", "0.01 EUR/MWh", "1 per year"."""
+    if said.trade_unit.startswith("1/"):
+        return f"{said.trade_move:.6g} per {said.trade_unit[2:]}"
+    return f"{said.trade_move:.6g} {said.trade_unit}"
+
+
+def _moves(run: StorageRun, rows, caption: str, folded: str = "") -> Table:
+    names = ("Value changes by", "95 % half-width")
+    head = [("Input", ""), ("Meaning", ""), ("For a rise of", "")]
+    head += [(name, run.currency) for name in names]
+    head.append(("Derivative", ""))
+    return Table(head, rows, caption, frozenset({0, 1, 2, 5}), folded=folded)
+
+
+def sliders(run: StorageRun) -> Section:
+    """Sliders for the whole curve, each delivery month, and the model numbers."""
+    title, short = "What if: inputs moved to first order", "What if"
+    value = finite(run.result.get("value"))
+    curve, months = _curve_sliders(run)
+    groups = (
+        ("Forward curve", curve),
+        ("Model and rates", _model_sliders(run)),
+        ("Delivery months", months),
+    )
+    found = [(name, each) for name, each in groups if each]
+    if value is None or not found:
+        text = "Without a value and stored sensitivities there is nothing to move to first order."
+        return Section("what-if", title, short, [Missing(text)])
+    caveat = CAVEAT.format(bound=BOUND if run.get("objective", "mean") == "mean" else "")
+    block = Sliders(value, run.currency, decimals([value]), found, caveat)
+    return Section("what-if", title, short, [block])
+
+
+def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
+    """The whole curve; its delivery months, or quarters where there are many months."""
+    months: dict[str, float] = defaultdict(float)
+    for each in run.sensitivities:
+        if run.said(each.input).group == CURVE:
+            months[long_month(each.label)] += each.value or 0.0
+    if not months:
+        return [], []
+    if len(months) > 18:
+        months = _quarters(months)
+    prices = run.numbers("forward", "forward")
+    level = 1.0 if prices is None else float(np.nanmean(np.abs(prices)))
+    span = _round(0.15 * level)
+    shape = {"unit": run.price, "span": span, "step": span / 50, "places": decimals([span / 50], 1)}
+    whole = Slider("Whole curve", slope=math.fsum(months.values()), **shape)
+    parts = [Slider(month, slope=slope, **shape) for month, slope in months.items()]
+    return [whole], parts if len(parts) > 1 else []
+
+
+def _quarters(months: dict[str, float]) -> dict[str, float]:
+    """{"Apr 2021": …} summed into {"Q2 2021": …}."""
+    names = [name[:3] for name in MONTHS.split()]
+    quarters: dict[str, float] = defaultdict(float)
+    for month, slope in months.items():
+        name, _, year = month.partition(SPACE)
+        quarters[f"Q{names.index(name) // 3 + 1}{SPACE}{year}" if year else month] += slope
+    return quarters
+
+
+def _model_sliders(run: StorageRun) -> list[Slider]:
+    """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
+    totals: dict[tuple[str, str], float] = defaultdict(float)
+    for each in run.group("volatility", RATE):
+        by_name = run.said(each.input).group != RATE and len(each.label) < 10  # no delivery day
+        totals[each.input, each.label if by_name else ""] += each.value or 0.0
+    return [_slider(run.said(name), label, slope) for (name, label), slope in totals.items()]
+
+
+def _slider(said: Said, label: str, slope: float) -> Slider:
+    """A slider over ten usual moves to either side; `slope` is per unit of the input."""
+    span = SPAN * said.trade_move
+    step = span / 20
+    slope *= said.move / said.trade_move
+    return Slider(said.title(label), said.trade_unit, slope, span, step, decimals([step], 1))
+
+
+def _round(size: float) -> float:
+    """The nearest number of the series 1, 2, 5, 10 …"""
+    scale = 10.0 ** math.floor(math.log10(size)) if size > 0 else 1.0
+    return scale * min((1.0, 2.0, 5.0, 10.0), key=lambda each: abs(size / scale - each))
+
+
+SHADOW_PRICES = Chapter("shadow prices", "Shadow prices", ShadowPrices, measure, show)

@@ -1,0 +1,77 @@
+"""The files of a storage run as its report reads them, with the units of gas."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from snapo.report.folder import Folder
+from snapo.report.folder import Sensitivity as Sensitivity
+from snapo.report.quantity import quantity
+
+# Moves of the inputs' own size that a slider goes to either side.
+SPAN = 10
+
+
+@dataclass(frozen=True)
+class Said:
+    """All that an input says about itself; see `snapo.problem.inputs.Input`.
+
+    `move` is in the input's unit, `trade_move` the same in the unit of the trade, `trade_unit`.
+    """
+
+    name: str
+    words: str
+    group: str
+    move: float
+    trade_move: float
+    trade_unit: str
+
+    def title(self, label: str = "") -> str:
+        """The name for a table, "Spot volatility", with the label of one number."""
+        words = self.name.replace("_", " ").replace(".", " ").strip().capitalize()
+        return f"{words}, {label}" if label else words
+
+
+@dataclass(frozen=True)
+class StorageRun(Folder):
+    """A run folder with the units of the contract."""
+
+    def said(self, name: str, unit: str = "") -> Said:
+        """All that the input `name` says about itself; a move of one unit where it says nothing."""
+        found = self.get("inputs", {}).get(name, {})
+        move, factor = found.get("move") or 1.0, found.get("trade_factor") or 1.0
+        plain = unit if unit not in ("", "1") else "unit"
+        return Said(
+            name,
+            str(found.get("words") or ""),
+            str(found.get("group") or ""),
+            float(move),
+            float(move * factor),
+            str(found.get("trade_unit") or plain),
+        )
+
+    def group(self, *groups: str) -> list[Sensitivity]:
+        """The sensitivities to inputs of these families."""
+        return [each for each in self.sensitivities if self.said(each.input).group in groups]
+
+    @property
+    def days(self) -> list[str] | None:
+        """Decision days [T], ISO."""
+        return self.get("days") or self.profile.get("date") or None
+
+    @property
+    def volume(self) -> str:
+        """The unit of gas, "MWh"."""
+        return str(self.get("volume_unit", "units"))
+
+    @property
+    def price(self) -> str:
+        """The unit of a price, "EUR/MWh"."""
+        return f"{self.currency}/{self.volume}" if self.currency else f"per {self.volume}"
+
+    @property
+    def daily(self) -> str:
+        """The unit of a flow, "MWh/day"."""
+        return f"{self.volume}/day"
+
+    def gas(self, value: Any, places: int | None = None) -> str:
+        return quantity(value, self.volume, places)

@@ -1,0 +1,243 @@
+"""The value of the contract: the same contract by several methods, and the spread of its cash."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.report import charts
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Facts, Section, Table, Text
+from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
+from snapo.report.sections.lacking import lacking
+from snapo.solver.evaluate import Value, evaluate
+from snapo.solver.solution import Solution
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..contract.records import StorageCase
+from ..contract.simulator import simulator_of
+from ..policy.fitted_guide import FittedKnots
+from ..references.intrinsic import intrinsic
+from ..references.refined import refined
+from ..setup import OUTPUT, beside, case_of, factors, policy_of
+from .position import working_volume
+from .run import StorageRun
+
+PATHS = 16384
+QUANTILES = (1, 5, 25, 50, 75, 95, 99)
+TITLE = "Value ladder"
+
+
+@dataclass(frozen=True)
+class IntrinsicPlan:
+    """The best plan against today's curve: its value, and net injections [T] by decision day."""
+
+    value: Number
+    net: Floats
+
+
+@dataclass(frozen=True)
+class Reference:
+    """The exact value, and by how much finer grids still move it; None where there is none."""
+
+    dynamic_programming: float | None = None
+    dynamic_programming_error: float | None = None
+
+
+def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicPlan]:
+    """The chapter "intrinsic value", which needs no training, of the bare contract."""
+
+    def measure(run: StudyRun) -> IntrinsicPlan:
+        plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
+        return IntrinsicPlan(plan.value, plan.net)
+
+    return replace(INTRINSIC, measure=measure)
+
+
+def measure_reference(run: StudyRun) -> Reference:
+    """By dynamic programming, where the price process has a lattice."""
+    setup = run.setup
+    lattice = factors(setup.problem)
+    if lattice is None or not lattice.exact:
+        return Reference()
+    kind = case_of(setup).contract.ratchets.interpolation
+    return Reference(*refined(setup.problem.schedule, lattice, kind))
+
+
+@dataclass(frozen=True)
+class ContractValue:
+    """The value of the contract by one method; `note`: its meaning."""
+
+    name: str
+    value: Number
+    standard_error: float | None = None
+    note: str = ""
+
+
+@dataclass(frozen=True)
+class CashFlow:
+    """The total discounted cash flow of a path: a histogram, moments and quantiles {"5": …}."""
+
+    edges: Floats = field(default_factory=lambda: np.zeros(0))
+    counts: Floats = field(default_factory=lambda: np.zeros(0))
+    mean: Number = np.nan
+    standard_deviation: Number = np.nan
+    quantiles: dict[str, Number] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class ContractValues:
+    """The value ladder from the least to the best method, and the spread of the earnings.
+
+    - `break_even_fee`: per unit of working volume, paid today, at which the contract is worth
+      nothing; NaN without a working volume.
+    """
+
+    break_even_fee: Number = np.nan
+    value_ladder: tuple[ContractValue, ...] = ()
+    cash_flow: CashFlow = field(default_factory=CashFlow)
+
+    @property
+    def known(self) -> list[ContractValue]:
+        """The values that are numbers."""
+        return [value for value in self.value_ladder if np.isfinite(value.value)]
+
+
+def measure(run: StudyRun) -> ContractValues:
+    """The value ladder, the break-even fee and the distribution of the cash flow."""
+    solution, volume = run.solution, working_volume(case_of(run.setup))
+    return ContractValues(
+        solution.value / volume if volume > 0 else float("nan"),
+        tuple(_ladder(run, solution)),
+        _distribution(np.asarray(solution.totals[OUTPUT])),
+    )
+
+
+def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
+    """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
+    engine = run.setup.engines.evaluate
+    guide = evaluate(beside(run.setup), policy_of(solution).guide, PATHS, engine=engine)
+    plan, error = INTRINSIC.of(run), solution.standard_error
+    ladder = [
+        ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")
+        if plan
+        else ContractValue("Intrinsic", np.nan),
+        _guide_value(run.setup, guide),
+        ContractValue("Trained policy", solution.value, error, "exact simulator, fresh paths"),
+    ]
+    reference = REFERENCE.of(run)
+    if reference is not None and (exact := reference.dynamic_programming) is not None:
+        moved = reference.dynamic_programming_error or 0.0
+        note = f"lattice in at most two price factors; finer grids move it by {moved:,.2g}"
+        ladder.append(ContractValue("Dynamic programming", exact, None, note))
+    above = run.get("bound.upper")
+    if above is not None:
+        note = "hindsight with a penalty: no policy earns more"
+        if little := run.get("bound.says_little"):
+            note = f"{note}; {little}"
+        ladder.append(ContractValue("Upper bound", above["value"], above["standard_error"], note))
+    if fees := run.get("fixed_costs"):
+        note = "less their present value"
+        ladder.append(ContractValue("After fixed costs", solution.value - fees, error, note))
+    return ladder
+
+
+def _guide_value(setup: Setup, value: Value) -> ContractValue:
+    """The value of the guide before any training."""
+    guide = simulator_of(setup.problem).guide
+    if guide is not None and isinstance(guide.knots, FittedKnots):
+        name, note = "Fitted rule", "value iteration in the price factors, before training"
+    else:
+        name, note = "One-factor rule", "dynamic program in the fastest factor alone"
+    return ContractValue(name, value.value, value.standard_error, note)
+
+
+def _distribution(cash: np.ndarray) -> CashFlow:
+    counts, edges = np.histogram(cash, bins=60)
+    quantiles = {str(q): float(np.quantile(cash, q / 100)) for q in QUANTILES}
+    return CashFlow(edges, counts, cash.mean(), cash.std(), quantiles)
+
+
+def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
+    """Every value of the same contract on the same curve, from the least to the best."""
+    values = result.known
+    if not values:
+        return [lacking(run, VALUES.name)]
+    places, bars = decimals([x.value for x in values]), rungs(run, values)
+    alt = "Horizontal bars. " + "; ".join(f"{bar.name}: {bar.text}" for bar in bars) + "."
+    svg = draw("ladder", alt, lambda axes: charts.ladder(axes, bars), 28 + 27 * len(bars))
+    caption = (
+        "Present values of the same contract on the same curve; whiskers are 95 % intervals. A"
+        " policy that can be followed is a lower bound of the optimum."
+    )
+    rows = [
+        (x.name, x.note, number(x.value, places), plus_minus(x.standard_error, places))
+        for x in values
+    ]
+    strong = frozenset(i for i, bar in enumerate(bars) if bar.strong)
+    head = [("", ""), ("Meaning", ""), ("Value", run.currency), ("Standard error", run.currency)]
+    blocks: list[Block] = [Chart(svg, caption), Table(head, rows, texts=2, strong=strong)]
+    if costs := finite(run.get("fixed_costs")):
+        blocks.append(Text(f"Fixed costs have a present value of {run.money(costs)}."))
+    return blocks
+
+
+def rungs(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.Rung]:
+    """The bars of the ladder; that of the headline's value is set apart."""
+    places, headline = decimals([x.value for x in values]), finite(run.result.get("value"))
+    strong = next((i for i, x in enumerate(values) if x.value == headline), None)
+    return [
+        charts.Rung(
+            x.name, x.value, run.worth(x.value, x.standard_error, places), x.standard_error,
+            i == strong,
+        )
+        for i, x in enumerate(values)
+    ]  # fmt: skip
+
+
+def cash_flow(run: StorageRun) -> Section:
+    """The distribution of the total discounted cash flow over the paths."""
+    title, short = "Distribution of the total cash flow", "Cash flow"
+    values = VALUES.of(run)
+    cash = CashFlow() if values is None else values.cash_flow
+    if not cash.counts.size or len(cash.edges) != len(cash.counts) + 1:
+        return Section("cash-flow", title, short, [lacking(run, VALUES.name)])
+    quantiles = {float(q): x for q, x in cash.quantiles.items() if np.isfinite(x)}
+    marks = [("mean", cash.mean)] if np.isfinite(cash.mean) else []
+    marks += [(f"{q:g} %", x) for q, x in quantiles.items() if q in (5, 95, 1, 99)]
+    places, facts = decimals(cash.edges), []
+    if np.isfinite(cash.mean):
+        spread = cash.standard_deviation
+        note = f"±{SPACE}{number(spread, places)} standard deviation" if spread == spread else ""
+        facts.append(("Mean", run.money(cash.mean, places), note))
+    names = {1: "1 % quantile", 5: "5 % quantile", 50: "Median", 95: "95 % quantile"}
+    facts += [
+        (name, run.money(quantiles[q], places), "") for q, name in names.items() if q in quantiles
+    ]
+    alt = "Histogram of the total cash flow per path. " + "; ".join(
+        f"{text}: {run.money(x, places)}" for text, x in marks
+    )
+    unit = f"Total discounted cash flow, {run.currency}" if run.currency else "Total cash flow"
+    svg = draw(
+        "cash-flow-bins", alt,
+        lambda axes: charts.histogram(axes, cash.edges, cash.counts, marks, unit),
+    )  # fmt: skip
+    caption = (
+        "Earnings of the storage alone on one path, unhedged; trading the deltas above takes most"
+        " of this spread out."
+    )
+    return Section("cash-flow", title, short, [Chart(svg, caption), Facts(facts)])
+
+
+def _unmeasured(run: StudyRun) -> IntrinsicPlan:
+    raise ValueError("see `intrinsic_chapter`")
+
+
+INTRINSIC = Chapter("intrinsic value", "Intrinsic value", IntrinsicPlan, _unmeasured,
+                    lambda run, plan: [], needs=(), key="intrinsic")  # fmt: skip
+REFERENCE = Chapter("dynamic programming", "Dynamic programming", Reference, measure_reference,
+                    lambda run, reference: [], needs=())  # fmt: skip
+VALUES = Chapter("value ladder", TITLE, ContractValues, measure, show, "Value",
+                 needs=("intrinsic value", "training"))  # fmt: skip

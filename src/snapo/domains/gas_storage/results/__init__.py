@@ -1,1 +1,0 @@
-"""The figures of a run, as plain data: each file one part of the report."""

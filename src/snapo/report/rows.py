@@ -1,0 +1,108 @@
+"""Tables and ladders of records: the type of a value decides how it is written.
+
+A text is set to the left, a number to the right with as many decimals as its column needs, a number
+with a standard error with this error next to it, and a truth value as a mark.
+"""
+
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+from . import charts
+from .drawing import draw
+from .page import Chart, Mark, Table
+from .quantity import decimals, measured, number
+
+
+class WithError(NamedTuple):
+    """A number and its standard error, None where it has none."""
+
+    value: float | None
+    error: float | None = None
+
+
+class Column(NamedTuple):
+    """A column of a table of records.
+
+    - `of`: the name of an attribute, or a function of the record; `unit`: in the header.
+    - `digits`: significant ones of the largest number; `sign`: whether a plus is written.
+    - `places`: decimals, those that `digits` ask for where it is None.
+    """
+
+    name: str
+    of: str | Callable[[Any], Any]
+    unit: str = ""
+    digits: int = 5
+    sign: bool = False
+    places: int | None = None
+
+    def values(self, records: Sequence[Any]) -> list[Any]:
+        """The values of the column, one for each record."""
+        of = self.of
+        return [of(record) if callable(of) else getattr(record, of) for record in records]
+
+    def cells(self, values: Sequence[Any], places: Sequence[int] | None) -> list[tuple[Any, ...]]:
+        """The cells of each row: two for a number with an error, one for anything else.
+
+        `places`: decimals by row; None: those of the column.
+        """
+        if all(isinstance(x, str) for x in values):
+            return [(x,) for x in values]
+        if all(isinstance(x, bool) for x in values):
+            return [(Mark(x, "holds" if x else "fails"),) for x in values]
+        pairs = [x if isinstance(x, WithError) else WithError(x) for x in values]
+        if places is None:
+            digits = decimals([x.value for x in pairs], self.digits)
+            places = [digits if self.places is None else self.places] * len(pairs)
+        if any(isinstance(x, WithError) for x in values):
+            return [measured(*x, n, sign=self.sign) for x, n in zip(pairs, places)]
+        return [(number(x.value, n, self.sign),) for x, n in zip(pairs, places)]
+
+
+def table(
+    records: Sequence[Any],
+    columns: Sequence[Column],
+    caption: str = "",
+    *,
+    folded: str = "",
+    places: int | None = None,
+    by_row: bool = False,
+) -> Table:
+    """A table with a row for each record.
+
+    - `places`: decimals of all its numbers; `by_row`: whether each row has its own number of them.
+    - `folded`: the words to click before the table is shown.
+    """
+    values = [column.values(records) for column in columns]
+    all_places = None if places is None else [places] * len(records)
+    if by_row:
+        all_places = [decimals([x for x in row if not isinstance(x, str)]) for row in zip(*values)]
+    head, texts, cells = [], set(), []
+    for column, column_values in zip(columns, values):
+        column_cells = column.cells(column_values, all_places)
+        if all(isinstance(x, str) for x in column_values):
+            texts.add(len(head))
+        head += [(column.name, column.unit), ("", "")][: len(column_cells[0])]
+        cells.append(column_cells)
+    rows = [sum(row, ()) for row in zip(*cells)]
+    return Table(head, rows, caption, frozenset(texts), folded=folded)
+
+
+class Bar(NamedTuple):
+    """A bar of a ladder; a `strong` one is set apart."""
+
+    name: str
+    value: float
+    error: float | None = None
+    strong: bool = False
+
+
+def ladder(anchor: str, bars: Sequence[Bar], caption: str, places: int | None = None) -> Chart:
+    """Horizontal bars with their numbers, the first on top, with their description."""
+    places = decimals([bar.value for bar in bars], 5) if places is None else places
+    rungs = [
+        charts.Rung(bar.name, bar.value, number(bar.value, places), bar.error, bar.strong)
+        for bar in bars
+    ]
+    alt = "; ".join(f"{rung.name} {rung.text}" for rung in rungs)
+    svg = draw(anchor, alt, lambda axes: charts.ladder(axes, rungs), 40 + 34 * len(rungs))
+    return Chart(svg, caption)

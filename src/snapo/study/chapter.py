@@ -1,0 +1,95 @@
+"""A chapter: one question to a run, from its measurement to its section of the report.
+
+    BASELINES = Chapter("rivals", "Beside classical rules", Baselines, measure, show)
+
+`BASELINES.part` is a part of a study, and `BASELINES` a section of its report. `measure` returns a
+frozen dataclass, which is saved as JSON and read back as the same type: a reader writes
+`BASELINES.of(run).optimum`, and a misspelt name is an error of the type checker.
+"""
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from typing import Annotated, Any, Generic, TypeVar
+
+import numpy as np
+from pydantic import BeforeValidator, PlainValidator, TypeAdapter, ValidationError
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Section
+from snapo.report.sections.lacking import lacking
+
+from .study import Part, StudyRun
+from .training import TRAINING
+
+Result = TypeVar("Result")
+Number = Annotated[float, BeforeValidator(lambda x: np.nan if x is None else x)]  # null is NaN
+Floats = Annotated[np.ndarray, PlainValidator(lambda x: np.array(x, np.float64))]
+
+
+@dataclass(frozen=True, eq=False)
+class Chapter(Generic[Result]):
+    """One question to a run.
+
+    - `name`: in words; of its part, its file and the anchor of its section.
+    - `title`: of the section; `short`: in the menu, the name where it is empty.
+    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses.
+    - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
+    - `needs`: names of the parts that must be done before.
+    - `key`: under which the file of the part has the result; "": the fields are keys of the file.
+
+    No two chapters of a study may write the same key.
+    """
+
+    name: str
+    title: str
+    result: type[Result]
+    measure: Callable[[StudyRun], Result]
+    show: Callable[[Any, Result], Sequence[Block]]
+    short: str = ""
+    needs: tuple[str, ...] = (TRAINING.name,)
+    key: str = ""
+
+    @property
+    def part(self) -> Part:
+        """Its part of a study."""
+        return Part(self.name, lambda run: self.data(self.measure(run)), self.needs)
+
+    def data(self, result: Result) -> dict[str, Any]:
+        """The result as the file of the part has it."""
+        entries = asdict(result)  # pyright: ignore[reportArgumentType]
+        return {self.key: entries} if self.key else entries
+
+    def of(self, run: StudyRun | Folder) -> Result | None:
+        """The result, during the run or from its files; None where there is none."""
+        if self.key:
+            entries = run.get(self.key)
+        else:
+            # A field that the file lacks has its default.
+            values = {name: run.get(name) for name in self._names}
+            entries = {name: x for name, x in values.items() if x is not None} or None
+        if entries is None:
+            return None
+        try:
+            return self._adapter.validate_python(entries)
+        except ValidationError:  # the file of another release, or a damaged one
+            return None
+
+    def __call__(self, run: Folder) -> Section:
+        """Its section of the report; without a result, the reason."""
+        anchor = re.sub(r"\W", "-", self.name)
+        short = self.short or self.name.capitalize()
+        if run.left_out(self.name):
+            return Section(anchor, "", "", [])
+        result = self.of(run)
+        blocks = [lacking(run, self.name)] if result is None else self.show(run, result)
+        return Section(anchor, self.title, short, list(blocks))
+
+    @cached_property
+    def _names(self) -> list[str]:
+        return [field.name for field in fields(self.result)]  # pyright: ignore[reportArgumentType]
+
+    @cached_property
+    def _adapter(self) -> TypeAdapter[Result]:
+        return TypeAdapter(self.result, config=None)

@@ -1,0 +1,202 @@
+"""Why to believe the number: the adjoint against bumps, and the limits of the simulator."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from snapo.problem.problem import Problem
+from snapo.report import evidence
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Missing, Table
+from snapo.report.quantity import finite, number, percent, power, readable
+from snapo.solver.certificate import certify_derivatives, feasibility, in_the_mean, nudged
+
+from ..chapter import Chapter, Number
+from ..study import Setup, StudyRun
+
+BUMP_PATHS, LIMIT_PATHS = 256, 4096
+ROUND_OFF = 1e-9  # of the largest number among the inputs, at least of one
+TITLE = "Certificate: why to believe this number"
+
+
+@dataclass(frozen=True)
+class BumpRow:
+    """The adjoint against central differences of a family of inputs, per unit of the input.
+
+    - `inputs`: the direction in words, or how many inputs were bumped.
+    - `worst_error`, `allowed`: of the adjoint, in the unit of the value.
+    - `passed`: None where most paths are at a kink; `crossing`: the share of paths at one.
+    """
+
+    family: str = ""
+    inputs: str | float | None = None
+    worst_error: float | None = None
+    allowed: float | None = None
+    passed: bool | None = None
+    kink: Any = None
+    crossing: float | None = None
+
+
+@dataclass(frozen=True)
+class LimitRow:
+    """The smallest slack of a limit over all paths and steps, and where it was."""
+
+    limit: str = ""
+    worst: float | None = None
+    path: int | None = None
+    step: int | None = None
+    passed: bool | None = None
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """The checks of a run. A domain with figures of its own adds them in a subclass."""
+
+    bump_check: tuple[BumpRow, ...] = ()
+    feasibility: tuple[LimitRow, ...] = ()
+    smoothing_gap: Number = np.nan
+    policy_gradient_norm: Number = np.nan
+
+    @property
+    def checks(self) -> list[tuple[str, bool]]:
+        """(subject, whether it holds) of every check with a verdict."""
+        rows = [(row.family, row.passed) for row in self.bump_check]
+        rows += [(row.limit, row.passed) for row in self.feasibility]
+        return [(name.replace("_", " "), passed) for name, passed in rows if passed is not None]
+
+
+def largest(problem: Problem) -> float:
+    """The size of the largest number among the inputs, at least one."""
+    sizes = [np.max(np.abs(entry.value), initial=1.0) for entry in problem.named.values()]
+    return float(max(sizes, default=1.0))
+
+
+def round_off(problem: Problem) -> float:
+    """By how much a limit may be missed in arithmetic, in the largest unit of the inputs."""
+    return ROUND_OFF * largest(problem)
+
+
+def certificate(
+    *,
+    bump_paths: int = BUMP_PATHS,
+    tolerance: Callable[[Problem], float] = round_off,
+    near: Callable[[Problem], Problem] = nudged,
+    problem_of: Callable[[Setup], Problem] = lambda setup: setup.problem,
+    result: type[Certificate] = Certificate,
+    more: Callable[[StudyRun], Mapping[str, Any]] = lambda run: {},
+    show: Callable[[Any, Any], list[Block]] | None = None,
+) -> Chapter[Any]:
+    """The chapter "certificate": bumps, limits, the smoothing gap and the policy's gradient.
+
+    Bumps are made at the inputs, and near them too where most paths are at kinks; inputs whose
+    derivative is right only in the mean are judged by their move. Limits are those of the
+    simulator's `slack`.
+
+    **Arguments:**
+
+    - `bump_paths`: of the differences.
+    - `tolerance`: by how much a limit may be missed; `near`: the problem a little away from kinks.
+    - `problem_of`: the problem to certify.
+    - `result`: the class of the result, with the further fields that `more` returns.
+    - `show`: the blocks of its section, if they are not those of `show_certificate`.
+    """
+
+    def measure(run: StudyRun) -> Certificate:
+        setup, solution = run.setup, run.solution
+        problem, policy, engine = problem_of(setup), solution.policy, setup.engines.evaluate
+        if policy is None:
+            raise ValueError("the run has no policy")
+        paths = min(LIMIT_PATHS, setup.evaluation.paths)
+        bumps = certify_derivatives(
+            problem, policy, min(bump_paths, paths), near=near, engine=engine
+        )
+        limits = feasibility(problem, policy, paths, engine=engine)
+        verdicts = (solution.sensitivities.verdicts if solution.sensitivities else None) or {}
+        rows = [bump.row() for bump in bumps] + in_the_mean(problem, verdicts)
+        slack = tolerance(problem)
+        return result(
+            tuple(BumpRow(**row) for row in rows),
+            tuple(LimitRow(**limit.row(slack)) for limit in limits),
+            solution.smoothing_gap,
+            solution.policy_gradient_norm,
+            **more(run),
+        )
+
+    blocks = show or show_certificate
+    return Chapter("certificate", TITLE, result, measure, blocks, key="certificate")
+
+
+def show_certificate(run: Folder, result: Certificate) -> list[Block]:
+    """The tables of bumps and of limits."""
+    step = str(run.get("step", "step")).capitalize()
+    if not result.feasibility:
+        text = "The simulator declares no limits: its method `slack` names none."
+        return [bump_table(result, run.unit), Missing(text)]
+    return [bump_table(result, run.unit), limit_table(result, "", step)]
+
+
+def bump_table(
+    result: Certificate, unit: str, name_of: Callable[[str], str] = readable
+) -> Table | Missing:
+    """The adjoint against differences, one row per family of inputs; errors in `unit`."""
+    rows = result.bump_check
+    if not rows:
+        return Missing("The adjoint was not checked against central differences in this run.")
+    body = [
+        (
+            name_of(row.family),
+            _direction(row.inputs),
+            evidence.verdict(row.passed, "holds", "fails", "at kinks: see nearby"),
+            power(row.worst_error),
+            power(row.allowed),
+            percent(row.crossing) if row.crossing else "",
+        )
+        for row in rows
+    ]
+    head = [("Family of inputs", ""), ("Bumped", ""), ("", ""), ("Worst error", unit),
+            ("Allowed", unit), ("At a kink", "of paths")]  # fmt: skip
+    caption = "Adjoint against central differences, per unit of the input, on the same paths"
+    verdicts = [row.passed for row in rows if row.passed is not None]
+    folded = f"Adjoint against bumps: {sum(verdicts)} of {len(verdicts)} hold"
+    return Table(head, body, caption, 3, folded=folded)
+
+
+def limit_table(
+    result: Certificate,
+    unit: str,
+    step: str,
+    when: Callable[[Any], str] = lambda step: number(finite(step), 0),
+) -> Table | Missing:
+    """The smallest slack of every limit, in `unit`; `step` names a step and `when` labels one."""
+    if not result.feasibility:
+        return Missing("The exact simulator's limits were not checked in this run.")
+    body = [
+        (
+            row.limit.replace("_", " ").capitalize(),
+            evidence.verdict(row.passed, "holds", "violated"),
+            power(row.worst),
+            number(row.path, 0),
+            when(row.step),
+        )
+        for row in result.feasibility
+    ]
+    head = [("Limit", ""), ("", ""), ("Smallest slack", unit), ("Path", ""), (step, "")]
+    caption = f"Limits over all paths and {step.lower()}s, exact simulator (slack: room to a limit)"
+    return Table(head, body, caption, 2)
+
+
+def _direction(inputs: str | float | None) -> str:
+    """What was bumped: a direction in words, or how many inputs."""
+    count = None if isinstance(inputs, str) else finite(inputs)
+    return str(inputs or "") if count is None else number(count, 0)
+
+
+CERTIFICATE = certificate()
+
+
+def checks(run: Folder) -> list[tuple[str, bool]]:
+    """(subject, whether it holds) of every check of the certificate of a run."""
+    result = CERTIFICATE.of(run)
+    return [] if result is None else result.checks

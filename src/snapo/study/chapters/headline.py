@@ -1,0 +1,53 @@
+"""The value of a run with its standard error, and the numbers that stand beside it."""
+
+from snapo.report.evidence import gradient, notes
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Facts, Headline, Mark, Section
+from snapo.report.quantity import SPACE, decimals, finite, number, part_of, plus_minus
+from snapo.report.sections.lacking import lacking
+
+from .certificate import checks
+
+STATUS = {
+    "ok": "done",
+    "trained": "trained to the end",
+    "stopped early": "training stopped early, as asked",
+}
+
+
+def headline(run: Folder) -> Section:
+    """The value that a reader came for."""
+    value, unit = finite(run.result.get("value")), run.unit
+    if value is None:
+        return Section("value", "Value", "Value", [lacking(run, "training")])
+    error = finite(run.result.get("standard_error"))
+    places = decimals([value], 6) if not error else max(0, decimals([error], 2))
+    text = f"{number(value, places)}{SPACE}{unit}".rstrip(SPACE)
+    objective = str(run.get("objective", "the objective"))
+    note = f"{objective}, of the exact simulator on fresh paths; ± one standard error"
+    known = plus_minus(error, places)
+    blocks: list[Block] = [Headline("Value", text, known, note, marks=marks(run)), *notes(run)]
+    facts = _facts(run, value, places)
+    return Section("value", "Value", "Value", [*blocks, Facts(facts)] if facts else blocks)
+
+
+def marks(run: Folder) -> list[Mark]:
+    """The state of the run, and of its checks together."""
+    status = str(run.result.get("status", ""))
+    found = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
+    held = [passed for _, passed in checks(run)]
+    if held:
+        found.append(Mark(all(held), f"{sum(held)} of {len(held)} checks hold"))
+    return found
+
+
+def _facts(run: Folder, value: float, places: int) -> list[tuple[str, str, str]]:
+    facts = []
+    for name, each in (run.result.get("references") or {}).items():
+        if finite(each) is not None:
+            facts.append((name.replace("_", " ").capitalize(), number(each, places), run.unit))
+    gap = finite(run.result.get("smoothing_gap"))
+    if gap is not None:
+        share = f"{part_of(gap / abs(value))} of the value; " if value else ""
+        facts.append(("Smoothing gap", number(gap), f"{share}exact less smooth simulator"))
+    return [*facts, *gradient(run)]

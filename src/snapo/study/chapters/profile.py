@@ -1,0 +1,208 @@
+"""State, decisions and outputs over time: bands of quantiles over paths of the exact simulator."""
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.engine import COURSE
+from snapo.problem.smooth import Exact
+from snapo.report.bands import quantile_fan
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Text
+from snapo.report.quantity import number, quantity, readable, with_unit
+
+from ..chapter import Chapter, Floats, Number
+from ..study import Setup, StudyRun
+from .distribution import QUANTILES
+
+PATHS, MOST_NUMBERS = 4096, 4_000_000  # paths, and numbers of one record that are held at once
+MOST_ENTRIES = 12  # of an array in the state: a larger one has no band of its own
+KINDS = ("state", "action", "outputs")
+PICTURES = 12  # of one kind
+HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one step"}
+EMPTY = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class BandSeries:
+    """Bands of one number over time: of states [T + 1], of decisions and outputs [T].
+
+    - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: of its numbers.
+    - `mean`, `p01` …: mean and quantiles over the paths, NaN at steps where no path is finite.
+    """
+
+    name: str
+    kind: str
+    unit: str = ""
+    mean: Floats = field(default_factory=lambda: EMPTY)
+    p01: Floats = field(default_factory=lambda: EMPTY)
+    p05: Floats = field(default_factory=lambda: EMPTY)
+    p25: Floats = field(default_factory=lambda: EMPTY)
+    p50: Floats = field(default_factory=lambda: EMPTY)
+    p75: Floats = field(default_factory=lambda: EMPTY)
+    p95: Floats = field(default_factory=lambda: EMPTY)
+    p99: Floats = field(default_factory=lambda: EMPTY)
+
+    @property
+    def lines(self) -> dict[str, np.ndarray]:
+        """{band: numbers} of the bands that have a finite number."""
+        bands = {name: getattr(self, name) for name in ("mean", *QUANTILES)}
+        return {name: band for name, band in bands.items() if np.isfinite(band).any()}
+
+    @property
+    def constant(self) -> float | None:
+        """The number that it is at every step of every path; None where it varies."""
+        lines = self.lines
+        if not {"mean", "p01", "p99"} <= lines.keys():
+            return None
+        level = float(lines["mean"][0])
+        same = all(
+            np.allclose(lines[name], level, rtol=1e-12, atol=0.0) for name in ("mean", "p01", "p99")
+        )
+        return level if same else None
+
+    def times(self, factor: float) -> "BandSeries":
+        """The series in another unit."""
+        return replace(self, **{name: factor * band for name, band in self.lines.items()})
+
+
+@dataclass(frozen=True)
+class BandProfile:
+    """All series; `paths`: over which their bands are; `notes`: sentences on what is left out."""
+
+    series: tuple[BandSeries, ...] = ()
+    paths: Number = 0
+    notes: tuple[str, ...] = ()
+
+
+def profile(
+    *,
+    without: Collection[str] = (),
+    factor: Callable[[Folder, BandSeries], float] = lambda run, series: 1.0,
+) -> Chapter[BandProfile]:
+    """The chapter "profile".
+
+    - `without`: names of states that are left out.
+    - `factor`: by which the numbers of a series are multiplied in the report.
+    """
+    return Chapter(
+        "profile",
+        "Over time",
+        BandProfile,
+        lambda run: measure(run, without),
+        lambda run, result: show(run, result, factor),
+        "Over time",
+        key="profile",
+    )
+
+
+def measure(run: StudyRun, without: Collection[str] = ()) -> BandProfile:
+    """The bands of the trained policy; units are those of the study's `about`."""
+    horizon, units = run.setup.problem.simulator.horizon, run.study.about.get("units", {})
+    requested = min(PATHS, max(256, MOST_NUMBERS // horizon))
+    series, notes, paths = [], [], 0
+    for kind, name, values in recorded(run.setup, run.solution.policy, requested):
+        _, paths, entries = values.shape
+        if kind == "state" and name in without:
+            continue
+        if entries > MOST_ENTRIES:
+            notes.append(f"{name} has {entries} numbers and no band of its own.")
+            continue
+        for i in range(entries):
+            full = name if entries == 1 else f"{name}.{i}"
+            unit = units.get(full, units.get(name, ""))
+            series.append(BandSeries(full, kind, unit, **bands(values[:, :, i])))
+    return BandProfile(tuple(series), paths, tuple(notes))
+
+
+def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.ndarray]]:
+    """(kind, name, numbers [T or T + 1, paths, entries]) of all that a path does."""
+    problem = setup.problem
+    bound, source = setup.engines.evaluate.bind(problem), problem.sources.evaluation
+    records: dict[tuple[str, str], list[np.ndarray]] = {}
+    for block in source.blocks(source.available(paths), 8):
+        draws = source.draws(block, problem.simulator)
+        rollout = bound.values(policy, draws, Exact(), record=COURSE)
+        last = leaves(rollout.state)
+        for kind in KINDS:
+            for name, values in leaves(rollout.record[kind]).items():
+                values = np.asarray(values, np.float64)
+                if kind == "state":
+                    values = np.concatenate([values, np.asarray(last[name], np.float64)[None]])
+                flat = values.reshape(*values.shape[:2], -1)
+                records.setdefault((kind, name or kind), []).append(flat)
+    for (kind, name), blocks in records.items():
+        yield kind, name, np.concatenate(blocks, axis=1)
+
+
+def leaves(tree: Any) -> dict[str, Any]:
+    """{dotted name: array} of a tree; the name of a tree that is one array is empty."""
+    paths = jax.tree_util.tree_flatten_with_path(tree)[0]
+    return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in paths}
+
+
+def bands(values: np.ndarray) -> dict[str, np.ndarray]:
+    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN where there is none."""
+    if values.size and np.isfinite(values).all():  # at once, and not row by row
+        return {"mean": values.mean(1), **dict(zip(QUANTILES, _quantiles(values)))}
+    masked = np.where(np.isfinite(values), values, np.nan)
+    any_finite = np.asarray(np.isfinite(masked).any(1))
+    filled = np.where(any_finite.reshape(-1, 1), masked, 0.0)
+    quantiles = np.nanquantile(filled, list(QUANTILES.values()), axis=1)
+    rows = {"mean": np.nanmean(filled, axis=1), **dict(zip(QUANTILES, quantiles))}
+    return {name: np.where(any_finite, row, np.nan) for name, row in rows.items()}
+
+
+def _quantiles(values: np.ndarray) -> np.ndarray:
+    """[quantiles, T] of finite numbers [T, paths], as `np.quantile` finds them, in less time."""
+    ordered = np.sort(values, axis=1)
+    position = np.array(list(QUANTILES.values())) * (values.shape[1] - 1)
+    left = np.floor(position).astype(int)
+    low, high = ordered[:, left], ordered[:, np.ceil(position).astype(int)]
+    return (low + (position - left) * (high - low)).T
+
+
+def show(
+    run: Folder,
+    result: BandProfile,
+    factor: Callable[[Folder, BandSeries], float] = lambda run, series: 1.0,
+) -> Sequence[Block]:
+    """A fan for every number of the state, of the decision and of the outputs."""
+    series = [x.times(factor(run, x)) for x in result.series]
+    step, paths = str(run.get("step", "step")), number(result.paths, 0)
+    blocks: list[Block] = []
+    for kind in HEADINGS:
+        of_kind = [x for x in series if x.kind == kind]
+        varying = [x for x in of_kind if x.constant is None]
+        blocks += [
+            _fan(f"fan-{kind}-{i}", x, step, paths) for i, x in enumerate(varying[:PICTURES])
+        ]
+        if len(varying) > PICTURES:
+            blocks.append(Text(f"{len(varying) - PICTURES} more of this kind are not drawn.", True))
+        for x in of_kind:
+            if (level := x.constant) is not None:
+                size = quantity(level, x.unit)
+                sentence = f"{readable(x.name)} ({HEADINGS[kind]}) is {size} at every {step}."
+                blocks.append(Text(sentence, caveat=True))
+    return [*blocks, *(Text(note, caveat=True) for note in result.notes)]
+
+
+def _fan(anchor: str, series: BandSeries, step: str, paths: str) -> Chart | Text:
+    name, lines = readable(series.name), series.lines
+    if "mean" not in lines:
+        return Text(f"{name} is finite on no path.", caveat=True)
+    when = np.arange(len(lines["mean"]))
+    alt = f"{name} over {len(when)} {step}s: mean, median and bands of quantiles of {paths} paths."
+    label = with_unit(name, series.unit)
+    svg = draw(
+        anchor, alt, lambda axes: quantile_fan(axes, when, lines, label, None, step.capitalize()),
+        230,
+    )  # fmt: skip
+    return Chart(svg, f"{name} ({HEADINGS[series.kind]}), {paths} paths of the exact simulator.")
+
+
+PROFILE = profile()

@@ -1,0 +1,276 @@
+"""Sensitivities: the effect of a usual move of each input, and every derivative with its error."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from snapo.problem.inputs import Input
+from snapo.report.bands import Swing, tornado
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder, Sensitivity
+from snapo.report.page import Block, Chart, Section, Table, Text
+from snapo.report.quantity import (
+    SPACE,
+    decimals,
+    derivative_unit,
+    measured,
+    number,
+    percent,
+    plus_minus,
+    quantity,
+    readable,
+    rough,
+    unit_words,
+)
+from snapo.report.sections.lacking import lacking
+from snapo.solver.derivatives.bump import one_percent
+from snapo.solver.derivatives.verdict import Verdict
+from snapo.solver.sensitivity import Sensitivities
+from snapo.solver.statistics import Estimate
+
+from ..chapter import Chapter
+from ..study import StudyRun
+
+SHARE = 0.01  # of every number of an input that does not specify its `move`
+LONGEST = 15  # bars of the tornado
+ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
+CAVEAT = (
+    "To first order. The derivative is that of the best policy's value. Held: the exact simulator "
+    "with the decisions held, which is that derivative where decisions are optimal, see the whole "
+    "state and cause no jump. Through the policy: a bump of the exact simulator by one percent, "
+    "with the policy reacting, where it refutes the held one (at a level of 1 % for all inputs "
+    "together). Range: at a kink, between the derivatives for less and for more of the input. The "
+    "95 % interval adds two parts: the sampling error of finitely many paths, and the error of the "
+    "policy, which is near the best one. "
+    "Drift: by how much the held derivative changed in the second half of training."
+)
+
+
+@dataclass(frozen=True)
+class InputMove:
+    """The effect on the value when all numbers of an input move together; None where not known.
+
+    - `words`, `group`: of the input; `numbers`: how many it has.
+    - `amount`, `unit`: by how much every number moves, in the unit of the trade; `amount` is None
+      where each moves by `share` of itself.
+    - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
+      interval, of whose half-width `sampling` is due to finitely many paths and `policy` to the
+      policy's error; `source`: see `solver.derivatives.interval.Reported`.
+    - `held`, `held_error`: with the decisions held; `smooth`, `smooth_error`: through the policy's
+      reaction; `bump`, `bump_error`: the change of the exact value at a bump, scaled to the size of
+      this move, where it is along the same direction; `more`, `less`: of the move and of its
+      opposite alone, where they differ.
+    """
+
+    input: str
+    words: str = ""
+    group: str = ""
+    numbers: int = 1
+    amount: float | None = None
+    share: float | None = None
+    unit: str = ""
+    effect: float | None = None
+    low: float | None = None
+    high: float | None = None
+    sampling: float | None = None
+    policy: float | None = None
+    source: str | None = None
+    held: float | None = None
+    smooth: float | None = None
+    bump: float | None = None
+    held_error: float | None = None
+    smooth_error: float | None = None
+    bump_error: float | None = None
+    more: float | None = None
+    less: float | None = None
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval; 0 where it has none."""
+        return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
+
+    @property
+    def size(self) -> str:
+        """By how much the input moves, in words."""
+        if self.amount is None:
+            return f"+{percent(0.01 if self.share is None else self.share, 0)}"
+        single = self.amount == 1 and self.unit == "points"
+        return f"+{quantity(self.amount, 'point' if single else self.unit)}"
+
+
+@dataclass(frozen=True)
+class InputMoves:
+    """The moves of all inputs, the largest effects first."""
+
+    moves: tuple[InputMove, ...]
+
+
+def measure(run: StudyRun) -> InputMoves:
+    """The moves of the inputs of the solution's sensitivities."""
+    table = run.solution.sensitivities
+    if table is None:
+        return InputMoves(())
+    moves = [_move(name, entry, table) for name, entry in table.inputs.items()]
+    return InputMoves(tuple(sorted(moves, key=lambda move: -abs(move.effect or 0.0))))
+
+
+def direction(entry: Input) -> np.ndarray:
+    """How every number of an input moves, shaped like it."""
+    if entry.move is None:
+        return SHARE * entry.value
+    return np.full(entry.value.shape, entry.move)
+
+
+def interval(table: Sensitivities, name: str, along: np.ndarray) -> dict[str, float | None]:
+    """The reported derivative along a direction as numbers of a table; None where not known."""
+    names = ("effect", "low", "high", "sampling", "policy")
+    numbers = table.along(name, along)
+    return {key: float(x) if np.isfinite(x) else None for key, x in zip(names, numbers)}
+
+
+def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
+    along = direction(entry)
+    bump = _bump(entry, table.verdicts, name, along)
+    sides = (bump.up, bump.down) if bump and bump.two_sided else (None, None)
+    held, held_error = table.held[name].along(along)
+    smooth, smooth_error = _along(table.smooth, name, along)
+    seen, seen_error = bump.bump if bump else (None, None)
+    return InputMove(
+        name,
+        entry.words,
+        entry.group,
+        entry.value.size,
+        None if entry.move is None else entry.move * entry.trade_factor,
+        SHARE if entry.move is None else None,
+        entry.trade_unit or entry.unit,
+        **interval(table, name, along),
+        source=table.source(name),
+        held=held,
+        held_error=held_error,
+        smooth=smooth,
+        smooth_error=smooth_error,
+        bump=seen,
+        bump_error=seen_error,
+        more=sides[0],
+        less=sides[1],
+    )
+
+
+def _bump(
+    entry: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
+) -> Verdict | None:
+    """The bump scaled to this move, where it has the same or the opposite direction."""
+    verdict = (verdicts or {}).get(name)
+    if verdict is None:
+        return None
+    by = one_percent(entry)
+    times = float(np.sum(along * by) / np.sum(by * by))
+    if not np.allclose(along, times * by):
+        return None
+    up, down = (verdict.up, verdict.down) if times > 0 else (verdict.down, verdict.up)
+    value, error = verdict.bump
+    scaled = {"up": times * up, "down": times * down, "side_error": abs(times) * verdict.side_error}
+    return verdict._replace(bump=(times * value, abs(times) * error), **scaled)
+
+
+def _along(
+    table: Mapping[str, Estimate] | None, name: str, along: np.ndarray
+) -> tuple[float | None, float | None]:
+    return (None, None) if table is None else table[name].along(along)
+
+
+def sensitivities(run: Folder) -> Section:
+    """The tornado with its table, and the derivative with respect to every number."""
+    title = "Sensitivities"
+    if not run.sensitivities:
+        return Section("sensitivities", title, title, [lacking(run, "training")])
+    result = MOVES.of(run)
+    blocks = [] if result is None else show(run, result)
+    blocks = blocks or [lacking(run, "moves")]
+    caveat = Text(CAVEAT, caveat=True)
+    return Section("sensitivities", title, title, [*blocks, _derivatives(run), caveat])
+
+
+def show(run: Folder, result: InputMoves) -> Sequence[Block]:
+    """The tornado and the table of moves; nothing where no effect is known."""
+    moves = [move for move in result.moves if move.effect is not None]
+    return [_tornado(run, moves), _moves(run, moves)] if moves else []
+
+
+def _tornado(run: Folder, moves: Sequence[InputMove]) -> Chart:
+    drawn = moves[:LONGEST]
+    places = decimals([move.effect for move in drawn], 4)
+    swings = [
+        Swing(
+            f"{readable(move.input)} {move.size}",
+            float(move.effect or 0.0),
+            f"{number(move.effect, places, sign=True)}{SPACE}{run.unit}".rstrip(SPACE),
+            move.half_width,
+        )
+        for move in drawn
+    ]
+    alt = "Bars. " + "; ".join(f"{swing.name}: {swing.text}" for swing in swings) + "."
+    height = 32 + 26 * len(swings)
+    svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
+    caption = (
+        "Change of the value when all numbers of an input move up by the amount at the left, with "
+        "the reported derivative; whiskers are 95 % intervals."
+    )
+    return Chart(svg, caption)
+
+
+def _moves(run: Folder, moves: Sequence[InputMove]) -> Table:
+    places = decimals([move.effect for move in moves], 4)
+    rows = [
+        (
+            readable(move.input),
+            move.words,
+            move.size,
+            *(number(x, places) for x in (move.effect, move.low, move.high)),
+            *(rough(x) for x in (move.sampling, move.policy)),
+            move.source or "",
+            *_at_bump(move, places),
+        )
+        for move in moves
+    ]
+    head = [("Input", ""), ("Meaning", ""), ("Moved by", ""), ("Change", run.unit),
+            ("95 % low", run.unit), ("high", run.unit), ("of it sampling", run.unit),
+            ("policy", run.unit), ("Source", ""), ("Bump", run.unit), ("", "")]  # fmt: skip
+    return Table(head, rows, "Change of the value for a move of an input", frozenset({0, 1, 2, 8}))
+
+
+def _at_bump(move: InputMove, places: int) -> tuple[str, str]:
+    """The change at a bump, and its error; of more and of less apart, where they differ."""
+    if move.more is None or move.less is None:
+        return measured(move.bump, move.bump_error, places)
+    text = f"{number(move.more, places)} more, {number(move.less, places)} less"
+    return text, plus_minus(move.bump_error, places)
+
+
+def _derivatives(run: Folder) -> Table:
+    rows = [_line(row, run.unit) for row in run.sensitivities[:ROWS]]
+    head = [("Input", ""), ("", ""), ("Derivative", ""), ("95 % low", ""), ("high", ""),
+            ("Unit", ""), ("Source", ""), ("Held", ""), ("", ""), ("Smooth", ""), ("", ""),
+            ("Drift", ""), ("", "")]  # fmt: skip
+    count = len(run.sensitivities)
+    caption = "Derivative of the value with respect to every number, per one unit of it"
+    if count > ROWS:
+        caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
+    texts = frozenset({0, 1, 5, 6})
+    return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
+
+
+def _line(row: Sensitivity, value_unit: str) -> tuple[str, ...]:
+    places = min(9, decimals([row.value, row.held, row.smooth], 4))
+    return (
+        readable(row.input), row.label,
+        *(number(x, places) for x in (row.value, row.low, row.high)),
+        unit_words(derivative_unit(value_unit, row.unit)), row.source,
+        *measured(row.held, row.held_error, places),
+        *measured(row.smooth, row.smooth_error, places),
+        rough(row.moved), plus_minus(row.moved_error, places),
+    )  # fmt: skip
+
+
+MOVES = Chapter("moves", "Sensitivities", InputMoves, measure, show)
