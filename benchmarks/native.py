@@ -44,7 +44,7 @@ class Storage(Simulator):
     """Gas storage with a three-factor price and rates that depend on the inventory."""
 
     horizon: int = eqx.field(static=True, default=341)
-    action: Box = eqx.field(default=Box(3))
+    action: Box = eqx.field(default=Box(-math.inf, math.inf, 3))
     noise_size: int = eqx.field(static=True, default=3)
 
     def prepare(self, inputs):
@@ -80,7 +80,7 @@ class Correlated(Simulator):
     """300 factors moved by correlated noise: a 300 x 300 matrix-vector product per step."""
 
     horizon: int = eqx.field(static=True, default=50)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-math.inf, math.inf))
     noise_size: int = eqx.field(static=True, default=300)
 
     def prepare(self, inputs):

@@ -35,7 +35,7 @@ class Battery(snapo.Simulator):
 
     price: Process = Schwartz(range(HOURS), time_scale=24.0)
     horizon: int = HOURS
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
     @property
     def noise_size(self):
@@ -165,4 +165,4 @@ def inputs() -> Inputs:
 
 
 if __name__ == "__main__":
-    print(snapo.solve(simulator(), inputs(), objective=snapo.Mean("value")))
+    print(snapo.solve(simulator(), inputs(), objective="value"))

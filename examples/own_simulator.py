@@ -6,7 +6,7 @@ import snapo
 
 class Reservoir(snapo.Simulator):
     horizon, noise_size = 52, 2  # weeks; and the standard normals of one: rain and price
-    action = snapo.Box(1, low=0.0, high=1.0)  # the share of the turbines' capacity
+    action = snapo.Box(0.0, 1.0)  # the share of the turbines' capacity
 
     def prepare(self, inputs):  # the numbers that all paths share
         return snapo.Schedule(constants=inputs, steps={"week": jnp.arange(52.0)})
@@ -27,4 +27,4 @@ class Reservoir(snapo.Simulator):
 
 inputs = {"water": snapo.Input(60, "hm3"), "rain": snapo.Input(4, "hm3"), "price": snapo.Input(50)}
 if __name__ == "__main__":
-    print(snapo.solve(Reservoir(), inputs, objective=snapo.Mean("cash")))
+    print(snapo.solve(Reservoir(), inputs, objective="cash"))

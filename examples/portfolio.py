@@ -36,7 +36,7 @@ class Portfolio(snapo.Simulator):
 
     loadings: np.ndarray
     horizon: int = MONTHS
-    action: snapo.Box = snapo.Box(ASSETS)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf, ASSETS)
     noise_size: int = ASSETS + 4
 
     def prepare(self, inputs: Inputs) -> snapo.Schedule:

@@ -37,7 +37,7 @@ def countdown(steps: int):
 class FixedOrder(snapo.Simulator):
     horizon: int = 50
     noise_size: int = 2
-    action: snapo.Product = snapo.Product(order=snapo.Choice(2), size=snapo.Whole(1, 0, 40))
+    action: snapo.Product = snapo.Product(order=snapo.Choice(2), size=snapo.Integers(0, 40))
 
     def prepare(self, inputs):
         demand = draws.prepare(draws.Poisson(inputs["mean"], most=30))
@@ -66,7 +66,7 @@ class FixedOrder(snapo.Simulator):
 class LostSales(snapo.Simulator):
     horizon: int = 30
     noise_size: int = 1
-    action: snapo.Whole = snapo.Whole(1, 0, 20)
+    action: snapo.Integers = snapo.Integers(0, 20)
 
     def prepare(self, inputs):
         demand = draws.prepare(draws.Poisson(inputs["mean"], most=30))
@@ -92,7 +92,7 @@ class LostSales(snapo.Simulator):
 class DualSourcing(snapo.Simulator):
     horizon: int = 60
     noise_size: int = 1
-    action: snapo.Whole = snapo.Whole(2, 0, 8)
+    action: snapo.Integers = snapo.Integers(0, 8, 2)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"left": countdown(60)})
@@ -146,7 +146,7 @@ class Put(snapo.Simulator):
 class Regulator(snapo.Simulator):
     horizon: int = 20
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-jnp.inf, jnp.inf)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"left": countdown(20)})
@@ -167,7 +167,7 @@ class MeasuredRegulator(snapo.Simulator):
     horizon: int = 20
     noise_size: int = 2
     initial_noise_size: int = 2
-    action: snapo.Box = snapo.Box(1, -5.0, 5.0)
+    action: snapo.Box = snapo.Box(-5.0, 5.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.arange(20.0)})
@@ -202,7 +202,7 @@ class Once(snapo.Simulator):
 
 class Newsvendor(Once):
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 100.0)
+    action: snapo.Box = snapo.Box(0.0, 100.0)
 
     def step(self, constants, now, state, action, noise, smooth):
         demand = constants["mean"] + constants["sd"] * noise[0]
@@ -213,7 +213,7 @@ class Newsvendor(Once):
 class Merton(snapo.Simulator):
     horizon: int = 12
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"left": countdown(12)})
@@ -263,7 +263,7 @@ class AtLimit(snapo.Simulator):
 class Digital(Once):
     noise_size: int = 1
     initial_noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         deviation = constants["sd0"]
@@ -285,7 +285,7 @@ class Store(snapo.Simulator):
 
     horizon: int = 16
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     relative: bool = False
 
     def prepare(self, inputs):
@@ -321,7 +321,7 @@ class Store(snapo.Simulator):
 class Growth(snapo.Simulator):
     horizon: int = 30
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.01, 0.99)
+    action: snapo.Box = snapo.Box(0.01, 0.99)
 
     def prepare(self, inputs):
         t = jnp.arange(30.0)
@@ -345,7 +345,7 @@ class Growth(snapo.Simulator):
 class Signal(Once):
     noise_size: int = 0
     initial_noise_size: int = 2
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-jnp.inf, jnp.inf)
 
     def initial(self, constants, noise):
         hidden = jnp.sqrt(constants["v"]) * noise[0]
@@ -439,7 +439,7 @@ class Offers(snapo.Simulator):
 class Cake(snapo.Simulator):
     horizon: int = 10
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.01, 0.99)
+    action: snapo.Box = snapo.Box(0.01, 0.99)
 
     def prepare(self, inputs):
         t = jnp.arange(10.0)

@@ -45,13 +45,15 @@ class Trained:
     def value(self, source: Pseudo, paths: int) -> tuple[float, float]:
         """The value and its standard error, with the control variate."""
         engine = self.setup.engines.evaluate
-        found = evaluate(self.on(source), self.policy, paths, engine=engine)
+        found = evaluate(self.on(source), self.policy, paths=paths, engine=engine)
         return found.value, found.standard_error
 
     def delta(self, source: Pseudo, paths: int) -> tuple[float, float]:
         """One held delta and its standard error from 32 blocks."""
         engine = self.setup.engines.evaluate
-        found = sensitivities(self.on(source), self.policy, paths, engine=engine).held[self.curve]
+        found = sensitivities(self.on(source), self.policy, paths=paths, engine=engine).held[
+            self.curve
+        ]
         return float(found.value[DAY]), float(found.standard_error[DAY])
 
 

@@ -28,7 +28,7 @@ class Good(Simulator):
     """Stock that grows, and a price; the mistakes below are made in copies of it."""
 
     horizon: int = T
-    action: Box = Box(1, 0.0, 1.0)
+    action: Box = Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -276,7 +276,7 @@ def test_numbers_and_derivatives_that_are_not_finite_are_placed():
 class Idle(Good):
     """Three actions: one works, one is rounded away, one is ignored; two normals, one ignored."""
 
-    action: Box = Box(3, 0.0, 1.0)
+    action: Box = Box(0.0, 1.0, 3)
     noise_size: int = 2
 
     def observe(self, constants, now, state):
@@ -474,7 +474,7 @@ def test_indices_within_an_array_are_no_mistake():
 class Corner(Good):
     """A second action and an input that matter near the end of the action's range only."""
 
-    action: Box = Box(2, 0.0, 1.0)
+    action: Box = Box(0.0, 1.0, 2)
 
     def prepare(self, inputs):
         return Schedule({"drift": inputs.drift, "fee": inputs.fee}, {"price": inputs.price})

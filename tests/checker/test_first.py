@@ -24,7 +24,7 @@ class Plain(Simulator):
     """A state that stays, and what `moved` makes of it."""
 
     horizon: int = 3
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 2
 
     def prepare(self, inputs):

@@ -108,7 +108,7 @@ class Fall(snapo.Simulator):
     """Draws nothing, and has a comparison without any number."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 0
 
     def prepare(self, inputs):

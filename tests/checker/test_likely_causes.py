@@ -11,7 +11,7 @@ INPUTS = {"spot": snapo.Input(100.0)}
 
 class Hedge(snapo.Simulator):
     horizon, noise_size = 3, 1
-    action = snapo.Product(hold=snapo.Box(1, 0.0, 1.0), lend=snapo.Box(1, 0.0, 1.0))
+    action = snapo.Product(hold=snapo.Box(0.0, 1.0), lend=snapo.Box(0.0, 1.0))
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.arange(3.0)})
@@ -69,6 +69,6 @@ def test_one_limit_needs_no_tuple():
     }
     one = snapo.AtMost("cash", 1.0)
     solution = snapo.solve(
-        Hedge(), INPUTS, objective=snapo.Mean("cash"), limits=one, engine="xla", **few
+        Hedge(), INPUTS, objective=snapo.Mean("cash"), constraints=one, engine="xla", **few
     )
-    assert len(solution.limits) == 1
+    assert len(solution.constraints) == 1

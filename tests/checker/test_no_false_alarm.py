@@ -10,7 +10,7 @@ class Seen(snapo.Simulator):
     """Wear that is only seen with an error: the error moves decisions and nothing else."""
 
     horizon, noise_size = 4, 3  # wear, the error of its reading, and one that nothing reads
-    action = snapo.Box(1, 0.0, 1.0)
+    action = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.arange(4.0)})
@@ -40,7 +40,7 @@ class Charging(snapo.Simulator):
     """Two cars that have all they need long before they leave: what is missed is rounding."""
 
     horizon, noise_size = 24, 1
-    action = snapo.Box(2, 0.0, 7.0)
+    action = snapo.Box(0.0, 7.0, 2)
 
     def prepare(self, inputs):
         hour = jnp.arange(24)
@@ -70,7 +70,7 @@ class Sold(snapo.Simulator):
     """Demand whose mean is known in the step alone: no path moves with it."""
 
     horizon, noise_size = 3, 1
-    action = snapo.Box(1, 0.0, 3.0)
+    action = snapo.Box(0.0, 3.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.arange(3.0)})

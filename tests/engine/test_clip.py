@@ -19,7 +19,7 @@ class Line(Simulator):
     """x' = 1.3 x + .7 u + noise; each step earns x - u^2 / 2, the end 2 x."""
 
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 1
 
     def prepare(self, inputs):

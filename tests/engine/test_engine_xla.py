@@ -38,7 +38,7 @@ class Toy(Simulator):
     """A smooth state of three numbers, a counter and a flag; totals of every kind."""
 
     horizon: int = T
-    action: Box = Box(2, -1.0, 1.0)
+    action: Box = Box(-1.0, 1.0, 2)
     noise_size: int = 3
     initial_noise_size: int = 1
 
@@ -370,7 +370,7 @@ class Fragile(Simulator):
     """Its only output is the logarithm of a random walk, which has none below zero."""
 
     horizon: int = 2
-    action: Box = Box(1, -1.0, 1.0)
+    action: Box = Box(-1.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

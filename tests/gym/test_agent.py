@@ -17,14 +17,14 @@ gymnasium = pytest.importorskip("gymnasium")
 import snapo.gym  # noqa: E402
 
 SETS = {
-    "box": snapo.Box(2, [-1.0, 0.0], 1.0),
+    "box": snapo.Box([-1.0, 0.0], 1.0),
     "simplex": snapo.Simplex(3),
-    "whole": snapo.Whole(2, 0, [3, 5]),
+    "whole": snapo.Integers(0, [3, 5]),
     "choice": snapo.Choice(3),
     "stop": snapo.Stop(rights=2),
-    "product": snapo.Product(run=snapo.Choice(2), lots=snapo.Whole(1, 0, 4), mix=snapo.Simplex(2)),
+    "product": snapo.Product(run=snapo.Choice(2), lots=snapo.Integers(0, 4), mix=snapo.Simplex(2)),
     "nested": snapo.Product(
-        z=snapo.Choice(3), a=snapo.Product(c=snapo.Stop(), b=snapo.Box(1, -1.0, 1.0))
+        z=snapo.Choice(3), a=snapo.Product(c=snapo.Stop(), b=snapo.Box(-1.0, 1.0))
     ),
 }
 
@@ -120,20 +120,20 @@ def test_spaces_of_others_take_what_they_can():
     best = np.eye(3)[[2, 0]]
     assert writer(spaces.Discrete(3, start=5), snapo.Choice(3))(best).tolist() == [7, 5]
     assert writer(spaces.Discrete(3))(best).tolist() == [2, 0]
-    assert writer(spaces.Discrete(4), snapo.Whole(1, 0, 3))(np.array([[3.0]])).tolist() == [3]
-    several = writer(spaces.MultiDiscrete([3, 4], start=[1, 0]), snapo.Whole(2, 0, [2, 3]))
+    assert writer(spaces.Discrete(4), snapo.Integers(0, 3))(np.array([[3.0]])).tolist() == [3]
+    several = writer(spaces.MultiDiscrete([3, 4], start=[1, 0]), snapo.Integers(0, [2, 3]))
     assert several(np.array([[2.0, 3.0]])).tolist() == [[3, 3]]
     binary = spaces.MultiBinary(2)
-    written = writer(binary, snapo.Whole(2, 0, 1))(np.array([[1.0, 0.0]]))
+    written = writer(binary, snapo.Integers(0, 1, 2))(np.array([[1.0, 0.0]]))
     assert binary.contains(written[0])
     square = spaces.Box(-1, 1, (2, 2))
-    assert square.contains(writer(square, snapo.Box(4, -1, 1))(np.zeros((1, 4)))[0])
+    assert square.contains(writer(square, snapo.Box(-1, 1, 4))(np.zeros((1, 4)))[0])
     for space, action in (
         (spaces.Discrete(2), snapo.Choice(3)),
         (spaces.Discrete(2), snapo.Stop(rights=2)),
         (spaces.Dict(a=spaces.Discrete(2)), snapo.Product(b=snapo.Choice(2))),
-        (spaces.Box(-1, 1, (3,)), snapo.Box(2)),
-        (spaces.Text(3), snapo.Box(1)),
+        (spaces.Box(-1, 1, (3,)), snapo.Box(-np.inf, np.inf, 2)),
+        (spaces.Text(3), snapo.Box(-np.inf, np.inf)),
     ):
         with pytest.raises(ValueError, match="have no place in the space"):
             writer(space, action)
@@ -143,7 +143,7 @@ def test_spaces_of_others_take_what_they_can():
 
 REMEMBERING = {
     "recurrent": snapo.GRU(hidden=5),
-    "recent": snapo.Recent(3, snapo.MLP(hidden=(6,))),
+    "recent": snapo.LastObservations(3, snapo.MLP(hidden=(6,))),
 }
 
 
@@ -206,7 +206,7 @@ def test_one_observation_after_another_is_remembered_too():
 
 @pytest.mark.prove
 def test_a_recurrent_policy_plays_a_pendulum_whose_speed_is_hidden():
-    interface = Interface(snapo.Box(1, -2.0, 2.0), 2)
+    interface = Interface(snapo.Box(-2.0, 2.0), 2)
     policy = snapo.GRU(hidden=4).for_problem(interface, jax.random.key(0))
     seeing = []
 

@@ -33,7 +33,7 @@ class Walk(snapo.Simulator):
     horizon: int = 12
     noise_size: int = 1
     initial_noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
     def prepare(self, inputs):
         return Schedule({}, {"left": 1 - jnp.arange(self.horizon) / self.horizon})
@@ -79,16 +79,16 @@ def test_sets_of_actions_have_spaces():
     """No simulator runs."""
     from snapo.gym.spaces import space_of
 
-    box, read = space_of(snapo.Box(2, -1.0, [2.0, 3.0]))
+    box, read = space_of(snapo.Box(-1.0, [2.0, 3.0]))
     assert box.shape == (2,) and np.array_equal(box.high, [2.0, 3.0])
     assert np.array_equal(read(np.array([[5.0, -5.0]])), [[2.0, -1.0]])
     discrete, read = space_of(snapo.Choice(3))
     assert discrete.n == 3 and np.array_equal(read(np.array([1, 2])), [[0, 1, 0], [0, 0, 1]])
     _, read = space_of(snapo.Simplex(2))
     assert np.allclose(read(np.array([[0.2, 0.6], [0.0, 0.0]])), [[0.25, 0.75], [0.5, 0.5]])
-    _, read = space_of(snapo.Whole(1, 0, 9))
+    _, read = space_of(snapo.Integers(0, 9))
     assert read(np.array([[3.6]])) == 4
-    several, read = space_of(snapo.Product(b=snapo.Box(1, 0.0, 1.0), a=snapo.Choice(2)))
+    several, read = space_of(snapo.Product(b=snapo.Box(0.0, 1.0), a=snapo.Choice(2)))
     assert set(several) == {"a", "b"} and several["a"].n == 2
     given = {"a": np.array([1, 0]), "b": np.array([[0.5], [7.0]])}
     assert np.array_equal(read(given), [[0.5, 0, 1], [1, 1, 0]])
@@ -278,7 +278,7 @@ def test_the_same_policy_earns_the_same_in_both_pendulums():
     problem = snapo.Problem(plant, inputs, snapo.Mean("reward"), snapo.Sources(given, given, given))
     network = snapo.MLP().for_problem(problem.interface, jax.random.key(0))
     recurrent = snapo.GRU(hidden=6).for_problem(problem.interface, jax.random.key(1))
-    recent = snapo.Recent(3).for_problem(problem.interface, jax.random.key(2))
+    recent = snapo.LastObservations(3).for_problem(problem.interface, jax.random.key(2))
     for policy in (rivals(plant, inputs)["linear regulator"], network, recurrent, recent):
         totals = path_totals(problem, policy, STARTS)["reward"]
         played = snapo.gym.play(agent(plant, policy, inputs), made, STARTS)

@@ -35,7 +35,7 @@ class Heat(Simulator):
     """A vessel is heated; effort costs."""
 
     horizon: int = HEAT
-    action: Box = Box(1, -1.0, 1.0)
+    action: Box = Box(-1.0, 1.0)
     noise_size: int = 1
     initial_noise_size: int = 1
 
@@ -65,7 +65,7 @@ class Grow(Simulator):
     """Crystals grow with a width and a height; two actions, two normals."""
 
     horizon: int = GROW
-    action: Box = Box(2, -1.0, 1.0)
+    action: Box = Box(-1.0, 1.0, 2)
     noise_size: int = 2
 
     def prepare(self, inputs):
@@ -97,7 +97,7 @@ class ByHand(Simulator):
     """The two stages in one simulator, chosen by `where`."""
 
     horizon: int = HEAT + GROW
-    action: Box = Box(2, -1.0, 1.0)
+    action: Box = Box(-1.0, 1.0, 2)
     noise_size: int = 2
     initial_noise_size: int = 1
 

@@ -35,7 +35,7 @@ def test_the_certificate_bumps_small_numbers_by_small_steps():
     policy = snapo.Linear(np.full((1, 1), 0.3))
     problem = snapo.Problem(Heat(), inputs, snapo.Mean("cost"))
     for every in (False, True):
-        found = bump_check(problem, policy, 8, every=every)
+        found = bump_check(problem, policy, paths=8, every=every)
         assert len(found) == (4 if every else 2)
         assert all(bump.passed for bump in found), found
         by = {(bump.input, bump.direction): bump for bump in found}

@@ -22,7 +22,7 @@ class Hidden(snapo.Simulator):
     """x' = keep x + u + shake noise, seen as x + blur noise; costs x^2 + force u^2."""
 
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 2
     initial_noise_size: int = 2
 
@@ -48,7 +48,7 @@ INPUTS = {name: snapo.Input(x) for name, x in (("keep", KEEP), ("shake", SHAKE),
 PROBLEM = snapo.Problem(Hidden(), INPUTS, -snapo.Mean("cost"))
 POLICIES = {
     "recurrent": snapo.GRU(hidden=5),
-    "recent": snapo.Recent(3, snapo.MLP(hidden=(6,))),
+    "recent": snapo.LastObservations(3, snapo.MLP(hidden=(6,))),
 }
 
 
@@ -181,11 +181,11 @@ def test_a_recurrent_policy_costs_as_much_as_kalmans_filter(seed):
 def test_a_memory_must_be_outermost_and_recipes_say_so():
     with pytest.raises(ValueError, match="Residual: GRU has a memory"):
         snapo.Residual(snapo.GRU())
-    with pytest.raises(ValueError, match="Stages: Recent has a memory"):
-        snapo.Stages([snapo.Recent(2)])
+    with pytest.raises(ValueError, match="Stages: LastObservations has a memory"):
+        snapo.Stages([snapo.LastObservations(2)])
     with pytest.raises(ValueError, match="hidden is 0"):
         snapo.GRU(hidden=0)
     with pytest.raises(ValueError, match="steps is 1"):
-        snapo.Recent(1)
+        snapo.LastObservations(1)
     with pytest.raises(ValueError, match="memory of its own"):
-        snapo.Recent(2, snapo.GRU())
+        snapo.LastObservations(2, snapo.GRU())

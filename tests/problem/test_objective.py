@@ -1,12 +1,15 @@
 """Objectives: weights are derivatives, and standard errors cover."""
 
+import operator
+
 import numpy as np
 import pytest
 from scipy import stats
 
-from snapo.problem.limits import AtLeast, AtMost, priced
 from snapo.problem.objective import (
     CRRA,
+    AtLeast,
+    AtMost,
     CVaR,
     Entropic,
     ExpectedUtility,
@@ -14,6 +17,7 @@ from snapo.problem.objective import (
     MeanVariance,
     Probability,
     Target,
+    priced,
 )
 
 RNG = np.random.default_rng(0)
@@ -177,7 +181,7 @@ def test_objectives_are_said_in_words():
         (-MeanVariance("a", 2.0), "minus the mean-variance of the cost a (aversion 2)"),
         (-0.5 * Entropic("a"), "minus 0.5 × entropic mean of the cost a (aversion 1)"),
         (Probability("a", 1.5), "probability of a above 1.5"),
-        (ExpectedUtility("a", CRRA(2.0)), "mean utility of a, CRRA(aversion=2.0, wealth=0.0)"),
+        (ExpectedUtility("a", CRRA(2.0)), "mean utility of a, CRRA(risk_aversion=2.0, wealth=0.0)"),
     ):
         assert str(objective) == words
 
@@ -260,3 +264,34 @@ def test_training_leads_away_from_ruin():
     np.testing.assert_allclose(log.climb(x)["x"], np.array([0.5, 2.0, 2.0, 0.25]) / 4)
     both = (2 * log + Mean("x")).climb(x)["x"]
     np.testing.assert_allclose(both, 2 * log.climb(x)["x"] + 0.25)
+
+
+@pytest.mark.parametrize("of", SMOOTH.values(), ids=SMOOTH)
+@pytest.mark.parametrize("level", [0.05, -2, np.float64(0.05), np.float32(0.5), np.int64(3)])
+def test_a_comparison_with_a_number_is_a_constraint(of, level):
+    if isinstance(of, ExpectedUtility):  # it has no upper limit
+        assert (of >= level) == (level <= of) == AtLeast(of, level)
+        return
+    assert (of <= level) == (level >= of) == AtMost(of, level)
+    assert (of >= level) == (level <= of) == AtLeast(of, level)
+    assert (of <= level) != (of >= level)
+
+
+def test_a_comparison_with_anything_else_is_refused():
+    """Objectives stay equal where all their numbers are, and may be keys."""
+    for other in ("x", None, True, np.True_, 1j, [0.1], np.ones(2), np.array(0.1), Mean("y")):
+        for compared in (operator.le, operator.ge):
+            for pair in ((Mean("x"), other), (other, Mean("x"))):
+                with pytest.raises(TypeError, match=r"Mean: compared with .*; allowed is a number"):
+                    compared(*pair)
+    with pytest.raises(ValueError, match="level is nan; allowed is a finite number"):
+        operator.le(Mean("x"), np.nan)
+    with pytest.raises(TypeError, match="'<' not supported"):
+        operator.lt(Mean("x"), 0.1)
+    assert Mean("x") == Mean("x") != Mean("y") and CVaR("x", 0.9) != Mean("x")
+    assert {Mean("x"): 1, CVaR("x"): 2}[CVaR("x", 0.95)] == 2
+
+
+def test_a_chain_of_comparisons_is_not_taken_for_its_last_one():
+    with pytest.raises(TypeError, match="two constraints"):
+        assert 0.1 <= Mean("x") <= 0.2

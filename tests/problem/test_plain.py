@@ -41,7 +41,7 @@ def modules() -> dict[str, eqx.Module]:
     return {
         "layers of Equinox": layers,
         "two arguments": Share(jnp.ones(1), jnp.zeros(1)),
-        "policy": Normed(eqx.nn.LayerNorm(3), layers, snapo.Box(1, 0.0, 1.0)),
+        "policy": Normed(eqx.nn.LayerNorm(3), layers, snapo.Box(0.0, 1.0)),
     }
 
 
@@ -91,3 +91,19 @@ def test_starts_draw_the_weights_of_layers_and_keep_biases():
         assert float(np.std(b.weight)) == pytest.approx(float(np.std(a.weight)), rel=0.7)
     with pytest.raises(ValueError, match="starts is 2"):
         others(as_policy(modules()["two arguments"]), 2, 0)
+
+
+class ByDefault(eqx.Module):
+    """A module of the user's own whose smoothing has a default."""
+
+    gain: jax.Array
+
+    def __call__(self, observation, smooth=snapo.EXACT):
+        return smooth.clip(self.gain @ observation, 0.0, 1.0)
+
+
+def test_a_module_that_is_exact_by_default_is_a_policy_and_no_network():
+    made = as_policy(ByDefault(jnp.ones((1, 3))))
+    assert not made.raw
+    assert made([0.1, 0.2, 0.3]).tolist() == pytest.approx([0.6])
+    assert made(jnp.full(3, 0.3), snapo.Smooth(0.5))[0] < 0.9

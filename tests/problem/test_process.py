@@ -33,7 +33,7 @@ class TwoFactors(FactorPrice):
         correlation = jnp.array([[1.0, -0.5], [-0.5, 1.0]])
         return Factors(inputs, jnp.array([5.0, 0.0]), loading, correlation)
 
-    def words(self):
+    def describe(self):
         return "two factors"
 
 
@@ -82,7 +82,7 @@ def test_at_time_zero_the_price_is_the_forward_price():
     state = process.initial(schedule.constants, jnp.ones(1))
     now = at(schedule.steps, 0)
     assert float(process.level(schedule.constants, now, state)) == 5.0
-    assert float(process.surprise(schedule.constants, now, state)) == 0.0
+    assert float(process.innovation(schedule.constants, now, state)) == 0.0
     # Without reversion the factor is a Brownian motion: two units of time at once.
     assert_allclose(at(schedule.steps, 1).next_shock[0, 0], np.sqrt(2), rtol=1e-6)
 
@@ -122,7 +122,7 @@ class Walk(Process):
     def observe(self, constants, now, state):
         return state / 10
 
-    def words(self):
+    def describe(self):
         return "a random walk"
 
 

@@ -16,7 +16,7 @@ class Shape(Simulator):
     """A simulator that only says how much noise it needs."""
 
     horizon: int = 7
-    action: Box = Box(1)
+    action: Box = Box(-np.inf, np.inf)
     noise_size: int = 3
     initial_noise_size: int = 2
 

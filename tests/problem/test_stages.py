@@ -9,7 +9,7 @@ from tests.problem.test_chain import HEAT, INPUTS, Grow, Heat, move
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.actions import Actions, Box, Choice, Product, Simplex, Stop, Whole
+from snapo.problem.actions import Actions, Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.chain import Chain
 from snapo.problem.inputs import Input
 from snapo.problem.policies.stages import Stages
@@ -25,11 +25,11 @@ WEIGHTS = {name: np.full(PATHS, 1 / PATHS) for name in ("cost", "peak", "width",
 
 
 class Narrow(Heat):
-    action: Box = Box(1, 0.2, 0.9)
+    action: Box = Box(0.2, 0.9)
 
 
 class Own(Grow):
-    action: Box = Box(2, [-1.0, 0.0], [1.0, np.inf])
+    action: Box = Box([-1.0, 0.0], [1.0, np.inf])
 
 
 def made(chain, *policies):
@@ -64,7 +64,7 @@ def test_stages_with_the_rows_of_one_policy_are_that_policy():
 @pytest.mark.prove
 def test_every_stage_has_its_own_features_and_bounds():
     chain = Chain([Narrow(), Own()], [move])
-    assert chain.action == Box(2, [-1.0, 0.0], [1.0, np.inf])
+    assert chain.action == Box([-1.0, 0.0], [1.0, np.inf])
     schedule, policy = made(chain, MLP(hidden=(4,)), MLP(hidden=(5,)))
     widths = [each.network.weights[0].shape for each in policy.policies]
     assert widths == [(4, 1), (5, 3)]
@@ -161,7 +161,7 @@ class Mixed(Simulator):
 
 PUSH = np.array([0.1, 0.3, 0.2, 0.4, 0.1, 0.2])
 MIXED = {"pull": Input(0.7), "first": Input(PUSH[:3]), "then": Input(PUSH[3:]), "all": Input(PUSH)}
-SEVERAL = Product(run=Choice(2), lots=Whole(1, 0, 3), size=Box(1, -1.0, 1.0))
+SEVERAL = Product(run=Choice(2), lots=Integers(0, 3), size=Box(-1.0, 1.0))
 WARM = Smooth(np.float64(0.1))
 SETS = {
     "simplex": (Simplex(3), WARM),

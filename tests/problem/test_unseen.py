@@ -16,7 +16,7 @@ class Plant(snapo.Simulator):
     """A scalar linear plant with a quadratic cost, read whole, with an error, or not at all."""
 
     horizon: int = 12
-    action: snapo.Box = snapo.Box(1, -2.0, 2.0)
+    action: snapo.Box = snapo.Box(-2.0, 2.0)
     noise_size: int = 2
     initial_noise_size = 1
     read: str = "whole"
@@ -82,7 +82,7 @@ class Tiger(snapo.Simulator):
     of 100, or a door is opened, after which it hides anew."""
 
     horizon: int = 8
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 2
     initial_noise_size = 2
     seen: bool = False

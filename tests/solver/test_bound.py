@@ -29,7 +29,7 @@ class SwingPut(Simulator):
     """The first date is one step from today; the state is ln(S / 40) and the rights left."""
 
     rights: int = eqx.field(static=True, default=1)
-    action: Box = eqx.field(static=True, default=Box(1, 0.0, 1.0))
+    action: Box = eqx.field(static=True, default=Box(0.0, 1.0))
     horizon: int = eqx.field(static=True, default=DATES)
     noise_size: int = eqx.field(static=True, default=1)
     initial_noise_size: int = eqx.field(static=True, default=1)
@@ -151,7 +151,7 @@ ENGINE = Xla(precision="float64")
 def test_a_swing_put_lies_between_its_bounds(rights, exact):
     problem, policy, relaxation = swing(rights)
     relaxation.draws = 64
-    found = bound(problem, policy, relaxation, 1024, engine=ENGINE)
+    found = bound(problem, policy, relaxation=relaxation, paths=1024, engine=ENGINE)
     assert found.lower.low <= exact <= found.upper.high
     assert found.gap.high <= 0.004 * exact
     assert "95 %" in str(found) and found.penalty == "value"
@@ -159,13 +159,17 @@ def test_a_swing_put_lies_between_its_bounds(rights, exact):
 
 def test_a_bad_policy_has_a_wide_gap_and_the_bound_stays():
     problem, _, relaxation = swing(1)
-    good, bad = (bound(problem, Exercise(s), relaxation, 256, engine=ENGINE) for s in (0.0, 0.3))
+    good, bad = (
+        bound(problem, Exercise(s), relaxation=relaxation, paths=256, engine=ENGINE)
+        for s in (0.0, 0.3)
+    )
     assert bad.gap.value > 20 * good.gap.value
     assert bad.upper == good.upper
 
 
 def test_without_a_penalty_the_bound_is_perfect_foresight_and_wide():
-    found = bound(*swing(1), 256, penalty="none", engine=ENGINE)
+    problem, policy, relaxation = swing(1)
+    found = bound(problem, policy, relaxation=relaxation, paths=256, penalty="none", engine=ENGINE)
     assert found.penalty == "none" and found.upper.value > 1.3 * 2.3140
 
 
@@ -173,7 +177,7 @@ def test_a_trained_scale_undoes_a_penalty_that_is_too_large():
     problem, policy, relaxation = swing(1)
     wrong = Rights(1, relaxation.start, error=0.15)
     plain, trained = (
-        bound(problem, policy, wrong, 256, penalty=each, engine=ENGINE)
+        bound(problem, policy, relaxation=wrong, paths=256, penalty=each, engine=ENGINE)
         for each in ("value", "trained")
     )
     assert trained.scale[0] == pytest.approx(1 / 1.15, abs=0.03)
@@ -184,7 +188,7 @@ def test_what_is_no_relaxation_is_refused(monkeypatch):
     problem, policy, relaxation = swing(1)
     monkeypatch.setattr(relaxation, "best", lambda *given: np.zeros(64))
     with pytest.raises(ValueError, match="it is no relaxation"):
-        bound(problem, policy, relaxation, 64, engine=ENGINE)
+        bound(problem, policy, relaxation=relaxation, paths=64, engine=ENGINE)
 
 
 def test_only_a_mean_is_bounded():
@@ -192,12 +196,16 @@ def test_only_a_mean_is_bounded():
 
     problem, policy, relaxation = swing(1)
     with pytest.raises(ValueError, match="only a mean"):
-        bound(replace(problem, objective=CVaR("cash", 0.9)), policy, relaxation, 64)
+        bound(
+            replace(problem, objective=CVaR("cash", 0.9)), policy, relaxation=relaxation, paths=64
+        )
 
 
 def test_intervals_count_antithetic_pairs_once():
-    found = bound(*swing(1), 256, engine=ENGINE, source=Pseudo(5))
-    plain = bound(*swing(1), 256, engine=ENGINE, source=Pseudo(5, antithetic=False))
+    problem, policy, relaxation = swing(1)
+    given = {"relaxation": relaxation, "paths": 256, "engine": ENGINE}
+    found = bound(problem, policy, source=Pseudo(5), **given)
+    plain = bound(problem, policy, source=Pseudo(5, antithetic=False), **given)
     for each in (found.upper, plain.upper):
         assert each.low < each.value < each.high
     # Student's t of 127 and of 255 degrees of freedom.

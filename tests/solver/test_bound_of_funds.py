@@ -98,7 +98,7 @@ class OfPower:
 def merton(weight: float, relaxation: OfPower, **options) -> Bound:
     given = Inputs(*(Input(MARKET[name]) for name in ("rate", "drift", "volatility")))
     problem = Problem(Merton(), given, OBJECTIVE, SOURCES)
-    return bound(problem, Constant(np.array([weight])), relaxation, 512, **options)
+    return bound(problem, Constant(np.array([weight])), relaxation=relaxation, paths=512, **options)
 
 
 def equivalent(utility: float) -> float:
@@ -191,7 +191,7 @@ def funded(gains: tuple[float, float], wrong: float = 1.0) -> Bound:
     problem = Problem(Funding(), funding.inputs(), funding.COST, SOURCES)
     relaxation = OfSquare(wrong)
     relaxation.gains = gains
-    return bound(problem, Linear(np.array(gains)[:, None]), relaxation, 512)
+    return bound(problem, Linear(np.array(gains)[:, None]), relaxation=relaxation, paths=512)
 
 
 @pytest.mark.prove
@@ -236,7 +236,7 @@ class OfMix:
 @pytest.mark.prove
 def test_a_fund_without_a_choice_lies_on_its_closed_form():
     problem = Problem(mix.Mix(), mix.inputs(), Mean("assets"), SOURCES)
-    found = bound(problem, mix.MIX, OfMix(), 128)
+    found = bound(problem, mix.MIX, relaxation=OfMix(), paths=128)
     for each in (found.lower, found.upper):
         assert each.value == pytest.approx(81.20917249, abs=1e-8)
         assert each.standard_error < 1e-9

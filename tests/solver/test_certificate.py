@@ -17,7 +17,7 @@ class Leaking(Simulator):
     """A store that loses a share a day and is sold along a curve: the loss compounds."""
 
     horizon, noise_size = DAYS, 1
-    action = Box(1, low=0.0, high=1.0)
+    action = Box(0.0, 1.0)
 
     def prepare(self, inputs):
         constants = {"loss": inputs["loss"], "stock": inputs["stock"]}
@@ -47,7 +47,7 @@ def leaking() -> Problem:
 
 
 def certified(problem: Problem):
-    return {bump.input: bump for bump in certify_derivatives(problem, Constant([0.5]), 16)}
+    return {bump.input: bump for bump in certify_derivatives(problem, Constant([0.5]), paths=16)}
 
 
 def test_a_loss_that_compounds_is_no_false_alarm():

@@ -15,7 +15,7 @@ from snapo.solver.train import Progress, Record, Training, begin
 
 @pytest.fixture(scope="module")
 def progress() -> Progress:
-    policy = MLP(Box(2), 3, key=jax.random.key(0), hidden=(4,))
+    policy = MLP(Box(-np.inf, np.inf, 2), 3, key=jax.random.key(0), hidden=(4,))
     record = Record(1, 0.5, 0.1, 0.02, 0, 0.5, 0.5, 1.0)
     return replace(begin(policy, Training(steps=3)), step=1, best_value=0.5, history=(record,))
 
@@ -97,9 +97,23 @@ def test_another_kind_of_file(file, progress, tmp_path):
 @pytest.mark.parametrize(
     ("other", "named"),
     [
-        (MLP(Box(2), 3, key=jax.random.key(0), hidden=(4,), activation=jax.nn.tanh), "tanh"),
-        (MLP(Box(2, high=5.0), 3, key=jax.random.key(0), hidden=(4,)), "action.high is inf"),
-        (Residual(Constant([0.0, 0.0]), Box(2), 3, key=jax.random.key(0), hidden=(4,)), "Residual"),
+        (
+            MLP(
+                Box(-np.inf, np.inf, 2),
+                3,
+                key=jax.random.key(0),
+                hidden=(4,),
+                activation=jax.nn.tanh,
+            ),
+            "tanh",
+        ),
+        (MLP(Box(-np.inf, 5.0, 2), 3, key=jax.random.key(0), hidden=(4,)), "action.high is inf"),
+        (
+            Residual(
+                Constant([0.0, 0.0]), Box(-np.inf, np.inf, 2), 3, key=jax.random.key(0), hidden=(4,)
+            ),
+            "Residual",
+        ),
     ],
 )
 def test_a_policy_of_the_same_shape_that_is_another_one(file, progress, other, named):

@@ -16,7 +16,7 @@ class Sale(snapo.Simulator):
     """A stock that is sold over four steps at known prices, at most three tenths in each."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 0
 
     def prepare(self, inputs):
@@ -100,6 +100,6 @@ def test_value_derivatives_verdicts_and_bound_of_known_prices_have_no_error():
         assert not table.smooth[name].standard_error.any()
     np.testing.assert_allclose(table.held["price"].value, [0.3, 0.1, 0.3, 0.3], atol=0.01)
     assert table.verdicts["price"].bump[0] == pytest.approx(0.01 * BEST, rel=1e-3)
-    found = snapo.bound(PROBLEM, solution.policy, Plan(), penalty="none")
+    found = snapo.bound(PROBLEM, solution.policy, relaxation=Plan(), penalty="none")
     assert found.paths == 2 and found.upper.value == pytest.approx(BEST)
     assert found.gap.standard_error == 0 and found.gap.value == pytest.approx(BEST - solution.value)

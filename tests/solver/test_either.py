@@ -17,7 +17,7 @@ class Till(snapo.Simulator):
 
     horizon: object = 2
     noise_size: object = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(2))
@@ -55,21 +55,21 @@ FEW = {
 }
 UP = [{"price": np.ones(())}]
 VERBS = {
-    "evaluate": lambda *of, **more: snapo.evaluate(*of, HALF, 64, **more).value,
-    "simulate": lambda *of, **more: snapo.simulate(*of, HALF, 64, **more).totals["cash"].mean(),
-    "sensitivities": lambda *of, **more: snapo.sensitivities(*of, HALF, 64, **more)
+    "evaluate": lambda *of, **more: snapo.evaluate(*of, HALF, paths=64, **more).value,
+    "simulate": lambda *of, **more: snapo.simulate(*of, HALF, paths=64, **more).totals["cash"].mean(),
+    "sensitivities": lambda *of, **more: snapo.sensitivities(*of, HALF, paths=64, **more)
     .held["price"].value,
     "value_and_gradient": lambda *of, **more: snapo.value_and_gradient(
         *of, HALF, paths=64, **more
     )[0],
-    "bump_check": lambda *of, **more: snapo.bump_check(*of, HALF, 64, **more)[0].adjoint,
+    "bump_check": lambda *of, **more: snapo.bump_check(*of, HALF, paths=64, **more)[0].adjoint,
     "feasibility": lambda *of, **more: len(snapo.feasibility(*of, policy=HALF, **more)),
-    "certify_derivatives": lambda *of, **more: certify_derivatives(*of, HALF, 64, **more)[0].central,
+    "certify_derivatives": lambda *of, **more: certify_derivatives(*of, HALF, paths=64, **more)[0].central,
     "held_of_several": lambda *of, **more: held_of_several(
-        *of, HALF, [snapo.Mean("cash")], 64, **more
+        *of, HALF, [snapo.Mean("cash")], paths=64, **more
     )[0]["price"].value,
     "second_order": lambda *of, **more: snapo.second_order(
-        *of, HALF, 64, directions=UP, **more
+        *of, HALF, paths=64, directions=UP, **more
     )[0]["price"],
     "solve": lambda *of, **more: snapo.solve(*of, HALF, **FEW, **more).value,
     "solve_seeds": lambda *of, **more: snapo.solve_seeds(*of, HALF, seeds=[3], **FEW, **more)
@@ -81,7 +81,7 @@ VERBS = {
 @pytest.mark.parametrize("name", VERBS)
 def test_a_problem_and_a_simulator_give_the_same(name):
     whole = VERBS[name](PROBLEM)
-    parts = VERBS[name](Till(), INPUTS, objective=snapo.Mean("cash"), scenarios=SOURCES)
+    parts = VERBS[name](Till(), INPUTS, objective="cash", scenarios=SOURCES)
     by_default = VERBS[name](Till(), INPUTS, scenarios=SOURCES)  # the only output there is
     assert float(whole) == float(parts) == float(by_default)
 
@@ -134,14 +134,17 @@ def test_other_wrong_arguments_are_named():
         (lambda: snapo.evaluate(PROBLEM, None), "evaluate: policy is None; allowed is a policy"),
         (lambda: snapo.simulate(PROBLEM, 3), "simulate: policy is 3; allowed is a policy"),
         (
-            lambda: snapo.evaluate(Till(), INPUTS, HALF, objective="cash"),
-            "evaluate: objective is 'cash'; allowed is an objective",
+            lambda: snapo.evaluate(Till(), INPUTS, HALF, objective=3),
+            "evaluate: objective is 3; allowed is an objective, or the name of an output",
         ),
         (
             lambda: snapo.solve(Till(), INPUTS, scenarios=7),
             "solve: scenarios is 7; allowed are scenarios",
         ),
-        (lambda: snapo.solve(Till(), INPUTS, limits=7), "solve: limits is 7; allowed is a limit"),
+        (
+            lambda: snapo.solve(Till(), INPUTS, constraints=7),
+            "solve: constraints is 7; allowed is a list",
+        ),
         (lambda: snapo.AtMost(3, 1.0), "AtMost: of is 3; allowed is the name of an output"),
         (lambda: snapo.AtMost("x", "1"), "AtMost: level is '1'; allowed is a finite number"),
         (lambda: snapo.AtMost("x", True), "AtMost: level is True; allowed is a finite number"),
@@ -157,7 +160,7 @@ def test_other_wrong_arguments_are_named():
 def test_a_cost_alone_is_not_made_large_in_silence(name):
     with pytest.raises(ValueError) as error:
         snapo.solve(Bill(name=name), INPUTS)
-    for line in (f'objective=-snapo.Mean("{name}")', f'objective=snapo.Mean("{name}")'):
+    for line in (f'objective=-snapo.Mean("{name}")', f'objective="{name}"'):
         assert line in str(error.value)
 
 
@@ -175,7 +178,7 @@ def test_the_printed_solution_says_what_was_made_large(tmp_path):
 def test_other_names_are_made_large():
     """Part of a word is no word."""
     for name in ("costume_sales", "profit", "glossy"):
-        found = snapo.evaluate(Bill(name=name), INPUTS, HALF, 64)
+        found = snapo.evaluate(Bill(name=name), INPUTS, HALF, paths=64)
         assert found.value == pytest.approx(2.0, abs=1.0)
 
 

@@ -45,7 +45,7 @@ class Funding(Simulator):
     """One path; the actions are the yearly supplementary contribution and the stocks held."""
 
     horizon: int = MONTHS
-    action: Box = Box(2)
+    action: Box = Box(-np.inf, np.inf, 2)
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -48,7 +48,7 @@ class Regulator(Simulator):
     """x' = A x + B u + sigma_t n, cost x'Qx + u'Ru a step and x'Q_T x at the end."""
 
     horizon: int = T
-    action: Box = Box(1)
+    action: Box = Box(-np.inf, np.inf)
     noise_size: int = 2
 
     def prepare(self, inputs):
@@ -114,9 +114,9 @@ POINTS = np.sqrt(2 * T) * np.concatenate([np.eye(2 * T), -np.eye(2 * T)])
 CUBATURE = Supplied(POINTS.reshape(4 * T, T, 2).transpose(1, 0, 2))
 
 
-def solved(policy, held):
+def solved(policy, decisions):
     problem = Problem(Regulator(), INPUTS, COST, Sources(*3 * (CUBATURE,)))
-    return value_and_gradient(problem, policy, paths=4 * T, held=held)
+    return value_and_gradient(problem, policy, paths=4 * T, decisions=decisions)
 
 
 def test_stationary_riccati_is_the_published_one():
@@ -129,15 +129,15 @@ def test_stationary_riccati_is_the_published_one():
     np.testing.assert_allclose(K, [[0.42208, 1.24393]], atol=5e-6)
 
 
-@pytest.mark.parametrize("held", [False, True], ids=["through the policy", "decisions held"])
-def test_cost_and_all_sensitivities_with_the_optimal_rule(held):
+@pytest.mark.parametrize("decisions", ["reacting", "held"])
+def test_cost_and_all_sensitivities_with_the_optimal_rule(decisions):
     """1e-11 relative to the largest of an input: some hundred roundings of float64.
 
     Both derivatives must be that of the optimal cost: through the rule because its gradient
     vanishes, held because the held decisions are optimal ones.
     """
     _, K, _, cost = riccati()
-    value, gradient = solved(Feedback(K), held)
+    value, gradient = solved(Feedback(K), decisions)
     assert -value == pytest.approx(cost, rel=1e-12)
     for name, expected in closed_form().items():
         np.testing.assert_allclose(
@@ -152,7 +152,7 @@ def test_cost_and_all_sensitivities_with_the_optimal_rule(held):
 
 def test_a_wrong_rule_costs_more_and_has_a_gradient():
     _, K, _, cost = riccati()
-    value, gradient = solved(Feedback(K * 1.1), held=False)
+    value, gradient = solved(Feedback(K * 1.1), decisions="reacting")
     assert -value > cost * (1 + 1e-4)
     assert np.abs(gradient.policy.gains).max() > 1e-3
 

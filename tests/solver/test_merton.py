@@ -42,7 +42,7 @@ class Merton(Simulator):
     """Wealth in cash and one stock; the action is the stock's weight."""
 
     horizon: int = MONTHS
-    action: Box = Box(1, 0.0, 1.0)
+    action: Box = Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -10,8 +10,7 @@ from snapo.checker.first import first_mistakes
 from snapo.engine.native import Native, unsupported
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Input
-from snapo.problem.limits import AtMost
-from snapo.problem.objective import Mean
+from snapo.problem.objective import AtMost, Mean
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo
@@ -32,7 +31,7 @@ class Drift(Simulator):
     """Follows an action; `kind` is the way in which the step is written."""
 
     horizon: int = eqx.field(static=True, default=3)
-    action: Box = eqx.field(default=Box(1, 0.0, 1.0))
+    action: Box = eqx.field(default=Box(0.0, 1.0))
     noise_size: int = eqx.field(static=True, default=2)
     kind: str = eqx.field(static=True, default="right")
 
@@ -98,14 +97,17 @@ def test_a_mistake_is_named_before_anything_compiles(kind, monkeypatch):
     [
         (-Mean("costs"), (), "error: objective\n    There is no output 'costs'."),
         (Mean("cost") + Mean("gain"), (), "no output 'gain'"),
-        (-Mean("cost"), (AtMost("costly", 1.0),), "error: limits[0]\n    There is no output 'costly'"),
-        ("cost", (), "It is no objective, such as Mean(output): 'cost'."),
-        (-Mean("cost"), ("cost",), "limits[0]\n    It is no limit, such as AtMost(output, level): 'cost'"),
+        (-Mean("cost"), (AtMost("costly", 1.0),), "error: constraints[0]\n    There is no output 'costly'"),
+        ("gain", (), "error: objective\n    There is no output 'gain'."),
+        (1.0, (), "It is no objective, such as Mean(output): 1.0."),
+        (-Mean("cost"), ("cost",), "constraints[0]\n    It is no constraint, such as Mean(output) <= level: 'cost'"),
     ],
 )  # fmt: skip
 def test_outputs_that_are_not_there_are_named_with_those_that_are(objective, limits, said):
     with pytest.raises(ValueError, match="nothing was compiled") as refused:
-        solve(Drift(), INPUTS, MLP(hidden=(4,)), objective=objective, limits=limits, engine="xla")
+        solve(
+            Drift(), INPUTS, MLP(hidden=(4,)), objective=objective, constraints=limits, engine="xla"
+        )
     assert said in str(refused.value)
     assert "The outputs are ['cost']." in str(refused.value)
 
@@ -122,8 +124,8 @@ def test_a_class_in_place_of_a_simulator_and_other_things_are_told():
 
 def test_one_limit_needs_no_tuple():
     """It comes as far as the outputs, of which it is none."""
-    with pytest.raises(ValueError, match=r"limits\[0\]\s+There is no output 'dose'"):
-        solve(Drift(), Inputs(Input(0.9)), objective=Mean("cost"), limits=AtMost("dose", 0.1))
+    with pytest.raises(ValueError, match=r"constraints\[0\]\s+There is no output 'dose'"):
+        solve(Drift(), Inputs(Input(0.9)), objective=Mean("cost"), constraints=AtMost("dose", 0.1))
 
 
 def test_an_action_outside_of_its_set_is_named():

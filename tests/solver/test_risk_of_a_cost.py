@@ -23,7 +23,7 @@ class Hedged(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(1))
@@ -64,14 +64,14 @@ def test_value_and_derivatives_are_those_of_the_dear_tail(engine, name):
     objective, right, by_deviation = MEASURES[name]
     problem = problem_of(objective)
     used = snapo.Native("float64") if engine == "native" else snapo.Xla("float64")
-    found = snapo.evaluate(problem, OPEN, 16384, engine=used)
+    found = snapo.evaluate(problem, OPEN, paths=16384, engine=used)
     assert abs(found.value - right) < 4 * found.standard_error < 0.1
     _, gradient = snapo.value_and_gradient(problem, OPEN, paths=2048, engine=used)
     weight = 1.5 if name == "mixture" else 1.0
     assert gradient.inputs["level"] == pytest.approx(-weight, abs=1e-9)
     assert gradient.inputs["deviation"] == pytest.approx(by_deviation, abs=0.15)
     up, down = (
-        snapo.evaluate(problem.at({"deviation": 1.0 + bump}), OPEN, 2048, engine=used).value
+        snapo.evaluate(problem.at({"deviation": 1.0 + bump}), OPEN, paths=2048, engine=used).value
         for bump in (1e-5, -1e-5)
     )
     central = (up - down) / 2e-5
@@ -83,7 +83,7 @@ def test_standard_errors_of_costs_are_those_of_the_spread_over_seeds(name):
     """Forty estimates of 4,096 paths: their spread is known to 11 %; three times that."""
     problem = problem_of(MEASURES[name][0], sources=snapo.Sources.of(None, 0))
     found = [
-        snapo.evaluate(replace(problem, sources=snapo.Sources.of(None, seed)), OPEN, 4096)
+        snapo.evaluate(replace(problem, sources=snapo.Sources.of(None, seed)), OPEN, paths=4096)
         for seed in range(40)
     ]
     spread = np.std([each.value for each in found], ddof=1)
@@ -113,11 +113,11 @@ def test_a_limit_on_the_tail_of_a_cost_is_broken_by_its_dear_tenth():
     """The cheapest tenth is .246, far below 1; the dearest one is 3.755."""
     limits = (snapo.AtMost(snapo.CVaR("cost", 0.9), 1.0),)
     found = snapo.solve(
-        problem_of(-snapo.Mean("cost"), limits=limits), policy=OPEN,
+        problem_of(-snapo.Mean("cost"), constraints=limits), policy=OPEN,
         training=snapo.Training(steps=0, paths=64),
         evaluation=snapo.Evaluation(paths=8192, sensitivity_paths=0),
     )  # fmt: skip
-    (limit,) = found.limits
+    (limit,) = found.constraints
     assert limit.met == "not met" and limit.name == "mean of the largest 10 % of cost at most 1"
     assert limit.value == pytest.approx(2 + TAIL, abs=4 * limit.standard_error)
 
@@ -128,10 +128,10 @@ def test_the_price_of_a_limit_on_the_dear_tail():
     h = .519, and one more of the level saves .3 / 1.455 = .206."""
     limits = (snapo.AtMost(snapo.CVaR("cost", 0.9), 3.0),)
     found = snapo.solve(
-        problem_of(-snapo.Mean("cost"), limits=limits), policy=snapo.Constant(np.full(1, 0.3)),
+        problem_of(-snapo.Mean("cost"), constraints=limits), policy=snapo.Constant(np.full(1, 0.3)),
         training=snapo.Training(steps=600, paths=1024, learning_rate=0.02),
         evaluation=snapo.Evaluation(paths=16384, sensitivity_paths=0),
     )  # fmt: skip
-    (limit,) = found.limits
+    (limit,) = found.constraints
     assert limit.value == pytest.approx(3.0, abs=0.02) and limit.met != "not met"
     assert limit.price == pytest.approx(0.3 / (TAIL - 0.3), abs=0.01)

@@ -15,7 +15,7 @@ class Sale(snapo.Simulator):
     """Sell a stock over three days at a noisy price, as much as the policy says."""
 
     horizon: int = 3
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -47,7 +47,7 @@ POLICY = snapo.Threshold(2.0, jnp.array([0.1]), jnp.array([0.9]), feature=1, sca
 
 
 def test_held_rows_name_every_entry_and_add_up_to_the_value():
-    table = snapo.sensitivities(PROBLEM, POLICY, 256)
+    table = snapo.sensitivities(PROBLEM, POLICY, paths=256)
     rows = list(table.rows())
     assert [(row.input, row.label) for row in rows][:3] == [
         ("price", d) for d in ("Mon", "Tue", "Wed")
@@ -71,7 +71,7 @@ def test_the_error_along_a_direction_is_that_of_the_sum():
 def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_respond():
     smooth = snapo.Smooth(np.float64(1.0))
     direction = {"price": np.array([1.0, 0.5, 0.0])}
-    (found,) = snapo.second_order(PROBLEM, POLICY, 64, directions=[direction], smooth=smooth)
+    (found,) = snapo.second_order(PROBLEM, POLICY, paths=64, directions=[direction], smooth=smooth)
     step = 1e-5  # central differences of a smooth function: error of order step^2 and eps / step
 
     def held(sign):
@@ -92,12 +92,12 @@ def test_second_derivatives_are_differences_of_held_ones_with_decisions_that_res
 def test_an_unknown_direction_is_named():
     with pytest.raises(KeyError, match="prise"):
         directions = [{"prise": np.ones(3)}]
-        snapo.second_order(PROBLEM, POLICY, 8, directions=directions)
+        snapo.second_order(PROBLEM, POLICY, paths=8, directions=directions)
 
 
 def test_value_and_gradient_agree_with_the_table():
-    value, gradient = snapo.value_and_gradient(PROBLEM, POLICY, paths=256, held=True)
-    table = snapo.sensitivities(PROBLEM, POLICY, 256)
+    value, gradient = snapo.value_and_gradient(PROBLEM, POLICY, paths=256, decisions="held")
+    table = snapo.sensitivities(PROBLEM, POLICY, paths=256)
     for name, array in gradient.inputs.items():
         np.testing.assert_allclose(array, table.held[name].value, rtol=1e-12)
     assert np.isfinite(value)
@@ -108,7 +108,7 @@ class Shifted(snapo.Simulator):
     """A number with noise: one unit more of `level` is one unit more on every path."""
 
     horizon: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -138,7 +138,12 @@ def test_one_unit_more_on_every_path_is_known_exactly(objective, engine):
     policy = snapo.Constant(jnp.zeros(1))
     for paths, smooth in ((2048, 1024), (1030, 66)):
         table = snapo.sensitivities(
-            problem, policy, paths, smooth=snapo.Smooth(0.01), smooth_paths=smooth, engine=engine
+            problem,
+            policy,
+            paths=paths,
+            smooth=snapo.Smooth(0.01),
+            smooth_paths=smooth,
+            engine=engine,
         )
         for found in (table.held, table.smooth):
             exact = float(isinstance(objective, Weighted)) + 1

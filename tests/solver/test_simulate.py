@@ -17,9 +17,9 @@ def played():
 
 @pytest.mark.prove
 def test_the_course_adds_up_to_the_value(played):
-    course = snapo.simulate(*played, 64)
+    course = snapo.simulate(*played, paths=64)
     assert course.outputs["cash"].sum(0) == pytest.approx(course.totals["cash"])
-    assert course.totals["cash"].mean() == pytest.approx(snapo.evaluate(*played, 64).value)
+    assert course.totals["cash"].mean() == pytest.approx(snapo.evaluate(*played, paths=64).value)
     water, price = course.states["water"], course.states["price"]
     assert water.shape == (53, 64) and course.actions["action"].shape == (52, 64)
     assert np.all(water[0] == 60) and np.all(price[0] == 50)
@@ -31,7 +31,10 @@ def test_the_course_adds_up_to_the_value(played):
 
 @pytest.mark.prove
 def test_both_engines_have_the_same_course(played):
-    one, other = snapo.simulate(*played, 32), snapo.simulate(*played, 32, engine=Native("float64"))
+    one, other = (
+        snapo.simulate(*played, paths=32),
+        snapo.simulate(*played, paths=32, engine=Native("float64")),
+    )
     for kind in snapo.Simulation._fields:
         mine, theirs = getattr(one, kind), getattr(other, kind)
         assert mine.keys() == theirs.keys()
@@ -41,7 +44,7 @@ def test_both_engines_have_the_same_course(played):
 
 @pytest.mark.prove
 def test_a_row_for_every_path_and_step(played):
-    course = snapo.simulate(*played, 4, smooth=snapo.Smooth(0.1))
+    course = snapo.simulate(*played, paths=4, smooth=snapo.Smooth(0.1))
     table = course.frame()
     assert list(table.columns) == ["path", "step", "price", "water", "action", "cash"]
     assert len(table) == 4 * 52

@@ -186,7 +186,7 @@ class Fragile(snapo.Simulator):
     """Wealth after one noisy bet, lost where the noise is below minus `brink`."""
 
     horizon: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
     broken: float = float("nan")
 
@@ -237,7 +237,7 @@ class Breaks(snapo.Simulator):
     """Breaks in its third step of four: its state, its output, or its derivative alone."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
     kind: str = "state"
 

@@ -14,7 +14,7 @@ class Given(snapo.Simulator):
     """Constants are the inputs; each subclass says its horizon, actions and noise."""
 
     horizon: int = 20
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-jnp.inf, jnp.inf)
     noise_size: int = 1
     initial_noise_size: int = 0
 
@@ -45,7 +45,7 @@ class Spill(Given):
     """A reservoir with a prize at its end where more than fifty are left: a jump."""
 
     horizon: int = 8
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return constants["water"]
@@ -66,7 +66,7 @@ class Pendulum(Given):
     """Swings up from anywhere; the angle is unwrapped, its cost is periodic."""
 
     horizon: int = 60
-    action: snapo.Box = snapo.Box(1, -2.0, 2.0)
+    action: snapo.Box = snapo.Box(-2.0, 2.0)
     noise_size: int = 0
     initial_noise_size: int = 2
 
@@ -74,11 +74,11 @@ class Pendulum(Given):
         return {"angle": noise[0], "speed": noise[1]}
 
     def observe(self, constants, now, state):
-        return jnp.append(snapo.turned(state["angle"]), state["speed"] / 4)
+        return jnp.append(snapo.angle_features(state["angle"]), state["speed"] / 4)
 
     def step(self, constants, now, state, action, noise, smooth):
         angle, speed, torque = state["angle"], state["speed"], action[0]
-        loss = snapo.wrapped(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
+        loss = snapo.wrap_angle(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
         fall = 1.5 * constants["g"] / constants["length"] * jnp.sin(angle)
         push = 3 * torque / (constants["mass"] * constants["length"] ** 2)
         speed = jnp.clip(speed + 0.05 * (fall + push), -8.0, 8.0)
@@ -88,7 +88,7 @@ class Pendulum(Given):
 class SerialLine(Given):
     """Two stocks one behind the other; the first one sells, the second one orders."""
 
-    action: snapo.Box = snapo.Box(2, 0.0, 20.0)
+    action: snapo.Box = snapo.Box(0.0, 20.0, 2)
 
     def initial(self, constants, noise):
         return jnp.array([8.0, 8.0])
@@ -111,7 +111,7 @@ class Put(Given):
     """An American put, stopped at a rate."""
 
     horizon: int = 25
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return {"spot": constants["spot"], "alive": jnp.ones(())}
@@ -135,7 +135,7 @@ class Put(Given):
 class Hydro(Given):
     """A reservoir between a wet inflow and a price, both random."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 2
 
     def initial(self, constants, noise):
@@ -177,7 +177,7 @@ class Battery(Given):
     """Buys and sells at a reverting price; half a cycle costs."""
 
     horizon: int = 48
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
     def initial(self, constants, noise):
         return {"energy": jnp.asarray(1.0), "price": jnp.zeros(())}
@@ -198,7 +198,7 @@ class Battery(Given):
 class Portfolio(Given):
     """A share of wealth in stocks whose moves cost; the value is the mean of a utility."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return {"wealth": jnp.ones(()), "share": jnp.asarray(0.5)}
@@ -221,7 +221,7 @@ class Portfolio(Given):
 class LostSales(Given):
     """Orders arrive two periods later; demand that finds no stock is lost."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 15.0)
+    action: snapo.Box = snapo.Box(0.0, 15.0)
 
     def initial(self, constants, noise):
         return {"stock": jnp.asarray(10.0), "coming": jnp.array([5.0, 5.0])}
@@ -242,7 +242,7 @@ class CartPole(Given):
     """A pole on a cart, near its upright rest; shocks push the cart."""
 
     horizon: int = 50
-    action: snapo.Box = snapo.Box(1, -10.0, 10.0)
+    action: snapo.Box = snapo.Box(-10.0, 10.0)
 
     def initial(self, constants, noise):
         return jnp.array([0.0, 0.0, 0.1, 0.0])
@@ -265,7 +265,7 @@ class CartPole(Given):
 class Swing(Given):
     """Ten units of gas to be bought over twenty days at a strike, at most one a day."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return {"bought": jnp.zeros(()), "price": jnp.zeros(())}

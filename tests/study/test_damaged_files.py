@@ -181,7 +181,7 @@ def test_damaged_files_of_a_training(solved, tmp_path, capsys):
 
 def test_a_checkpoint_of_another_run_is_refused(tmp_path):
     """Of the same shapes, but of a run with other numbers; one without a mark is taken."""
-    policy = MLP(Box(2), 3, key=jax.random.key(0), hidden=(4,))
+    policy = MLP(Box(-np.inf, np.inf, 2), 3, key=jax.random.key(0), hidden=(4,))
     fresh, file = begin(policy, Training(steps=3)), tmp_path / "checkpoint.npz"
     checkpoint.save(fresh, file, run_folder.mark({"seed": 1}))
     checkpoint.load(file, fresh, run_folder.mark({"seed": 1}))

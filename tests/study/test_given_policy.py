@@ -12,7 +12,7 @@ from tests.miniatures import MINIATURES
 
 from snapo.case.error import CaseError
 from snapo.cli.main import main
-from snapo.problem.actions import Box, Whole
+from snapo.problem.actions import Box, Integers
 from snapo.problem.policies.memory import GRU
 from snapo.problem.policy import MLP, Constant, Residual, parameters
 from snapo.solver import checkpoint
@@ -44,7 +44,7 @@ def moved(policy, by: float):
 
 
 def net(action=None, features=3, **more):
-    return MLP(action or Box(2), features, key=KEY, **{"hidden": (4,), **more})
+    return MLP(action or Box(-np.inf, np.inf, 2), features, key=KEY, **{"hidden": (4,), **more})
 
 
 @pytest.mark.parametrize("half", [False, True])
@@ -65,14 +65,12 @@ def test_a_file_of_a_policy_is_read(tmp_path):
 
 def test_limits_and_a_base_are_those_of_the_case(tmp_path):
     """They are not trained: an earlier run's would break the limits of this case."""
-    old = moved(
-        Residual(Constant(np.array([9.0])), Box(1, 0.0, 9.0), 3, key=KEY, hidden=(4,)), 0.25
-    )
-    own = Residual(Constant(np.array([2.0])), Box(1, 0.0, 3.0), 3, key=KEY, hidden=(4,))
+    old = moved(Residual(Constant(np.array([9.0])), Box(0.0, 9.0), 3, key=KEY, hidden=(4,)), 0.25)
+    own = Residual(Constant(np.array([2.0])), Box(0.0, 3.0), 3, key=KEY, hidden=(4,))
     found = given(saved(old, tmp_path / "policy.npz")).fitted(own)
     assert np.array_equal(parameters(found), parameters(old))
     assert isinstance(found, Residual) and isinstance(found.base.array, Constant)
-    assert found.action == Box(1, 0.0, 3.0) and found.base.array.value == 2.0
+    assert found.action == Box(0.0, 3.0) and found.base.array.value == 2.0
 
 
 @pytest.mark.parametrize(
@@ -80,11 +78,11 @@ def test_limits_and_a_base_are_those_of_the_case(tmp_path):
     [
         (net(activation=jax.nn.tanh), ["activation tanh", "needs silu"]),
         (net(features=5), ["4 x 5", "4 x 3", "takes 5 numbers, and here there are 3"]),
-        (net(Box(3)), ["size 3", "needs 2"]),
-        (net(Whole(2)), ["action Whole", "needs Box"]),
+        (net(Box(-np.inf, np.inf, 3)), ["size 3", "needs 2"]),
+        (net(Integers(0, np.inf, 2)), ["action Integers", "needs Box"]),
         (net(hidden=(8,)), ["hidden[0] 8", "needs 4"]),
         (net(hidden=(4, 4)), ["sizes", "4 x 4"]),
-        (GRU(Box(2), 3, key=KEY, hidden=4), ["GRU", "MLP"]),
+        (GRU(Box(-np.inf, np.inf, 2), 3, key=KEY, hidden=4), ["GRU", "MLP"]),
     ],
 )
 def test_a_policy_that_does_not_fit_is_refused_in_words(other, named, tmp_path):

@@ -11,7 +11,7 @@ from snapo.study.training import _resumed
 
 
 def test_a_spread_without_initial_noise_is_refused_by_its_key(tmp_path):
-    simulator = SimpleNamespace(initial_noise_size=0, action=snapo.Box(1))
+    simulator = SimpleNamespace(initial_noise_size=0, action=snapo.Box(-float("inf"), float("inf")))
     training = snapo.Training(spread=2.0)
     setup = SimpleNamespace(training=training, problem=SimpleNamespace(simulator=simulator))
     run = SimpleNamespace(folder=tmp_path, resume=False)

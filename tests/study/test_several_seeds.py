@@ -74,7 +74,7 @@ def test_values_are_compared_on_paths_of_their_own(two):
     for row in found["rows"]:
         policy = Solution.load(two / "run" / row["run"], like=setup().policy).policy
         assert policy is not None
-        value = evaluate(problem, policy, 256, engine=setup().engines.evaluate)
+        value = evaluate(problem, policy, paths=256, engine=setup().engines.evaluate)
         assert row["value"] == pytest.approx(value.value, rel=1e-9)
         assert row["standard_error"] == pytest.approx(value.standard_error, rel=1e-6)
     low, high = sorted(found["rows"], key=lambda row: row["value"])

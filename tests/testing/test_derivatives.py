@@ -20,7 +20,7 @@ class Tank(snapo.Simulator):
     cut: bool = eqx.field(static=True, default=False)
     horizon: int = eqx.field(static=True, default=3)
     noise_size: int = eqx.field(static=True, default=1)
-    action: snapo.Box = eqx.field(static=True, default=snapo.Box(1, 0.0, 1.0))
+    action: snapo.Box = eqx.field(static=True, default=snapo.Box(0.0, 1.0))
 
     def prepare(self, inputs):
         rate = jax.lax.stop_gradient(inputs.rate) if self.cut else inputs.rate
@@ -52,11 +52,11 @@ def problem(cut: bool) -> snapo.Problem:
 def test_right_derivatives_have_no_complaints():
     made = problem(cut=False)
     policy = snapo.MLP(made.action, made.features, key=jax.random.key(0), hidden=(4,))
-    assert wrong_derivatives(made, policy, 16, every=True) == []
+    assert wrong_derivatives(made, policy, paths=16, every=True) == []
 
 
 def test_a_cut_way_is_named():
     made = problem(cut=True)
     policy = snapo.Constant(np.array([0.4]))
-    (complaint,) = wrong_derivatives(made, policy, 16)
+    (complaint,) = wrong_derivatives(made, policy, paths=16)
     assert complaint.startswith("rate ") and "0 by the adjoint" in complaint

@@ -14,9 +14,8 @@ from jaxtyping import PyTree
 
 from snapo.engine import Xla
 from snapo.problem.code.version import following
-from snapo.problem.limits import Limit
 from snapo.problem.noise import Stored
-from snapo.problem.objective import Mean, Objective, Weighted
+from snapo.problem.objective import Limit, Mean, Objective, Weighted, as_objective
 from snapo.problem.prepare import all_versions
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Pseudo, Scenarios, Sources
@@ -60,9 +59,9 @@ def check(
     problem: Problem | Simulator,
     inputs: PyTree = None,
     *,
-    objective: Objective | None = None,
+    objective: Objective | str | None = None,
     scenarios: Scenarios | Sources | None = None,
-    limits: Sequence[Limit] | Limit = (),
+    constraints: Sequence[Limit] | Limit = (),
     paths: int = 32,
     temperature: float = 0.05,
     seed: int = 0,
@@ -72,18 +71,19 @@ def check(
     **Arguments:**
 
     - `problem`: a `Problem`; or a simulator, with its `inputs` after it, and `objective`,
-      `scenarios` and `limits` by name.
+      `scenarios` and `constraints` by name.
     - `scenarios`: standard normals when not given; `Supplied` where noise is something else.
     - `paths`, `temperature`: of the rollouts, whose limits are smooth.
     """
     simulator: Any = problem
     if isinstance(problem, Problem):
         simulator, inputs, objective = problem.simulator, problem.inputs, problem.objective
-        scenarios, limits = problem.sources, problem.limits
+        scenarios, constraints = problem.sources, problem.constraints
     if isinstance(scenarios, Sources):
         scenarios = None if isinstance(scenarios.evaluation, Pseudo) else scenarios.evaluation
     with following(all_versions(simulator, inputs)):
-        return _checked(simulator, inputs, objective, scenarios, limits, paths, temperature, seed)
+        aim = None if objective is None else as_objective(objective)
+        return _checked(simulator, inputs, aim, scenarios, constraints, paths, temperature, seed)
 
 
 def _checked(
@@ -91,7 +91,7 @@ def _checked(
     inputs: PyTree,
     objective: Objective | None,
     scenarios: Scenarios | None,
-    limits: Sequence[Limit] | Limit,
+    constraints: Sequence[Limit] | Limit,
     paths: int,
     temperature: float,
     seed: int,
@@ -102,7 +102,7 @@ def _checked(
         schedule = prepared(notes, simulator, inputs)
         shapes = one_step(notes, simulator, schedule)
         observation = shapes.observation
-        wanted(notes, objective, limits, shapes.outputs)
+        wanted(notes, objective, constraints, shapes.outputs)
         short_slices(notes, simulator, inputs, schedule)
         repeatable(notes, simulator, inputs, schedule)
         loops(notes, simulator, inputs, schedule)

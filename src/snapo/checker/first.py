@@ -72,7 +72,7 @@ def problem_mistakes(problem: Problem, policy: Policy) -> Findings:
 
     def look(notes: Notes) -> None:
         shapes = one_step(notes, problem.simulator, problem.schedule)
-        wanted(notes, problem.objective, problem.limits, shapes.outputs)
+        wanted(notes, problem.objective, problem.constraints, shapes.outputs)
         _decides(notes, problem, policy, shapes.observation.shape[0])
 
     return _looked(problem.simulator, problem.inputs, look)

@@ -15,9 +15,9 @@ from jaxtyping import Array, PyTree
 from snapo.engine import Xla
 from snapo.problem.actions import Actions
 from snapo.problem.noise import Stored
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
 from snapo.problem.simulator import Schedule, Simulator
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import EXACT, Smooth
 
 from .findings import Notes, Stop
 
@@ -34,7 +34,8 @@ class _Probe(Policy):
     gain: Array
     action: Actions
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         return self.action.squash(self.offset + self.gain @ jnp.tanh(observation), smooth)
 
 

@@ -31,7 +31,7 @@ def declared(notes: Notes, simulator: Simulator, inputs: PyTree) -> None:
             allowed = f"{name} is {value!r}; allowed is a whole number of at least {least}."
             notes.error(name, allowed, "Change it in the class.")
     if not isinstance(action := getattr(simulator, "action", None), Actions):
-        notes.error("action", f"It is {action!r}.", "Make it a set of actions, such as Box(size).")
+        notes.error("action", f"It is {action!r}.", "Make it a set, such as Box(0.0, 1.0).")
     if not inputs_.named(inputs):
         notes.warning(
             "inputs",

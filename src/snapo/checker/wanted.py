@@ -1,10 +1,9 @@
-"""The outputs that objective and limits name, against those that there are."""
+"""The outputs that objective and constraints name, against those that there are."""
 
 from collections.abc import Collection, Iterator, Sequence
 from typing import Any, NamedTuple
 
-from snapo.problem.limits import Limit
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Limit, Objective, as_constraints
 
 from .findings import Notes
 
@@ -19,7 +18,7 @@ class Unknown(NamedTuple):
 
 
 def unknown_outputs(
-    objective: Any, limits: Sequence[Any] | Limit, outputs: Collection[str]
+    objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> Iterator[Unknown]:
     """Every output that is named and is not there; what is no objective or limit at all.
 
@@ -31,14 +30,12 @@ def unknown_outputs(
         yield Unknown("objective", repr(objective), "It is no objective, such as Mean(output).")
     else:
         yield from _missing("objective", objective, outputs)
-    if isinstance(limits, Limit):
-        limits = (limits,)
-    for k, limit in enumerate(limits):
+    for k, limit in enumerate(as_constraints(constraints)):
         if not isinstance(limit, Limit):
-            what = "It is no limit, such as AtMost(output, level)."
-            yield Unknown(f"limits[{k}]", repr(limit), what)
+            what = "It is no constraint, such as Mean(output) <= level."
+            yield Unknown(f"constraints[{k}]", repr(limit), what)
         else:
-            yield from _missing(f"limits[{k}]", limit.measure, outputs)
+            yield from _missing(f"constraints[{k}]", limit.measure, outputs)
 
 
 def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[Unknown]:
@@ -48,10 +45,10 @@ def _missing(of: str, measure: Objective, outputs: Collection[str]) -> Iterator[
 
 
 def wanted(
-    notes: Notes, objective: Any, limits: Sequence[Any] | Limit, outputs: Collection[str]
+    notes: Notes, objective: Any, constraints: Sequence[Any] | Limit, outputs: Collection[str]
 ) -> None:
     """Writes them down, and stops where there are any."""
-    for each in unknown_outputs(objective, limits, outputs):
+    for each in unknown_outputs(objective, constraints, outputs):
         said = each.what if each.got in each.what else f"{each.what[:-1]}: {each.got}."
         notes.error(each.of, said, f"The outputs are {sorted(outputs)}.")
     notes.stop_on_errors()

@@ -2,12 +2,12 @@
 
 from .base import COURSE as COURSE
 from .base import Adjoint as Adjoint
-from .base import Bound as Bound
+from .base import BoundEngine as BoundEngine
 from .base import Clip as Clip
 from .base import Engine as Engine
 from .base import Rollout as Rollout
 from .base import Window as Window
-from .choose import Choice as Choice
+from .choose import EngineName as EngineName
 from .choose import Engines as Engines
 from .choose import choose as choose
 from .native import Native as Native

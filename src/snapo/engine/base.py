@@ -186,7 +186,7 @@ class Engine(abc.ABC):
         """Float64 results leave JAX as NumPy arrays: outside `numbers` JAX would cut them down."""
         return jax.tree.map(np.asarray, result) if self.precision == "float64" else result
 
-    def bind(self, problem: Problem, *, controls: bool = True) -> "Bound":
+    def bind(self, problem: Problem, *, controls: bool = True) -> "BoundEngine":
         """This engine on a problem: its simulator and its schedule.
 
         `controls`: whether the outputs that are control variates alone are computed too.
@@ -194,7 +194,7 @@ class Engine(abc.ABC):
         simulator = problem.simulator.on_paths()
         if not controls:
             simulator = uncontrolled(simulator, problem.objective.outputs)
-        return Bound(self, simulator, problem.schedule)
+        return BoundEngine(self, simulator, problem.schedule)
 
     @abc.abstractmethod
     def values(
@@ -272,7 +272,7 @@ class Engine(abc.ABC):
 
 
 @dataclass(frozen=True, eq=False)
-class Bound:
+class BoundEngine:
     """An engine with the simulator and the schedule that it rolls; each call brings the rest.
 
     Made by `Engine.bind`; `values` and `adjoint` are those of the engine.

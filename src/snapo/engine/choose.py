@@ -26,10 +26,10 @@ class Engines(NamedTuple):
     reason: str
 
 
-Choice = str | Engine | Engines
+EngineName = str | Engine | Engines
 
 
-def choose(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
+def choose(wanted: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines that are wanted: by name, as one engine, or as a pair that was chosen before.
 
     "auto" takes the native engine where it can run this problem, beside a GPU too: a gradient of

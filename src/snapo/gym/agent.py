@@ -9,7 +9,7 @@ import numpy as np
 
 from snapo.problem.actions import Actions
 from snapo.problem.code.version import following, of_policy
-from snapo.problem.policies.memory import Recent, remembered
+from snapo.problem.policies.memory import LastObservations, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.smooth import Exact
 
@@ -92,7 +92,7 @@ def _writer(policy: Policy, given: Any) -> Map:
 
 def set_of(policy: Policy) -> Actions | None:
     """The set that a policy decides in; None where it does not say."""
-    if isinstance(policy, Recent):
+    if isinstance(policy, LastObservations):
         return set_of(policy.policy)
     found = getattr(policy, "action", None)
     return found if isinstance(found, Actions) else None

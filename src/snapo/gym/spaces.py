@@ -9,7 +9,7 @@ from typing import Any, NoReturn
 
 import numpy as np
 
-from snapo.problem.actions import Actions, Box, Choice, Product, Simplex, Stop, Whole
+from snapo.problem.actions import Actions, Box, Choice, Integers, Product, Simplex, Stop
 
 from .installed import gymnasium
 
@@ -37,7 +37,7 @@ def space_of(action: Actions) -> tuple[Space, Reader]:
         return space, read_all
     if isinstance(action, Choice):
         return gymnasium.spaces.Discrete(action.size), lambda n: np.eye(action.size)[np.asarray(n)]
-    if not isinstance(action, Box | Whole | Stop | Simplex):
+    if not isinstance(action, Box | Integers | Stop | Simplex):
         raise ValueError(f"Environment: a {type(action).__name__} has no space of Gymnasium.")
     low, high = (np.asarray(bound, np.float32) for bound in action.bounds())
     space = gymnasium.spaces.Box(low, high, dtype=np.float32)

@@ -137,7 +137,9 @@ class Valuation(Moves):
         if isinstance(relaxation, str):
             raise CaseError("the bound", "", None, relaxation)
         engine = setup.engines.evaluate
-        return bound(setup.problem, policy, relaxation(), BOUND_PATHS, engine=engine).row()
+        return bound(
+            setup.problem, policy, relaxation=relaxation(), paths=BOUND_PATHS, engine=engine
+        ).row()
 
     def _at(self, values: Values, chosen: Chosen = NONE) -> tuple[Study, Setup]:
         """The study of these choices, and the setup at these inputs, read from the case."""
@@ -217,7 +219,7 @@ class Valuation(Moves):
         policy = self.solution.policy
         assert policy is not None
         return sensitivities(
-            setup.problem, policy, self.counts.deltas,
+            setup.problem, policy, paths=self.counts.deltas,
             engine=setup.engines.evaluate, actions=rolled.actions,
             totals=None if rolled.actions is None else rolled.totals,
         ).held  # fmt: skip

@@ -12,24 +12,24 @@ from jaxtyping import Array, Float
 TURN = 2 * np.pi
 
 
-def wrapped(angle: ArrayLike) -> Float[Array, " *shape"]:
+def wrap_angle(angle: ArrayLike) -> Float[Array, " *shape"]:
     """The angle [...] in radians without its full turns, from -pi to below pi, up to rounding.
 
-    Of a difference of two angles it is the shorter way round: `wrapped(angle - target) ** 2` is a
-    cost. Its derivative is 1, its second one 0, also where it jumps from pi to -pi; the square is
+    Of a difference of two angles it is the shorter way round: `wrap_angle(angle - target) ** 2` is
+    a cost. Its derivative is 1, its second one 0, also where it jumps from pi to -pi; the square is
     continuous there. An angle between -pi and pi keeps all its digits.
 
-    >>> [round(float(snapo.wrapped(np.pi * x)), 4) for x in (0.5, 1.5, -6.25)]
+    >>> [round(float(snapo.wrap_angle(np.pi * x)), 4) for x in (0.5, 1.5, -6.25)]
     [1.5708, -1.5708, -0.7854]
     """
     given = jnp.asarray(angle)
     return given - TURN * jnp.floor(given / TURN + 0.5)
 
 
-def turned(angle: ArrayLike) -> Float[Array, " *shape 2"]:
+def angle_features(angle: ArrayLike) -> Float[Array, " *shape 2"]:
     """(cosine, sine) [..., 2] of an angle [...] in radians: how a policy sees it, without a jump.
 
-    >>> snapo.turned(np.float32(0.0)).tolist()
+    >>> snapo.angle_features(np.float32(0.0)).tolist()
     [1.0, 0.0]
     """
     given = jnp.asarray(angle)

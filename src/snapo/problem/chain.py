@@ -79,7 +79,7 @@ class Chain(Simulator):
             own = slice(stage.action.size)
             least, most = stage.action.bounds()
             low[own], high[own] = np.minimum(low[own], least), np.maximum(high[own], most)
-        return Box(size, low, high)
+        return Box(low, high, size)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -3,7 +3,7 @@
 Every public function of a problem takes either, in one order of arguments::
 
     snapo.evaluate(problem, policy, paths=4096)
-    snapo.evaluate(Reservoir(), inputs, policy, paths=4096, objective=snapo.Mean("cash"))
+    snapo.evaluate(Reservoir(), inputs, policy, paths=4096, objective="cash")
 """
 
 import re
@@ -17,8 +17,7 @@ import jax.numpy as jnp
 
 from .actions.base import count
 from .code.version import reading_once
-from .limits import Limit
-from .objective import Mean, Objective
+from .objective import Limit, Mean, Objective
 from .policies.plain import NEEDED
 from .problem import Problem
 from .scenarios import Scenarios, Sources
@@ -27,7 +26,7 @@ from .smooth import Exact
 
 P = ParamSpec("P")
 R = TypeVar("R", covariant=True)
-BESIDE = ("objective", "scenarios", "limits")  # of a simulator, by name
+BESIDE = ("objective", "scenarios", "constraints")  # of a simulator, by name
 SMALL = {"cost", "costs", "loss", "losses", "shortfall", "shortfalls", "penalty", "penalties"}
 
 
@@ -70,7 +69,7 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
             others["inputs"], rest = rest[0], rest[1:]
         made = problem_of(name, first, others.pop("inputs", None), needs=objective, **beside)
         if objective and not isinstance(made.objective, Objective):
-            what = 'allowed is an objective, such as snapo.Mean("cash")'
+            what = "allowed is an objective, or the name of an output for its mean"
             raise ValueError(f"{name}: objective is {made.objective!r}; {what}.")
         decides = rest[0] if rest else others.get(policy)
         if not callable(decides) and not (decides is None and "actions" in others):
@@ -85,7 +84,7 @@ def _either(verb: Callable[..., Any], objective: bool) -> Callable[..., Any]:
 SAID_OBJECTIVE = "`objective`, "
 SAID = """
     `problem` is a `Problem`; or a simulator, with its `inputs` after it, and {objective}`scenarios`
-    and `limits` by name.
+    and `constraints` by name.
     """
 
 
@@ -95,7 +94,7 @@ def problem_of(
     inputs: Any = None,
     objective: Any = None,
     scenarios: Scenarios | Sources | None = None,
-    limits: Any = (),
+    constraints: Any = (),
     *,
     sources: Sources | None = None,
     seed: int = 0,
@@ -106,15 +105,15 @@ def problem_of(
     **Arguments:** `sources`: where no scenarios are given; `needs`: an objective.
 
     **Raises:** `ValueError` where a `Problem` has any of it beside it, for what is neither, and for
-    sizes, scenarios or limits that are none.
+    sizes, scenarios or constraints that are none.
     """
     if isinstance(problem, type):
         name = problem.__name__
         raise ValueError(f"{verb}: {name} is a class; give its object, {name}().")
     if isinstance(problem, Problem):
         own = (each is not None for each in (inputs, objective, scenarios))
-        if limits not in ((), None) or any(own):
-            what = "inputs, objective, scenarios and limits"
+        if constraints not in ((), [], None) or any(own):
+            what = "inputs, objective, scenarios and constraints"
             raise ValueError(f"{verb}: a Problem has its own {what}.")
         _sizes(verb, problem.simulator)
         return problem
@@ -125,17 +124,17 @@ def problem_of(
     if not isinstance(scenarios, Scenarios | Sources | None):
         what = "allowed are scenarios, such as snapo.Sobol(0), or Sources"
         raise ValueError(f"{verb}: scenarios is {scenarios!r}; {what}.")
-    if not isinstance(limits, Limit | list | tuple):
-        what = 'allowed is a limit, such as snapo.AtMost("unserved", 0.05), or a tuple of them'
-        raise ValueError(f"{verb}: limits is {limits!r}; {what}.")
-    limits = (limits,) if isinstance(limits, Limit) else tuple(limits)
+    if not isinstance(constraints, Limit | list | tuple):
+        what = 'allowed is a list of them, such as [snapo.Mean("unserved") <= 0.05]'
+        raise ValueError(f"{verb}: constraints is {constraints!r}; {what}.")
     chosen = sources if scenarios is None and sources is not None else Sources.of(scenarios, seed)
-    made = Problem(problem, inputs, Mean("") if objective is None else objective, chosen, limits)
+    aim = Mean("") if objective is None else objective
+    made = Problem(problem, inputs, aim, chosen, constraints)
     if objective is not None:
         return made
     names = outputs_of(made)
     only = _only_output(verb, names) if needs else names[0]
-    return Problem(problem, inputs, Mean(only), chosen, limits).prepared(made.schedule)
+    return Problem(problem, inputs, Mean(only), chosen, constraints).prepared(made.schedule)
 
 
 def outputs_of(problem: Problem) -> list[str]:
@@ -158,15 +157,15 @@ def _only_output(verb: str, names: list[str]) -> str:
     if len(names) != 1:
         raise ValueError(
             f"{verb}: the simulator has the outputs {sorted(names)}; say which one to make as "
-            'large as possible, such as objective=Mean("profit") or -Mean("cost").'
+            'large as possible, such as objective="profit" or -Mean("cost").'
         )
     words = re.findall("[a-z]+", re.sub("([A-Z])", r" \1", names[0]).lower())
     if SMALL & set(words):
-        mean = f'snapo.Mean("{names[0]}")'
+        name = f'"{names[0]}"'
         raise ValueError(
             f"{verb}: the only output is {names[0]!r}, and an objective is made as large as "
-            f"possible; write objective=-{mean} to make it small, or objective={mean} to make it "
-            "large."
+            f"possible; write objective=-snapo.Mean({name}) to make it small, or "
+            f"objective={name} to make it large."
         )
     return names[0]
 

@@ -9,7 +9,7 @@ the policy for a simulator's actions and features; `snapo.solve` does so with th
 """
 
 import abc
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import equinox as eqx
@@ -23,15 +23,21 @@ from .actions import Actions
 from .inputs import Frozen
 from .quickly import compiled_sooner
 from .simulator import Interface
-from .smooth import Smooth
+from .smooth import EXACT, Exact, Smooth
 
 
 class Policy(eqx.Module):
     """One decision rule. Actions must lie in the simulator's fixed action set."""
 
     @abc.abstractmethod
-    def __call__(self, observation: Float[Array, " features"], smooth) -> Float[Array, " size"]:
-        """The action at this observation."""
+    def __call__(
+        self, observation: ArrayLike | Sequence[float], smooth: Smooth | Exact = EXACT
+    ) -> Float[Array, " size"]:
+        """The action [size] at one observation [features], an array or a list of numbers.
+
+        As the exact simulator takes it: rounded, stopped, on one option. With `Smooth(temperature)`
+        it is that of training.
+        """
 
     def for_problem(self, interface: Interface, key) -> "Policy":
         """The policy for this set of actions and number of features: itself, unless it is a recipe.
@@ -53,6 +59,12 @@ class Policy(eqx.Module):
         from .carry.pickling import reduced
 
         return reduced(self)
+
+
+def as_observation(given: ArrayLike | Sequence[float]) -> Float[Array, " features"]:
+    """An observation as an array of floating numbers."""
+    found = jnp.asarray(given)
+    return found if jnp.issubdtype(found.dtype, jnp.floating) else found.astype(jnp.float32)
 
 
 class Network(eqx.Module):
@@ -119,7 +131,8 @@ class MLP(Policy):
         self.activation, self.action = activation, action
         self.network = _network(self, action, features, key)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         network, action = _made(self)
         return action.squash(network(observation), smooth)
 
@@ -139,7 +152,7 @@ def widths(action: Actions) -> tuple[int, int]:
     """Two hidden layers of four units for each number that is decided, a power of two from 32 to
     128.
 
-    >>> widths(snapo.Box(1)), widths(snapo.Box(24))
+    >>> widths(snapo.Box(0.0, 1.0)), widths(snapo.Box(0.0, 1.0, size=24))
     ((32, 32), (128, 128))
     """
     width = 32
@@ -182,7 +195,8 @@ class Residual(Policy):
         self.activation, self.action = activation, action
         self.network = _network(self, action, features, key)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         network, action = _made(self)
         correction = self.scale * network(observation)
         return action.near(self.base.array(observation, smooth), correction, smooth)
@@ -254,7 +268,8 @@ class Constant(Policy):
         self.value = None if value is None else jnp.asarray(value)
         self.action = action
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         if self.value is None:
             raise ValueError("Constant: this is a recipe without numbers; give it a value.")
         value = self.value.astype(observation.dtype)
@@ -270,8 +285,8 @@ class Linear(Policy):
     `Linear()` starts with a gain of zero [size, features] in the middle of the action set, and is
     kept inside it.
 
-    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(1, 0.0, 3.0))
-    >>> [rule(np.array(seen), snapo.Exact()).tolist() for seen in ([0.5, 0.5], [2.0, 0.0])]
+    >>> rule = snapo.Linear([[2.0, -1.0]], offset=0.5, action=snapo.Box(0.0, 3.0))
+    >>> [rule(seen).tolist() for seen in ([0.5, 0.5], [2.0, 0.0])]
     [[1.0], [3.0]]
     """
 
@@ -288,7 +303,8 @@ class Linear(Policy):
         self.gain = None if gain is None else jnp.asarray(gain)
         self.offset, self.action = jnp.asarray(offset), action
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         if self.gain is None:
             raise ValueError("Linear: this is a recipe without numbers; give it a gain.")
         feedback = self.gain @ observation
@@ -313,7 +329,7 @@ def _middle(interface: Interface) -> Float[Array, " size"]:
 class BaseStock(Policy):
     """Order up to a level: max(level - position, 0), the position being one observed number.
 
-    >>> snapo.BaseStock(12.0)(np.array([5.0]), snapo.Exact()).tolist()
+    >>> snapo.BaseStock(12.0)([5.0]).tolist()
     [7.0]
     """
 
@@ -321,7 +337,8 @@ class BaseStock(Policy):
     position: int = eqx.field(static=True, default=0)
     scale: float = eqx.field(static=True, default=1.0)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         return smooth.positive_part(self.level - observation[self.position], self.scale)[None]
 
 
@@ -329,7 +346,7 @@ class Threshold(Policy):
     """`above` when the observed number exceeds the threshold, else `below`.
 
     >>> rule = snapo.Threshold(30.0, [0.0], [1.0])
-    >>> [rule(np.array([price]), snapo.Exact()).tolist() for price in (29.0, 31.0)]
+    >>> [rule([price]).tolist() for price in (29.0, 31.0)]
     [[0.0], [1.0]]
     """
 
@@ -339,7 +356,8 @@ class Threshold(Policy):
     feature: int = eqx.field(static=True, default=0)
     scale: float = eqx.field(static=True, default=1.0)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         on = smooth.indicator(observation[self.feature] - self.threshold, self.scale)
         return self.below + on * (self.above - self.below)
 

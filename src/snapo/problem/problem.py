@@ -3,7 +3,7 @@
 from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import jax
 import numpy as np
@@ -14,13 +14,37 @@ from .actions import Actions
 from .code.lost import lost
 from .code.version import Version, following, of_preparation, of_rollout, reading_once
 from .form import form_of
-from .limits import Limit, priced
 from .noise import base as noise
-from .objective import Objective
+from .objective import Limit, Objective, as_constraints, as_objective, priced
 from .prepare import prepare
 from .scenarios import Sources
 from .simulator import Interface, Schedule, Simulator
 from .unseen import partly_observed
+
+_In = TypeVar("_In")
+_Out = TypeVar("_Out")
+NONE: Any = object()  # no default
+
+
+class Converted(Generic[_In, _Out]):
+    """A field of a dataclass that is converted when it is set."""
+
+    def __init__(self, convert: Callable[[_In], _Out], default: Any = NONE):
+        self.convert, self.default = convert, default
+
+    def __set_name__(self, owner: type, name: str) -> None:
+        self.name = name
+
+    def __set__(self, instance: Any, given: _In) -> None:
+        instance.__dict__[self.name] = self.convert(given)
+
+    def __get__(self, instance: Any, owner: type | None = None) -> _Out:
+        if instance is not None:
+            return instance.__dict__[self.name]
+        if self.default is NONE:  # of the class: the default, where there is one
+            raise AttributeError(self.name)
+        return self.default
+
 
 KEPT = ("schedule", "interface", "lost", "partly_observed")  # what no scenarios change
 
@@ -32,19 +56,22 @@ class Problem:
     The schedule is prepared once, when it is first asked for, in float64 NumPy.
 
     - `simulator`, `inputs`: one path, and a tree of `Input`s.
-    - `objective`: of the path totals; made as large as possible.
+    - `objective`: of the path totals; made as large as possible. The name of an output means its
+      mean: "cash" is `Mean("cash")`.
     - `sources`: the scenarios of training, validation and evaluation; the last two have few paths
       where nothing is random (see `EqualPaths`).
-    - `limits`: kept on average or with a probability: `(AtMost("unserved", 0.05),)`.
+    - `constraints`: kept on average or with a probability: `[Mean("unserved") <= 0.05]`.
     - `rebuild`: the same problem with everything in its simulator that was computed from the inputs
       (a guide, a hedge, scales of features) computed again; None where nothing was.
     """
 
     simulator: Simulator
     inputs: PyTree
-    objective: Objective
+    objective: Converted[Objective | str, Objective] = Converted(as_objective)
     sources: Sources = field(default_factory=lambda: Sources.of(None))
-    limits: tuple[Limit, ...] = ()
+    constraints: Converted[Sequence[Limit] | Limit, tuple[Limit, ...]] = Converted(
+        as_constraints, ()
+    )
     rebuild: Callable[["Problem"], "Problem"] | None = field(default=None, repr=False)
 
     def __post_init__(self):
@@ -117,9 +144,10 @@ class Problem:
     def priced(self, prices: Sequence[float]) -> "Problem":
         """The problem whose objective pays for its limits; the schedule is prepared no second
         time."""
-        if not self.limits:
+        if not self.constraints:
             return self
-        other = replace(self, objective=priced(self.objective, self.limits, prices), limits=())
+        within = priced(self.objective, self.constraints, prices)
+        other = replace(self, objective=within, constraints=())
         return other.prepared(self.schedule)
 
     def prepared(self, schedule: Schedule) -> "Problem":

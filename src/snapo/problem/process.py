@@ -30,7 +30,7 @@ class Process(eqx.Module):
 
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `martingale`: whether the expectation of `level` is `forward` exactly, under every policy.
-      Then the sum of any weights fixed in advance times `surprise` is a control variate.
+      Then the sum of any weights fixed in advance times `innovation` is a control variate.
     """
 
     noise_size: eqx.AbstractVar[int]
@@ -65,7 +65,7 @@ class Process(eqx.Module):
         """The part of the state that a policy needs, in numbers of order one."""
 
     @abc.abstractmethod
-    def words(self) -> str:
+    def describe(self) -> str:
         """One sentence for a report."""
 
     def weight(self, state: State) -> Float[Array, ""]:
@@ -79,7 +79,7 @@ class Process(eqx.Module):
         in the mean of many paths alone."""
         return ()
 
-    def surprise(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
+    def innovation(self, constants: PyTree, now: PyTree, state: State) -> Float[Array, "..."]:
         """Level less forward: of expectation zero for a `martingale`."""
         return self.level(constants, now, state) - self.forward(constants, now)
 
@@ -238,7 +238,7 @@ class Schwartz(FactorPrice):
         loading = jnp.broadcast_to(inputs.volatility, (len(self.times), 1))
         return Factors(inputs.forward, inputs.mean_reversion[None], loading, jnp.eye(1))
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "One mean-reverting factor around the forward curve"
 
 

@@ -56,7 +56,7 @@ class Simulator(eqx.Module):
     **Attributes:**
 
     - `horizon`: the number of decisions T.
-    - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Whole`, `Choice`, `Stop` or a
+    - `action`: the FIXED set of actions, a `Box`, `Simplex`, `Integers`, `Choice`, `Stop` or a
       `Product` of them. Limits that depend on inputs or on the state act inside `step`.
     - `noise_size`: standard normals per step; `initial_noise_size`: those that `initial` uses.
     - `fully_observed`: declared by an author who knows that the observation tells all of the state

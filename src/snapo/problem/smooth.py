@@ -213,6 +213,9 @@ class Exact(Constraints):
         return jnp.round(x)
 
 
+EXACT = Exact()
+
+
 def _step(x: ArrayLike) -> Array:
     x = jnp.asarray(x)
     return (x > 0).astype(jnp.result_type(x, jnp.float32) if x.dtype.kind != "f" else x.dtype)

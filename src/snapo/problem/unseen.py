@@ -62,7 +62,7 @@ def words(names: tuple[str, ...], remembers: bool = False) -> str:
     memory = (
         ""
         if remembers
-        else (" A policy with a memory, snapo.GRU() or snapo.Recent(…), may do better.")
+        else (" A policy with a memory, snapo.GRU() or snapo.LastObservations(…), may do better.")
     )
     return (
         f"The observation does not tell all of the state that matters: {', '.join(names)}. "
@@ -253,7 +253,7 @@ def _paid_names(problem: Any) -> set[str]:
     """The outputs of the objective and of the limits."""
     return {
         name
-        for each in (problem.objective, *(limit.measure for limit in problem.limits))
+        for each in (problem.objective, *(limit.measure for limit in problem.constraints))
         for name in each.outputs
     }
 

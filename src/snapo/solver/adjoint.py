@@ -6,21 +6,21 @@
 Training and sensitivities both read what this file gives.
 """
 
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import equinox as eqx
 import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound, Engine, Xla
+from snapo.engine import Adjoint, BoundEngine, Engine, Xla
 from snapo.engine.transpose import pull_back as pull_back
 from snapo.problem.meant import takes_problem
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Weights
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact, Smooth
 
 
 class Gradient(NamedTuple):
@@ -36,9 +36,9 @@ def value_and_gradient(
     policy: Policy,
     *,
     paths: int = 4096,
-    smooth: Any = None,
-    held: bool = False,
+    smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
+    decisions: Literal["held", "reacting"] = "reacting",
 ) -> tuple[float, Gradient]:
     """The objective and its exact gradient for the policy and every input.
 
@@ -46,12 +46,18 @@ def value_and_gradient(
 
     **Arguments:**
 
-    - `smooth`: `Exact()` by default. Through a hard decision the pathwise derivative is blind, so
-      use `Smooth(temperature)` for derivatives through the policy's reaction, or
-    - `held`: the decisions are recorded first and then replayed; the policy's gradient is zero.
+    - `smooth`: through a hard decision the pathwise derivative is blind, so use
+      `Smooth(temperature)` for derivatives through the policy's reaction, or
+    - `decisions="held"`: they are recorded first and then replayed; the policy's gradient is zero.
+    - `engine`: by default XLA in float64.
+
+    **Raises:** `ValueError` for other `decisions`.
     """
+    if decisions not in ("held", "reacting"):
+        what = "allowed is 'held' or 'reacting'"
+        raise ValueError(f"value_and_gradient: decisions is {decisions!r}; {what}.")
+    held = decisions == "held"
     bound = (engine or Xla(precision="float64")).bind(problem)
-    smooth = Exact() if smooth is None else smooth
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)
     value, result = weighted_adjoint(bound, policy, draws, smooth, problem.objective, held=held)
@@ -62,7 +68,7 @@ def value_and_gradient(
 
 
 def weighted_adjoint(
-    bound: Bound,
+    bound: BoundEngine,
     policy: Policy,
     draws: Draws,
     smooth,

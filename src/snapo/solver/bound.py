@@ -29,7 +29,7 @@ from snapo.problem.smooth import Exact
 from .adjoint import float64
 from .relaxations.known import Relaxation, relaxation_of
 from .show import html
-from .statistics import critical, independent, mean, skewed_mean
+from .statistics import critical, independent, mean, skewed_mean, with_error
 
 Penalty = Literal["none", "value", "trained"]
 CHUNK = 1024  # paths in one call of an engine and of the inner problem
@@ -45,6 +45,9 @@ class Between(NamedTuple):
     standard_error: float
     low: float
     high: float
+
+    def __str__(self) -> str:
+        return with_error(self.value, self.standard_error)
 
 
 @dataclass(frozen=True)
@@ -135,11 +138,11 @@ class Bound:
 def bound(
     problem: Problem,
     policy: Policy,
-    relaxation: Relaxation | None = None,
-    paths: int = 1024,
     *,
-    penalty: Penalty = "value",
+    paths: int = 1024,
     engine: Engine | None = None,
+    relaxation: Relaxation | None = None,
+    penalty: Penalty = "value",
     source: Scenarios | None = None,
     training_paths: int = 256,
 ) -> Bound:

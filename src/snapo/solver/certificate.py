@@ -13,7 +13,7 @@ from snapo.problem.noise import Draws
 from snapo.problem.objective import Weights
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64, pull_back
 from .derivatives.bump import SIGNIFICANT, one_percent
@@ -109,21 +109,21 @@ def nudged(problem: Problem, seed: int = 0) -> Problem:
 def certify_derivatives(
     problem: Problem,
     policy: Policy,
-    paths: int = 512,
     *,
-    near: Callable[[Problem], Problem] = nudged,
+    paths: int = 512,
     engine: Engine | None = None,
+    near: Callable[[Problem], Problem] = nudged,
 ) -> list[Bump]:
     """`bump_check` at the reported inputs; where most paths meet a kink there, also near them.
 
     Without the inputs of `Problem.in_mean`, see `in_the_mean`.
     """
     pathwise = set(problem.named) - set(problem.in_mean)
-    found = bump_check(problem, policy, paths, only=pathwise, engine=engine)
+    found = bump_check(problem, policy, paths=paths, only=pathwise, engine=engine)
     crowded = {bump.input for bump in found if bump.crossing > CROWDED}
     if not crowded:
         return found
-    again = bump_check(near(problem), policy, paths, only=crowded, engine=engine)
+    again = bump_check(near(problem), policy, paths=paths, only=crowded, engine=engine)
     decided = {bump.input for bump in again if bump.crossing < 1.0}
     found = [
         bump._replace(judged=bump.crossing < 1.0 or bump.passed or bump.input not in decided)
@@ -163,17 +163,17 @@ def in_the_mean(problem: Problem, verdicts: Mapping[str, Verdict]) -> list[dict[
 def bump_check(
     problem: Problem,
     policy: Policy,
-    paths: int = 512,
     *,
-    smooth: Any = None,
+    paths: int = 512,
+    smooth: Smooth | Exact = EXACT,
+    engine: Engine | None = None,
     every: bool = False,
     only: Collection[str] | None = None,
-    engine: Engine | None = None,
 ) -> list[Bump]:
     """The adjoint against differences in float64, on the same paths.
 
-    On the first `paths` paths of the problem's evaluation. With `smooth` the policy reacts;
-    without, the exact simulator replays its recorded decisions.
+    On the first `paths` paths of the problem's evaluation. With `Smooth(temperature)` the policy
+    reacts; without, the exact simulator replays its recorded decisions.
     Every input, or those named by `only`, is bumped along one random direction of signs, or with
     `every` entry by entry.
     Path weights are held, as the adjoint holds them. At a kink an adjoint is either one-sided
@@ -210,13 +210,13 @@ class _Replay(NamedTuple):
     problem: Problem
     policy: Policy | None
     draws: Draws
-    smooth: Any
+    smooth: Smooth | Exact
     actions: Any
     weights: Weights
 
     @classmethod
     def of(cls, engine: Engine, problem: Problem, policy, draws, smooth):
-        held, smooth = smooth is None, smooth or Exact()
+        held = isinstance(smooth, Exact)
         record = ("action",) if held else ()
         first = engine.bind(problem, controls=False).values(policy, draws, smooth, record=record)
         decider, actions = (None, first.record["action"]) if held else (policy, None)
@@ -314,7 +314,7 @@ def _directions(given: inputs_.Input, every: bool, random) -> list[tuple[str, np
 
 @takes_problem(objective=False)
 def feasibility(
-    problem: Problem, policy: Policy, paths: int = 4096, *, engine: Engine | None = None
+    problem: Problem, policy: Policy, *, paths: int = 4096, engine: Engine | None = None
 ) -> list[Feasibility]:
     """The smallest slack of every limit that the simulator declares, in the exact simulator."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)

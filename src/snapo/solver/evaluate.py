@@ -1,7 +1,7 @@
 """What a policy is worth: path totals on fresh scenarios, and the value with its standard error."""
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -12,7 +12,7 @@ from snapo.problem.objective import Objective, Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from . import statistics
 from .adjoint import float64
@@ -36,17 +36,27 @@ class Value(NamedTuple):
     dropped: int = 0
     refused: tuple[str, ...] = ()
 
+    def __str__(self) -> str:
+        """ "2,732 ± 21": two significant digits of the error."""
+        return statistics.with_error(self.value, self.standard_error)
+
 
 @takes_problem
 def evaluate(
     problem: Problem,
     policy: Policy,
-    paths: int = 65536,
     *,
-    smooth: Any = None,
+    paths: int = 65536,
+    smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
 ) -> Value:
-    """The objective of a policy on the problem's evaluation scenarios, exact unless `smooth`."""
+    """The objective of a policy on the problem's evaluation scenarios, with its standard error.
+
+    **Arguments:**
+
+    - `paths`: how many. `smooth`: `Smooth(temperature)` values the simulator of training.
+    - `engine`: by default XLA in float64.
+    """
     totals = path_totals(problem, policy, paths, smooth=smooth, engine=engine)
     controls = problem.simulator.control_variates()
     return estimate(problem.objective, totals, problem.sources.evaluation, controls)
@@ -58,7 +68,7 @@ def path_totals(
     policy: Policy,
     paths: int,
     *,
-    smooth: Any = None,
+    smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
     source: Scenarios | None = None,
     controls: bool = True,
@@ -69,7 +79,7 @@ def path_totals(
     `controls`: with the outputs that are control variates alone.
     """
     bound = (engine or Xla(precision="float64")).bind(problem, controls=controls)
-    source, smooth = source or problem.sources.evaluation, smooth or Exact()
+    source = source or problem.sources.evaluation
     paths = source.available(paths)
     totals: dict[str, np.ndarray] = {}
     for block in chunks(source, paths):

@@ -12,7 +12,7 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound
+from snapo.engine import Adjoint, BoundEngine
 from snapo.problem.noise import Draws
 from snapo.problem.noise.counter import only
 from snapo.problem.objective import Objective, Totals, Weights
@@ -28,7 +28,7 @@ def finite(totals: Totals, names: Iterable[str]) -> np.ndarray:
 
 
 def adjoint_of_finite_paths(
-    bound: Bound, policy, draws: Draws, smooth, objective: Objective, **options
+    bound: BoundEngine, policy, draws: Draws, smooth, objective: Objective, **options
 ) -> tuple[float, Adjoint, int]:
     """`weighted_adjoint` over the paths that are finite, and the number of those that are not.
 
@@ -52,7 +52,7 @@ def adjoint_of_finite_paths(
 
 
 def adjoint_of_good_weights(
-    bound: Bound, policy, draws: Draws, smooth, weights: Weights, **options
+    bound: BoundEngine, policy, draws: Draws, smooth, weights: Weights, **options
 ) -> tuple[Adjoint, int]:
     """The adjoint for weights {output: [N] or [K, N]} that are known, and the number of bad paths.
 
@@ -71,7 +71,7 @@ def adjoint_of_good_weights(
     return bound.adjoint(policy, draws, smooth, weights, **options), int(np.sum(~good))
 
 
-def _good(bound: Bound, policy, draws, smooth, names, options) -> np.ndarray:
+def _good(bound: BoundEngine, policy, draws, smooth, names, options) -> np.ndarray:
     """Which paths have a finite value and a finite adjoint.
 
     A forward sweep finds most of the others; only where the adjoint of the rest is not finite

@@ -1,6 +1,6 @@
 """The same problem with several seeds: how much of a result is the luck of one training."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -9,7 +9,7 @@ import numpy as np
 from jaxtyping import PyTree
 
 from snapo.problem.meant import problem_of
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Limit, Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
@@ -75,15 +75,16 @@ def solve_seeds(
     policy: Policy | eqx.Module | Solution | None = None,
     *,
     seeds: int | Iterable[int],
-    objective: Objective | None = None,
+    objective: Objective | str | None = None,
     scenarios: Scenarios | Sources | None = None,
+    constraints: Sequence[Limit] | Limit = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
     **more: Any,
 ) -> Seeds:
     """`solve`, once for every seed; what is compiled for the first one serves all.
 
-        found = snapo.solve_seeds(Reservoir(), inputs, objective=snapo.Mean("cash"), seeds=5)
+        found = snapo.solve_seeds(Reservoir(), inputs, objective="cash", seeds=5)
         print(found)
 
     A seed draws first weights, and the scenarios of training and validation, but for `Supplied`
@@ -101,9 +102,8 @@ def solve_seeds(
     chosen = tuple(seeds)
     if not chosen or len(set(chosen)) < len(chosen):
         raise ValueError(f"solve_seeds: seeds is {chosen}; allowed is one or more, each once.")
-    limits = more.pop("limits", ())
     inputs, policy = in_order(problem, inputs, policy)
-    given, sources = (inputs, objective, scenarios, limits), evaluation.sources(chosen[0])
+    given, sources = (inputs, objective, scenarios, constraints), evaluation.sources(chosen[0])
     problem = problem_of("solve_seeds", problem, *given, sources=sources, seed=chosen[0])
     found = {}
     for seed in chosen:

@@ -27,7 +27,7 @@ from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import BLOCKS
 from snapo.problem.simulator import Schedule
-from snapo.problem.smooth import Exact, Smooth
+from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
 from .by_block.passes import Way
@@ -226,16 +226,16 @@ def _half(width: float) -> str:
 def sensitivities(
     problem: Problem,
     policy: Policy,
-    paths: int = 16384,
     *,
-    smooth: Any = None,
+    paths: int = 16384,
+    smooth: Smooth | Exact = EXACT,
+    engine: Engine | None = None,
     smooth_paths: int = 4096,
     earlier: Policy | None = None,
-    engine: Engine | None = None,
     actions: np.ndarray | None = None,
     totals: Mapping[str, np.ndarray] | None = None,
 ) -> Sensitivities:
-    """Held derivatives on `paths`, and if `smooth` is given, smooth ones on `smooth_paths`.
+    """Held derivatives on `paths`; with `Smooth(temperature)` smooth ones too, on `smooth_paths`.
 
     On the problem's evaluation scenarios. Standard errors come from 32 to 64 independent blocks of
     paths. `earlier` is a policy from halfway through training: its held derivatives on the first
@@ -253,7 +253,7 @@ def sensitivities_and_totals(
     problem: Problem,
     policy: Policy,
     paths: int,
-    smooth: Any,
+    smooth: Smooth | Exact,
     smooth_paths: int,
     earlier: Policy | None,
     engine: Engine | None = None,
@@ -279,7 +279,7 @@ def sensitivities_and_totals(
             for name, each in before.items()
         }
     result = Sensitivities(problem.named, held.inputs, moved=moved, dropped=held.dropped)
-    if smooth is None:
+    if isinstance(smooth, Exact):
         return _without(result, problem.lost), None
     blocks = source.blocks(source.available(min(smooth_paths, paths)))
     soft = through_policy(problem, policy, smooth, engine).derivatives(blocks)
@@ -294,7 +294,7 @@ def sensitivities_and_totals(
     return _without(result, problem.lost), found
 
 
-def through_policy(problem: Problem, policy: Policy, smooth: Any, engine: Engine | None) -> Way:
+def through_policy(problem: Problem, policy: Policy, smooth: Smooth, engine: Engine | None) -> Way:
     """How `sensitivities` differentiates the smooth simulator."""
     bound = (engine or Xla(precision="float64")).bind(problem, controls=False)
     return Way(problem, bound, policy, smooth, held=False)
@@ -316,8 +316,8 @@ def held_of_several(
     problem: Problem,
     policy: Policy,
     objectives: Sequence[Objective],
-    paths: int,
     *,
+    paths: int,
     engine: Engine | None = None,
 ) -> list[dict[str, Estimate]]:
     """Held derivatives {input: Estimate} of each objective, as `sensitivities` gives of one.
@@ -334,10 +334,10 @@ def held_of_several(
 def second_order(
     problem: Problem,
     policy: Policy,
-    paths: int = 4096,
     *,
     directions: Sequence[Mapping[str, np.ndarray]],
-    smooth: Any = None,
+    paths: int = 4096,
+    smooth: Smooth | Exact | None = None,
 ) -> list[dict[str, np.ndarray]]:
     """How the held derivatives change along chosen directions of the inputs (forward over reverse).
 

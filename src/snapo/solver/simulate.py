@@ -10,7 +10,7 @@ from snapo.engine import Engine, Xla
 from snapo.problem.meant import takes_problem
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact, Smooth
 
 from .adjoint import float64
 from .show.frame import frame
@@ -53,24 +53,24 @@ class Simulation(NamedTuple):
 def simulate(
     problem: Problem,
     policy: Policy,
-    paths: int = 1024,
     *,
-    smooth: Any = None,
+    paths: int = 1024,
+    smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
 ) -> Simulation:
     """The course of the first `paths` paths of the problem's evaluation, on which its value is.
 
-        course = snapo.simulate(solution.problem, solution.policy, 256)
+        course = snapo.simulate(solution.problem, solution.policy, paths=256)
         course.states["water"].mean(1)
 
     **Arguments:**
 
-    - `smooth`: `Exact()` by default. `engine`: an engine, by default XLA in float64.
+    - `smooth`: `Smooth(temperature)` plays the simulator of training.
+    - `engine`: by default XLA in float64.
     """
     source = problem.sources.evaluation
     draws = source.draws(np.arange(source.available(paths)), problem.simulator)
     bound = (engine or Xla("float64")).bind(problem)
-    smooth = Exact() if smooth is None else smooth
     found = bound.values(policy, draws, smooth, record=("state", "action", "outputs"))
     states = _series(found.record["state"], "state")
     ends = _series(jax.tree.map(lambda leaf: np.asarray(leaf)[None], found.state), "state")

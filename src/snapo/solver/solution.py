@@ -59,7 +59,7 @@ class Solution:
       `clip` and `keep`: the length of the windows that it went back through at its end, the bound
       on each path's own adjoint (None: none of them), and the share that went on at each step.
     - `problem`: what was solved, None in one that was loaded: figures over time need it.
-    - `limits`: each of the problem's limits on fresh paths, with its shadow price.
+    - `constraints`: each of the problem's on fresh paths, with its shadow price.
     - `maximised`: the objective in words, "mean of cash"; empty in one that was saved without it.
     - `dropped`: {train, evaluate, sensitivities}: the paths left out, since they are not finite;
       `notes`: sentences on what a reader of the value must know.
@@ -93,7 +93,7 @@ class Solution:
     versions: Mapping[str, str] = field(default_factory=dict)
     roles: Mapping[str, str] = field(default_factory=dict)
     problem: Problem | None = field(default=None, repr=False, compare=False)
-    limits: tuple[LimitFound, ...] = ()
+    constraints: tuple[LimitFound, ...] = ()
     smoothing_gap_error: float = float("nan")
     selected: str = ""
     gain: tuple[float, float] = (float("nan"), float("nan"))
@@ -155,7 +155,7 @@ class Solution:
             *([f"made as large as possible: {self.maximised}"] if self.maximised else []),
             f"engine {self.engine}: {self.reason}",
             f"paths {self.paths}, seed {self.seed}; {seconds}",
-            *map(str, self.limits),
+            *map(str, self.constraints),
             *self.notes,
         ]
 
@@ -185,7 +185,7 @@ class Solution:
             "clip": self.clip,
             "keep": self.keep,
             "adjoints": "" if self.growth is None else self.growth.words(),
-            "limits": [each._asdict() for each in self.limits],
+            "limits": [each._asdict() for each in self.constraints],
         }
 
     def save(self, folder: Path | str) -> None:
@@ -246,7 +246,7 @@ class Solution:
         history = tuple(Record(*record) for record in header["history"])
         plain: dict[str, Any] = {name: header[name] for name in PLAIN}
         plain["notes"] = tuple(plain["notes"])
-        plain["limits"] = tuple(LimitFound(**each) for each in header["limits"])
+        plain["constraints"] = tuple(LimitFound(**each) for each in header["limits"])
         plain["growth"] = Growth.read(header["growth"])
         plain |= {
             name: header[name] for name in ("window", "clip", "keep", "maximised") if name in header

@@ -14,12 +14,11 @@ from jaxtyping import PyTree
 
 from snapo.checker.findings import Findings
 from snapo.checker.first import problem_mistakes, simulator_mistakes
-from snapo.engine import Choice, Engine, choose
+from snapo.engine import Engine, EngineName, choose
 from snapo.engine.transpose import compiled_meanwhile
 from snapo.problem.code.version import reading_once
-from snapo.problem.limits import Limit
 from snapo.problem.meant import problem_of
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Limit, Objective
 from snapo.problem.policies.plain import as_policy
 from snapo.problem.policy import MLP, Policy
 from snapo.problem.problem import Problem
@@ -47,12 +46,12 @@ def solve(
     inputs: PyTree = None,
     policy: Policy | eqx.Module | Solution | None = None,
     *,
-    objective: Objective | None = None,
+    objective: Objective | str | None = None,
     scenarios: Scenarios | Sources | None = None,
-    limits: Sequence[Limit] | Limit = (),
+    constraints: Sequence[Limit] | Limit = (),
     training: Training | None = None,
     evaluation: Evaluation | None = None,
-    engine: Choice = "auto",
+    engine: EngineName = "auto",
     callbacks: Sequence[Callback] = (),
     progress: Progress | None = None,
     check: bool = True,
@@ -68,13 +67,13 @@ def solve(
       numbers are decided. A policy that is trained already, or an earlier `Solution`, is trained
       on from where it stands. Any other `eqx.Module` is taken as `policy(observation, smooth)`, or
       as `network(observation)`, whose numbers are squashed into the action set.
-    - `objective`: made as large as possible; by default the mean of the only output there is,
-      unless its name says that it shall be small, as "cost" does.
+    - `objective`: made as large as possible; the name of an output means its mean. By default the
+      mean of the only output there is, unless its name says that it shall be small, as "cost" does.
     - `scenarios`: `Sources`, one for each role; or scenarios for the evaluation, by default fresh
       ones of `training.seed`. `Supplied` ones alone serve all roles, each with paths of its own.
-    - `limits`: one or several, of means, probabilities or other numbers of all paths, such as
-      `(AtMost("unserved", 0.05),)`: an augmented Lagrangian finds their prices in training, and the
-      derivatives by inputs are those of the best value within the limits.
+    - `constraints`: one or several, of means, probabilities or other numbers of all paths, such as
+      `[Mean("unserved") <= 0.05]`: an augmented Lagrangian finds their prices in training, and the
+      derivatives by inputs are those of the best value within them.
     - `engine`: "auto", "xla" or "native", or an engine.
     - `callbacks`: told the `Progress` at every validation, the last line of whose history is
       `progress.record`; one that returns True stops the training. `progress`: one to go on from.
@@ -87,7 +86,7 @@ def solve(
     with Clock() as clock:
         seed = training.seed
         inputs, policy = in_order(problem, inputs, policy)
-        given, sources = (inputs, objective, scenarios, limits), evaluation.sources(seed)
+        given, sources = (inputs, objective, scenarios, constraints), evaluation.sources(seed)
         found = _refused(_of_simulator(problem, inputs)) if check else ()
         problem = problem_of("solve", problem, *given, sources=sources, seed=seed)
         recipe = _recipe(policy)

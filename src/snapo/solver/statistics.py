@@ -8,6 +8,8 @@ are found block by block become an `Estimate`, by a jackknife that leaves out ea
 (`by_block`). Intervals are Student's.
 """
 
+from decimal import Decimal
+from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
@@ -15,7 +17,27 @@ from scipy import stats
 
 from snapo.problem.objective import CVaR
 
+SHOWN = 3  # numbers of an array that are printed
 LEVEL = 0.95  # of an interval, where nothing else is said
+
+
+def with_error(value: float, error: float) -> str:
+    """A number with its standard error, to two significant digits of the error: "2,732 ± 21".
+
+    Large and small ones share a power of ten, "(1.235 ± 0.021)e-07"; without an error, or with one
+    that only double precision makes, the number has twelve digits.
+    """
+    value, error = float(value) + 0.0, float(f"{error:.1e}")
+    size = max((abs(x) for x in (value, error) if np.isfinite(x)), default=0.0)
+    exponent = int(np.floor(np.log10(size))) if size else 0
+    if exponent not in range(-5, 12):
+        scaled = (float(Decimal(x).scaleb(-exponent)) for x in (value, error))
+        return f"({with_error(*scaled)})e{exponent:+03d}"
+    if not (np.isfinite(error) and error > ROUND_OFF * abs(value)):
+        return f"{value:,.12g} ± {error:.2g}"
+    places = 1 - int(np.floor(np.log10(error)))
+    shown = round(value, places) + 0.0
+    return f"{shown:,.{max(places, 0)}f} ± {error:,.{max(places, 0)}f}"
 
 
 class Sampled(NamedTuple):
@@ -24,6 +46,9 @@ class Sampled(NamedTuple):
     value: float
     standard_error: float
     degrees: float = np.inf
+
+    def __str__(self) -> str:
+        return with_error(self.value, self.standard_error)
 
     def interval(self, level: float = LEVEL, comparisons: int = 1) -> tuple[float, float]:
         """The limits between which the true number lies with probability `level`."""
@@ -43,6 +68,15 @@ class Estimate(NamedTuple):
     """
 
     blocks: np.ndarray
+
+    def __str__(self) -> str:
+        """ "2,732 ± 21"; of an array the first three."""
+        numbers = zip(np.ravel(self.value).tolist(), np.ravel(self.standard_error).tolist())
+        told = [with_error(*each) for each in islice(numbers, SHOWN)]
+        if self.blocks.ndim == 1:
+            return told[0]
+        count = self.blocks[0].size
+        return f"[{', '.join([*told, *[f'… ({count} numbers)'] * (count > SHOWN)])}]"
 
     @property
     def value(self) -> np.ndarray:
@@ -110,7 +144,8 @@ def of_shares(found: np.ndarray, fitted: int = 0) -> Sampled:
     with np.errstate(invalid="ignore"):
         error = float(_error(found)) if degrees > 0 else np.nan
         value = float(np.mean(found))
-    return Sampled(value, error * np.sqrt((len(found) - 1) / max(degrees, 1)), max(degrees, 0))
+    error *= float(np.sqrt((len(found) - 1) / max(degrees, 1)))
+    return Sampled(value, error, max(degrees, 0))
 
 
 def mean(values: np.ndarray, groups: np.ndarray | None = None) -> Sampled:

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Bound, Clip, Engine
+from snapo.engine import BoundEngine, Clip, Engine
 from snapo.problem.code.version import reading_once
 from snapo.problem.policies.memory import remembering
 from snapo.problem.policy import Policy
@@ -54,9 +54,9 @@ class Loop(NamedTuple):
 
     problem: Problem
     training: TrainingPlan
-    bound: Bound
+    bound: BoundEngine
     own: Problem
-    exact: Bound
+    exact: BoundEngine
     update: Callable
     update_by_windows: Callable
 
@@ -180,15 +180,15 @@ def _advance(loop: Loop, progress: Progress) -> Progress:
 def _dual(loop: Loop, progress: Progress, smooth: Smooth) -> Dual:
     """The prices of the limits for this step, from its exact paths."""
     problem, training, dual = loop.own, loop.training, progress.dual
-    if not problem.limits:
+    if not problem.constraints:
         return dual
     draws = problem.sources.training.batch(progress.step, training.paths, problem.simulator)
     if dual.due(progress.step):
-        within = (problem.objective, problem.limits)
+        within = (problem.objective, problem.constraints)
         dual = dual.measured(loop.exact, progress.policy, draws, smooth, *within)
     totals = float64(loop.exact.values(progress.policy, draws, Exact()).totals)
     left = min(1.0, 4 * (1 - progress.step / max(1, training.steps)))  # in the last quarter
-    return moved_prices(dual, problem.objective, problem.limits, totals, left)
+    return moved_prices(dual, problem.objective, problem.constraints, totals, left)
 
 
 class Moved(NamedTuple):
@@ -339,7 +339,7 @@ def _validate(loop: Loop, progress: Progress) -> Progress:
     totals = float64(totals)
     value = worth(problem.objective, totals)
     # Within limits the newest is the best: an earlier one may have more, and not meet them.
-    better = np.isfinite(value) and (value > progress.best_value or bool(problem.limits))
+    better = np.isfinite(value) and (value > progress.best_value or bool(problem.constraints))
     best = progress.average if better else progress.best
     best_value = value if better else progress.best_value
     history = progress.history

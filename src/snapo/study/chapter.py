@@ -9,7 +9,7 @@ frozen dataclass, which is saved as JSON and read back as the same type: a reade
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -33,8 +33,10 @@ class Chapter(Generic[Result]):
     """One question to a run.
 
     - `name`: in words; of its part, its file and the anchor of its section.
-    - `title`: of the section; `short`: in the menu, the name where it is empty.
-    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses.
+    - `title`: of the section, or a function of the files of the run; `short`: in the menu, the name
+      where it is empty; `anchor`: where it is not made of the name.
+    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
+      also `tuple[Row, ...]` of them.
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
@@ -43,13 +45,14 @@ class Chapter(Generic[Result]):
     """
 
     name: str
-    title: str
+    title: str | Callable[[Any], str]
     result: type[Result]
     measure: Callable[[StudyRun], Result]
     show: Callable[[Any, Result], Sequence[Block]]
     short: str = ""
     needs: tuple[str, ...] = (TRAINING.name,)
     key: str = ""
+    anchor: str = ""
 
     @property
     def part(self) -> Part:
@@ -58,7 +61,8 @@ class Chapter(Generic[Result]):
 
     def data(self, result: Result) -> dict[str, Any]:
         """The result as the file of the part has it."""
-        entries = asdict(result)  # pyright: ignore[reportArgumentType]
+        plain: Any = asdict  # of a type that is a dataclass, which no type variable can say
+        entries = [plain(row) for row in result] if isinstance(result, tuple) else plain(result)
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
@@ -76,15 +80,26 @@ class Chapter(Generic[Result]):
         except ValidationError:  # the file of another release, or a damaged one
             return None
 
+    def section(
+        self,
+        anchor: str,
+        title: str | Callable[[Any], str],
+        short: str,
+        show: Callable[[Any, Result], Sequence[Block]],
+    ) -> "Chapter[Result]":
+        """A further section of the report that shows the same result."""
+        return replace(self, anchor=anchor, title=title, short=short, show=show)
+
     def __call__(self, run: Folder) -> Section:
         """Its section of the report; without a result, the reason."""
-        anchor = re.sub(r"\W", "-", self.name)
+        anchor = self.anchor or re.sub(r"\W", "-", self.name)
         short = self.short or self.name.capitalize()
         if run.left_out(self.name):
             return Section(anchor, "", "", [])
         result = self.of(run)
         blocks = [lacking(run, self.name)] if result is None else self.show(run, result)
-        return Section(anchor, self.title, short, list(blocks))
+        title = self.title if isinstance(self.title, str) else self.title(run)
+        return Section(anchor, title, short, list(blocks))
 
     @cached_property
     def _names(self) -> list[str]:

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 
 from snapo.case.error import CaseError
-from snapo.engine import Choice, Engines, choose
+from snapo.engine import EngineName, Engines, choose
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.program import Text, text
 from snapo.problem.code.version import of_preparation
@@ -59,7 +59,7 @@ def _traced(problem: Problem, simulator: Simulator) -> Text:
     return text(path, values, noise, action)
 
 
-def engines_for(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
+def engines_for(wanted: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
     **Raises:** `CaseError` where the wanted one cannot take the problem; it says why.
@@ -72,7 +72,7 @@ def engines_for(wanted: Choice, problem: Problem, policy: Policy) -> Engines:
 
 
 def following(
-    engine: Choice, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
+    engine: EngineName, problem: Problem, recipe: Policy, training: Training, evaluation: Evaluation
 ) -> Setup:
     """The setup of a general policy, in which all that is not given follows the problem, as it
     does in `snapo.solve`.

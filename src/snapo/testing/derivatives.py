@@ -1,21 +1,20 @@
 """The adjoint of a problem against differences, as a list of complaints."""
 
-from typing import Any
-
 from snapo.engine import Engine
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.smooth import EXACT, Exact, Smooth
 from snapo.solver.certificate import bump_check, nudged
 
 
 def wrong_derivatives(
     problem: Problem,
     policy: Policy,
-    paths: int = 32,
     *,
-    smooth: Any = None,
-    every: bool = False,
+    paths: int = 32,
+    smooth: Smooth | Exact = EXACT,
     engine: Engine | None = None,
+    every: bool = False,
 ) -> list[str]:
     """The inputs whose adjoint differs from central differences, a line each.
 
@@ -23,7 +22,9 @@ def wrong_derivatives(
     The other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
     recorded decisions are held, with `every` each number is bumped alone.
     """
-    found = bump_check(nudged(problem), policy, paths, smooth=smooth, every=every, engine=engine)
+    found = bump_check(
+        nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine
+    )
     return [
         f"{bump.input} ({bump.direction}): {bump.adjoint:.10g} by the adjoint, "
         f"{bump.central:.10g} by differences; {bump.allowed:.2g} is allowed"

@@ -108,7 +108,7 @@ def test_the_policy_sees_errors_and_the_cost_does_not():
 def test_memories_are_chosen_in_the_case():
     assert isinstance(case().recipe, snapo.GRU) and case().recipe.hidden == 16
     recent = case(policy={"memory": "Recent", "hidden": [8, 8], "steps": 3}).recipe
-    assert isinstance(recent, snapo.Recent) and recent.steps == 3
+    assert isinstance(recent, snapo.LastObservations) and recent.steps == 3
     assert case(policy={"memory": None}).notes[0].startswith("States are measured with errors")
     assert not case().notes
 

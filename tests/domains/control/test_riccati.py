@@ -114,6 +114,6 @@ def test_a_trained_network_comes_within_three_thousandths(seed):
         evaluation=snapo.Evaluation(65536, 0, 0, 0),
     )  # fmt: skip
     problem = snapo.Problem(plant, made, snapo.Mean("reward"), snapo.Sources.of(None, seed))
-    best = snapo.evaluate(problem, rivals(plant, made)["linear regulator"], 65536).value
+    best = snapo.evaluate(problem, rivals(plant, made)["linear regulator"], paths=65536).value
     print(f"seed {seed}: {solution.value / best - 1:.4%} above the best rule")
     assert solution.value > best - 0.003 * abs(best)

@@ -21,7 +21,7 @@ def certified(contract):
     setup = make_setup(changed(CASES / "quick", contract=contract), "native")
     engine = setup.engines.evaluate
     policy = setup.policy.guide  # pyright: ignore[reportAttributeAccessIssue]
-    return certify_derivatives(setup.problem, policy, 128, near=off_ties, engine=engine)
+    return certify_derivatives(setup.problem, policy, paths=128, near=off_ties, engine=engine)
 
 
 @pytest.mark.prove

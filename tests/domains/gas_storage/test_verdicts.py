@@ -81,7 +81,7 @@ def test_a_parallel_curve_moves_a_store_as_much_upwards_as_downwards(tmp_path):
     problem, found = solved(tmp_path, 3)
     curve = problem.named["forward_curve"].value
     moved = [problem.moved({"forward_curve": curve + shift}) for shift in (0.25, 0.0, -0.25)]
-    high, middle, low = (evaluate(x, found.policy, 16384).value for x in moved)
+    high, middle, low = (evaluate(x, found.policy, paths=16384).value for x in moved)
     up, down = high - middle, middle - low
     exact = [lattice(x.schedule, factors(x), "linear").value for x in moved]
     assert up == pytest.approx(down, rel=0.01)

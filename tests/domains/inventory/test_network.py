@@ -137,7 +137,7 @@ def test_the_best_levels_of_a_line_cost_the_optimum():
     setup = make_setup(network(*LINE, horizon={"periods": 60, "warm_up": 20}))
     levels, units = (setup.problem.schedule.constants[name] for name in ("level", "unit"))
     above = (np.array([6.49, 12.02, 22.71]) - levels) / units
-    found = evaluate(setup.problem, echelon_rule(setup, above), 16384, engine=Xla())
+    found = evaluate(setup.problem, echelon_rule(setup, above), paths=16384, engine=Xla())
     assert abs(-found.value - OPTIMUM) < 3 * found.standard_error < 0.002 * OPTIMUM
 
 
@@ -149,7 +149,7 @@ def test_a_trained_line_is_within_four_thousandths_of_the_optimum():
     alone = Evaluation(65536, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
     # From levels that are off: the first ones are close to the best already.
     policy = echelon_rule(setup, (0.8, -0.8, 0.8))
-    start = evaluate(setup.problem, policy, 16384)
+    start = evaluate(setup.problem, policy, paths=16384)
     assert -start.value > 1.02 * OPTIMUM
     found = solve(setup.problem, policy=policy, training=setup.training, evaluation=alone,
                   engine=setup.engines)  # fmt: skip

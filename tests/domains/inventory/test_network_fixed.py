@@ -94,7 +94,7 @@ def test_derivatives_go_through_whether_each_place_orders(monkeypatch):
         slope = value_and_gradient(of, policy, paths=paths, smooth=smooth, engine=engine)[1]
 
         def difference(ways, of=of):
-            ends = [evaluate(problem, rule, paths, smooth=smooth, engine=engine).value
+            ends = [evaluate(problem, rule, paths=paths, smooth=smooth, engine=engine).value
                     for problem, rule in ways(of)]  # fmt: skip
             return (ends[0] - ends[1]) / 0.2
 

@@ -106,7 +106,7 @@ def test_derivatives_are_differences_and_both_engines_agree(folder):
             step = np.zeros(value.size)
             step[k] = 1e-4
             ends = [
-                evaluate(problem.at({name: value + way * step.reshape(value.shape)}), policy, 256,
+                evaluate(problem.at({name: value + way * step.reshape(value.shape)}), policy, paths=256,
                          smooth=smooth, engine=engine).value
                 for way in (1, -1)
             ]  # fmt: skip

@@ -11,7 +11,7 @@ from scipy import stats
 from snapo.domains.inventory.policy.myopic import myopic
 from snapo.domains.inventory.policy.rules import Classical
 from snapo.domains.inventory.results.search import search
-from snapo.problem.actions import Whole
+from snapo.problem.actions import Integers
 from snapo.problem.smooth import Exact
 
 UNIT, MEAN = 2.0, 3.0
@@ -31,7 +31,7 @@ def test_the_myopic_rule_against_every_demand(state):
     """Two periods of lead time: the cheapest order for the period in which it arrives."""
     k = np.arange(20)
     chances = stats.poisson(MEAN).pmf(k)
-    rule = myopic(chances, MEAN, 1.0, 4.0, 2, Whole())
+    rule = myopic(chances, MEAN, 1.0, 4.0, 2, Integers(0, np.inf))
     stock, coming = state
     costs = []
     for order in range(15):
@@ -56,7 +56,7 @@ def test_the_myopic_rule_against_every_demand(state):
     ],
 )
 def test_classical_rules_at_a_position_of_nine(numbers, order):
-    rule = Classical(*(jnp.asarray(x, jnp.float32) for x in numbers), action=Whole())
+    rule = Classical(*(jnp.asarray(x, jnp.float32) for x in numbers), action=Integers(0, np.inf))
     assert float(rule(seen(5.0, 4.0), Exact())[0]) == order
 
 

@@ -49,7 +49,7 @@ def test_base_stock_costs_its_closed_form_where_demand_waits(lead, shortage):
     for off in (0.0, 1.5):
         level = float(of.schedule.steps["level"][0]) + off
         expected = base_stock_cost(level, 5.0, 1.6, lead, 1.0, shortage)
-        found = evaluate(of, base_stock(of, level), 16384, engine=engine)
+        found = evaluate(of, base_stock(of, level), paths=16384, engine=engine)
         assert abs(-found.value - expected) < 4 * found.standard_error
         assert found.standard_error < 0.005 * expected
 
@@ -79,7 +79,9 @@ def test_both_engines_agree_and_the_adjoint_is_the_difference(small):
         for way in (1, -1):
             moved = of.at({name: given.value + way * step})
             own = replace(moved, objective=Mean("result"))
-            ends.append(evaluate(own, policy, 512, smooth=smooth, engine=Xla("float64")).value)
+            ends.append(
+                evaluate(own, policy, paths=512, smooth=smooth, engine=Xla("float64")).value
+            )
         slope = (ends[0] - ends[1]) / (2 * step)
         assert values[0][1].inputs[name] == pytest.approx(slope, rel=1e-5, abs=1e-7), name
 
@@ -122,7 +124,7 @@ def test_with_a_cost_of_an_order_derivatives_go_through_whether_there_is_one(mon
         slope = value_and_gradient(of, policy, paths=paths, smooth=smooth, engine=engine)[1]
 
         def value(policy=policy, of=of, **moved):
-            return evaluate(of.at(moved), policy, paths, smooth=smooth, engine=engine).value
+            return evaluate(of.at(moved), policy, paths=paths, smooth=smooth, engine=engine).value
 
         found = {"demand_mean": (value(demand_mean=5.1) - value(demand_mean=4.9)) / 0.2}
         for name in ("wait", "first"):
@@ -153,8 +155,8 @@ def test_the_held_derivative_by_the_mean_is_unbiased(small):
     of, _ = small
     rule = Classical(jnp.asarray(ENDLESS), jnp.asarray(5.0), jnp.asarray(ENDLESS), action=of.action)
     engine, paths, step = Xla("float64"), 16384, 0.25
-    slope = value_and_gradient(of, rule, paths=paths, held=True, engine=engine)[1]
-    ends = [evaluate(of.at({"demand_mean": 5.0 + d}), rule, paths, engine=engine).value
+    slope = value_and_gradient(of, rule, paths=paths, decisions="held", engine=engine)[1]
+    ends = [evaluate(of.at({"demand_mean": 5.0 + d}), rule, paths=paths, engine=engine).value
             for d in (step, -step)]  # fmt: skip
     difference = (ends[0] - ends[1]) / (2 * step)
     assert float(np.sum(slope.inputs["demand_mean"])) == pytest.approx(difference, rel=0.03)
@@ -164,7 +166,7 @@ def test_moments_of_whole_demand_are_certified_in_the_mean(small):
     """No path moves with them a little; a move by a hundredth on many paths judges the derivative."""
     of, policy = small
     assert of.simulator.in_mean() == ("demand_mean",)
-    found = {bump.input for bump in certify_derivatives(of, policy, 16)}
+    found = {bump.input for bump in certify_derivatives(of, policy, paths=16)}
     assert found == set(of.named) - {"demand_mean"}
     near, far = (
         Verdict(source, (-0.05 - r, 0.0), (-0.05, 0.01), (r, 0.01), -0.05, -0.05, 0.01, 1.0, True)
@@ -190,7 +192,7 @@ def test_the_mean_of_whole_demand_has_a_smooth_derivative_near_that_of_the_value
     policy = first_policy(of, of.simulator.case, 0)  # pyright: ignore
     engine, smooth = Native("float64"), Smooth(jnp.asarray(0.01))
     slope = value_and_gradient(of, policy, paths=16384, smooth=smooth, engine=engine)[1]
-    ends = [evaluate(of.at({"demand_mean": mean}), policy, 65536, engine=engine)
+    ends = [evaluate(of.at({"demand_mean": mean}), policy, paths=65536, engine=engine)
             for mean in (5.25, 4.75)]  # fmt: skip
     found = float(slope.inputs["demand_mean"])
     assert found == pytest.approx((ends[0].value - ends[1].value) / 0.5, abs=0.15)

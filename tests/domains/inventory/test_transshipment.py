@@ -174,12 +174,14 @@ def test_complete_pooling_costs_its_closed_form(count, moving):
     best = pooled_stores(np.full(count, 5.0), np.full(count, 1.6), HOLDING, SHORTAGE, moving)
     case = stores(count, {"cost": moving}, horizon={"periods": 20, "warm_up": 2})
     setup, rule = at_levels(case, best.levels)
-    found = evaluate(setup.problem, rule, 8192, engine=Native("float64"))
+    found = evaluate(setup.problem, rule, paths=8192, engine=Native("float64"))
     assert abs(-found.value - best.cost) < 3 * found.standard_error < 0.01 * best.cost
     near = [pooled_stores(np.full(count, 5.0), np.full(count, 1.6), HOLDING, SHORTAGE, moving + h)
             for h in (-1e-3, 1e-3)]  # fmt: skip
     slope = (near[1].cost - near[0].cost) / 2e-3
-    held = value_and_gradient(setup.problem, rule, paths=8192, held=True, engine=Native("float64"))
+    held = value_and_gradient(
+        setup.problem, rule, paths=8192, decisions="held", engine=Native("float64")
+    )
     assert -held[1].inputs["transshipment_cost"][0] == pytest.approx(slope, rel=0.02)
 
 
@@ -191,9 +193,9 @@ def test_with_a_lead_time_free_pooling_is_one_store():
     level = (lead + 1) * 5 + 1.2815515655 * deviation / count
     case = stores(count, {"cost": 0.0}, lead=lead, horizon={"periods": 30, "warm_up": 15})
     setup, rule = at_levels(case, np.full(count, level))
-    found = evaluate(setup.problem, rule, 8192, engine=Native("float64"))
+    found = evaluate(setup.problem, rule, paths=8192, engine=Native("float64"))
     assert abs(-found.value - best) < 3 * found.standard_error < 0.02 * best
-    alone = evaluate(setup.problem, echelon_rule(setup, (0.0,) * 3, ENDLESS), 8192)
+    alone = evaluate(setup.problem, echelon_rule(setup, (0.0,) * 3, ENDLESS), paths=8192)
     assert -alone.value == pytest.approx(3 * one_newsvendor(1.6 * 3**0.5, 1.0, 9.0), rel=0.01)
 
 
@@ -207,7 +209,7 @@ def test_balanced_before_demand_is_eppen_and_schrages_form():
     pool = {"cost": 0.0, "when": "before"}
     case = stores(count, pool, demand=demand, lead=lead, horizon={"periods": 30, "warm_up": 10})
     setup, rule = at_levels(case, np.full(count, level))
-    found = evaluate(setup.problem, rule, 8192, engine=Native("float64"))
+    found = evaluate(setup.problem, rule, paths=8192, engine=Native("float64"))
     best = count * one_newsvendor(each, HOLDING, SHORTAGE)
     assert abs(-found.value - best) < 3 * found.standard_error < 0.01 * best
 
@@ -231,7 +233,7 @@ def test_both_engines_agree_and_the_adjoint_is_the_difference(demand):
         way = np.zeros(given.shape) if given.ndim else np.ones(())
         way[(0,) * given.ndim] = 1.0
         ends = [
-            evaluate(problem.at({name: given + side * step * way}), setup.policy, 256,
+            evaluate(problem.at({name: given + side * step * way}), setup.policy, paths=256,
                      smooth=smooth, engine=Native("float64")).value
             for side in (1, -1)
         ]  # fmt: skip

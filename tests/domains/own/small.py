@@ -11,7 +11,7 @@ class Shop(snapo.Simulator):
     """Sells at most its stock and buys more; holding stock costs."""
 
     horizon, noise_size = 8, 1
-    action = snapo.Box(1, low=0.0, high=20.0)
+    action = snapo.Box(0.0, 20.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(constants=inputs, steps={"demand": inputs["demand"]})

@@ -166,7 +166,7 @@ def test_a_mistake_in_the_case_has_its_key(name, folder, capsys):
             "import snappo",
             ["line 3", "No module named 'snappo'. In: import snappo"],
         ),
-        ("snapo.Box(1, low=0.0", "snapo.Box(1, low=30.0", ["line 10", "low must be below high"]),
+        ("snapo.Box(0.0", "snapo.Box(30.0", ["line 10", "low must be below high"]),
         ("horizon, noise_size = 8, 1", "noise_size = 1", ["TypeError"]),
     ],
 )

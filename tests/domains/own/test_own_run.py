@@ -257,11 +257,11 @@ def test_the_report_tells_limits_where_there_are_some(solved, tmp_path):
 
 @pytest.mark.prove
 def test_a_limit_of_an_output_that_is_not_there_is_found_by_check(tmp_path, capsys):
-    limits = 'horizon, noise_size = 8, 1\n    limits = (snapo.AtMost("solds", 1.0),)'
+    limits = 'horizon, noise_size = 8, 1\n    constraints = (snapo.AtMost("solds", 1.0),)'
     code = SIMULATOR.replace("horizon, noise_size = 8, 1", limits)
     assert main(["check", str(write(tmp_path / "case", code)), *PLACE]) == 2
     message = capsys.readouterr().err
-    assert "simulator:Shop" in message and "limits[0]" in message and "solds" in message
+    assert "simulator:Shop" in message and "constraints[0]" in message and "solds" in message
     assert "the outputs of the simulator are profit, sold" in message
 
 

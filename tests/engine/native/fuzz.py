@@ -49,7 +49,7 @@ class Random(Simulator):
     size: int = eqx.field(static=True)
     noise_size: int = eqx.field(static=True)
     horizon: int = eqx.field(static=True, default=STEPS)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-np.inf, np.inf))
 
     def prepare(self, inputs):
         rng = np.random.default_rng(self.case)

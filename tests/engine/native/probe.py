@@ -35,7 +35,7 @@ class Probe(Simulator):
     functions: Named = eqx.field(static=True)
     shapes: Named = eqx.field(static=True)
     horizon: int = eqx.field(static=True, default=1)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-np.inf, np.inf))
     noise_size: int = eqx.field(static=True, default=0)
 
     def prepare(self, inputs):

@@ -18,7 +18,7 @@ class Store(Simulator):
     """A store of gas with a one-factor price: curves, limits, a table, a terminal and an initial."""
 
     horizon: int = eqx.field(static=True, default=9)
-    action: Box = eqx.field(default=Box(2, 0.0, 1.0))
+    action: Box = eqx.field(default=Box(0.0, 1.0, 2))
     noise_size: int = eqx.field(static=True, default=3)
     initial_noise_size: ClassVar[int] = 1
 
@@ -64,7 +64,7 @@ class Wide(Simulator):
     """Many factors with a correlation, a matrix-vector product per step, a wide state."""
 
     horizon: int = eqx.field(static=True, default=5)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-np.inf, np.inf))
     noise_size: int = eqx.field(static=True, default=30)
 
     def prepare(self, inputs):

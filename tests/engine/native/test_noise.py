@@ -22,7 +22,7 @@ class Echo(Simulator):
     noise_size: int = eqx.field(static=True)
     initial_noise_size: ClassVar[int] = 3
     horizon: int = eqx.field(static=True, default=7)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-np.inf, np.inf))
 
     def prepare(self, inputs):
         return Schedule({}, {"day": jnp.arange(self.horizon, dtype=jnp.float32)})

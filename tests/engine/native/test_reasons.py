@@ -94,7 +94,7 @@ class Empty(Simulator):
     """Arrays without elements wherever one can stand."""
 
     horizon: int = eqx.field(static=True, default=3)
-    action: Box = eqx.field(default=Box(1))
+    action: Box = eqx.field(default=Box(-np.inf, np.inf))
     noise_size: int = eqx.field(static=True, default=0)
 
     def prepare(self, inputs):

@@ -22,7 +22,7 @@ class Pendulum(Simulator):
     """Swings chaotically: a difference in the last place grows to one that everybody sees."""
 
     horizon: int = eqx.field(static=True, default=200)
-    action: Box = eqx.field(default=Box(1, -2.0, 2.0))
+    action: Box = eqx.field(default=Box(-2.0, 2.0))
     noise_size: int = eqx.field(static=True, default=1)
     initial_noise_size: int = eqx.field(static=True, default=2)
 

@@ -225,7 +225,7 @@ class Still(snapo.Simulator):
     """In the place of a learned model: two decisions that move nothing."""
 
     horizon: int = 100
-    action: snapo.Box = snapo.Box(2, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0, 2)
     noise_size: int = 1
     may_end: bool = False
 
@@ -273,7 +273,7 @@ class Line(snapo.Simulator):
     """A step towards zero."""
 
     horizon: int = 20
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

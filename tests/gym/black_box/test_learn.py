@@ -114,7 +114,7 @@ def total(model: Model, inputs, smooth=snapo.Exact(), steps: int = 4):
 
 
 def small(**options) -> Model:
-    return Model(4, snapo.Box(1, -1.0, 1.0), 2, 2, **options)
+    return Model(4, snapo.Box(-1.0, 1.0), 2, 2, **options)
 
 
 @pytest.mark.prove

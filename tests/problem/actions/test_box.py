@@ -10,7 +10,7 @@ import pytest
 
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.actions import Box, Simplex
+from snapo.problem.actions import Box, Integers, Simplex
 from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP, Constant, Residual
 from snapo.problem.prepare import prepare
@@ -19,20 +19,32 @@ from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact, Smooth
 
 INF = math.inf
-MIXED = Box(4, low=[0.0, -2.0, -INF, -INF], high=[1.0, INF, 3.0, INF])
+MIXED = Box([0.0, -2.0, -INF, -INF], [1.0, INF, 3.0, INF])
 
 
 def test_one_bound_for_all_is_the_same_set_as_equal_bounds_for_each():
-    assert Box(2, [0, 0], np.ones(2)) == Box(2, 0.0, 1.0)
-    assert hash(Box(2, [0, 0], [1, 1])) == hash(Box(2, 0.0, 1.0))
-    assert Box(2, [0.0, 0.5], 1.0).low == (0.0, 0.5)
-    assert hash(MIXED) == hash(Box(4, MIXED.low, MIXED.high)) and Box(4) != MIXED
+    assert Box([0, 0], np.ones(2)) == Box(0.0, 1.0, 2)
+    assert hash(Box([0, 0], [1, 1])) == hash(Box(0.0, 1.0, 2))
+    assert Box([0.0, 0.5], 1.0).low == (0.0, 0.5)
+    assert hash(MIXED) == hash(Box(MIXED.low, MIXED.high, 4)) and Box(-INF, INF, 4) != MIXED
+
+
+@pytest.mark.parametrize("kind", [Box, Integers])
+def test_the_size_is_that_of_the_bounds_or_one(kind):
+    """Low and high first, as in Gymnasium; `size` where they are scalars."""
+    assert kind(0.0, 5.0).size == 1
+    assert kind(low=0.0, high=5.0, size=3) == kind([0, 0, 0], 5.0) == kind(0.0, np.full(3, 5))
+    assert kind([0.0, -1.0], 5.0).size == kind(-1.0, np.array([2.0, 3.0])).size == 2
+    assert kind((0.0, -1.0), (INF, 5.0), 2).bounds()[1].tolist() == [INF, 5.0]
+    for missing in ((), (3,)):
+        with pytest.raises(TypeError, match="high"):
+            kind(*missing)
 
 
 def test_squash_goes_component_by_component():
     """Each component as the box of its own bounds, value and derivative, to rounding."""
     raw = jnp.asarray([-1.3, 0.4, 2.0, -30.0], jnp.float32)
-    each = [Box(1, low, high) for low, high in zip(*MIXED.bounds())]
+    each = [Box(low, high) for low, high in zip(*MIXED.bounds())]
     expected = jnp.concatenate([b.squash(x[None]) for b, x in zip(each, raw)])
     np.testing.assert_allclose(MIXED.squash(raw), expected, rtol=1e-7)
     slope = jax.grad(lambda x: MIXED.squash(x).sum())(raw)
@@ -53,15 +65,17 @@ def test_a_residual_stays_within_bounds_of_its_own():
 @pytest.mark.parametrize(
     "arguments, message",
     [
-        ((0,), "size is 0"),
-        ((2, 1.0, 1.0), "low is 1.0 and high is 1.0"),
-        ((2, [0.0, 2.0], 1.0), r"low\[1\] is 2.0 and high\[1\] is 1.0"),
-        ((2, 0.0, math.nan), "high is nan"),
-        (((0.0, -1.0), (1.0, 1.0)), r"size is \(0.0, -1.0\); .* bounds come after it"),
-        ((2, 0.0, "much"), "high is 'much'"),
-        ((2, None, 1.0), "low is None"),
-        ((3, [0.0, 1.0], 2.0), r"low has shape \(2,\) and size is 3"),
-        ((2, 0.0, np.ones((2, 1))), r"high has shape \(2, 1\)"),
+        ((0.0, 1.0, 0), "size is 0"),
+        ((1.0, 1.0, 2), "low is 1.0 and high is 1.0"),
+        (([0.0, 2.0], 1.0), r"low\[1\] is 2.0 and high\[1\] is 1.0"),
+        ((0.0, math.nan), "high is nan"),
+        ((0.0, 1.0, (2, 2)), r"size is \(2, 2\); .* after the bounds"),
+        ((0.0, "much", 2), "high is 'much'"),
+        ((None, 1.0), "low is None"),
+        (([0.0, 1.0], 2.0, 3), r"low has shape \(2,\) and size is 3"),
+        (([0.0, 1.0], [2.0, 3.0, 4.0]), r"high has shape \(3,\) and size is 2"),
+        ((0.0, np.ones((2, 1))), r"high has shape \(2, 1\)"),
+        (([], []), "size is 0"),
     ],
 )
 def test_a_box_that_makes_no_sense_is_refused(arguments, message):

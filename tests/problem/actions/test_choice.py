@@ -69,7 +69,7 @@ def test_the_likelihood_ratio_is_unbiased(name, step):
     policy, smooth = Linear(GAIN, SHARES, Choice(3)), Smooth(np.float64(0.02))
     engine = Native("float64")
     given = {"smooth": smooth, "engine": engine}
-    table = snapo.sensitivities(problem, policy, PATHS, smooth_paths=PATHS, **given).smooth
+    table = snapo.sensitivities(problem, policy, paths=PATHS, smooth_paths=PATHS, **given).smooth
     found = float(table[name].value), float(table[name].standard_error)
     value = problem.named[name].value
     high, low = (

@@ -9,7 +9,7 @@ import pytest
 import snapo
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
-from snapo.problem.actions import Box, Choice, Product, Simplex, Stop, Whole
+from snapo.problem.actions import Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.inputs import Input
 from snapo.problem.policy import MLP, Constant, Linear, Residual
 from snapo.problem.prepare import prepare
@@ -20,11 +20,11 @@ from snapo.problem.smooth import Exact, Smooth
 EVERY = Product(
     stop=Stop(rights=2),
     mode=Choice(3),
-    lots=Whole(1, 0, 5),
+    lots=Integers(0, 5),
     mix=Simplex(2),
-    power=Box(1, -1.0, 1.0),
+    power=Box(-1.0, 1.0),
 )
-SETS = [*EVERY.sets, EVERY, Choice(2), Whole(2, [0, -3], [4, 3])]
+SETS = [*EVERY.sets, EVERY, Choice(2), Integers([0, -3], [4, 3])]
 HOT = Smooth(np.float32(0.02))
 
 
@@ -88,9 +88,9 @@ def test_the_exact_form_lies_in_the_set_and_is_near_the_smooth_one(action):
     [
         (Choice(2), [0.5, 0.5], "weight of 1"),
         (Stop(), [0.4], "1 or 0"),
-        (Whole(1, 0, 5), [2.5], "no whole number"),
-        (Whole(1, 0, 5), [6.0], "outside of 0 to 5"),
-        (Product(run=Choice(2), much=Box(1, 0.0, 1.0)), [0.0, 1.0, 2.0], "much: Action 0"),
+        (Integers(0, 5), [2.5], "no whole number"),
+        (Integers(0, 5), [6.0], "outside of 0 to 5"),
+        (Product(run=Choice(2), much=Box(0.0, 1.0)), [0.0, 1.0, 2.0], "much: Action 0"),
     ],
 )
 def test_a_wrong_action_is_named(action, wrong, said):
@@ -98,7 +98,9 @@ def test_a_wrong_action_is_named(action, wrong, said):
 
 
 @pytest.mark.parametrize(
-    "action", [Box(2), Box(2, 0.0, 1.0), Whole(2, 0, 5), Product(much=Box(2, 0.0, 1.0))], ids=repr
+    "action",
+    [Box(-np.inf, np.inf, 2), Box(0.0, 1.0, 2), Integers(0, 5, 2), Product(much=Box(0.0, 1.0, 2))],
+    ids=repr,
 )
 def test_what_is_no_number_is_refused(action):
     assert action.fault(np.array([1.0, 1.0])) is None
@@ -112,10 +114,10 @@ def test_what_is_no_number_is_refused(action):
         (lambda: Choice(2.5), "size is 2.5"),
         (lambda: Choice(("run", "stop")), r"size is \('run', 'stop'\)"),
         (lambda: Simplex(2.5), "size is 2.5"),
-        (lambda: Whole(0, 9), "Whole: size is 0; .* bounds come after it"),
+        (lambda: Integers(0, 9, 0), "Integers: size is 0; .* after the bounds"),
         (lambda: Stop(rights=0), "rights is 0"),
         (lambda: Stop(hazard=1.0), "hazard is 1.0"),
-        (lambda: Whole(1, 0.5, 3), "low is 0.5"),
+        (lambda: Integers(0.5, 3), "low is 0.5"),
         (lambda: Product(), "no sets"),
         (lambda: Product(run=2), "run is 2"),
     ],

@@ -18,7 +18,7 @@ class Claims(snapo.Simulator):
 
     horizon: int = STEPS
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(STEPS))
@@ -43,7 +43,7 @@ def test_the_derivative_by_an_intensity_is_that_of_jumps_that_are_drawn():
     """Against central differences of a simulation in NumPy, a million common paths."""
     problem = snapo.Problem(Claims(), {"intensity": snapo.Input(INTENSITY)}, snapo.Mean("paid"))
     found = snapo.sensitivities(
-        problem, Constant(np.array([0.5])), PATHS, smooth=Smooth(np.float64(0.02)),
+        problem, Constant(np.array([0.5])), paths=PATHS, smooth=Smooth(np.float64(0.02)),
         smooth_paths=PATHS, engine=Native("float64"),
     ).smooth["intensity"]  # fmt: skip
     uniform = np.random.default_rng(1).random((1_000_000, STEPS))

@@ -115,7 +115,7 @@ def test_the_hazard_form_is_the_unbiased_derivative_of_stops_that_are_drawn():
     policy = Linear(np.array([gain]), np.array([hazard]), Stop())
     problem = snapo.Problem(simulator, module.inputs, snapo.Mean("cash"))
     found = snapo.sensitivities(
-        problem, policy, 65536, smooth=Smooth(np.float64(0.02)), smooth_paths=65536,
+        problem, policy, paths=65536, smooth=Smooth(np.float64(0.02)), smooth_paths=65536,
         engine=Native("float64"),
     ).smooth  # fmt: skip
     values = {name: float(given.value) for name, given in module.inputs.items()}

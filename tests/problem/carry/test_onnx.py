@@ -16,7 +16,7 @@ from snapo.study import commands
 
 pytestmark = pytest.mark.prove
 KEY = jax.random.key(5)
-BOX = snapo.Box(2, low=[0.0, -1.0], high=[1.0, np.inf])
+BOX = snapo.Box([0.0, -1.0], [1.0, np.inf])
 
 
 class Mine(Policy):
@@ -38,12 +38,12 @@ def _large(policy):
 
 POLICIES = {
     "box": _large(snapo.MLP(BOX, 3, key=KEY)),
-    "gelu": _large(snapo.MLP(snapo.Box(1, 0.0, 1.0), 3, key=KEY, activation=jax.nn.relu)),
+    "gelu": _large(snapo.MLP(snapo.Box(0.0, 1.0), 3, key=KEY, activation=jax.nn.relu)),
     "simplex": _large(snapo.MLP(snapo.Simplex(3), 3, key=KEY)),
     "choice": _large(snapo.MLP(snapo.Choice(3), 3, key=KEY)),
     "stop": _large(snapo.MLP(snapo.Stop(2, hazard=0.49), 3, key=KEY)),
     "several": _large(
-        snapo.MLP(snapo.Product(run=snapo.Choice(2), power=snapo.Whole(1, 0, 9)), 3, key=KEY)
+        snapo.MLP(snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9)), 3, key=KEY)
     ),
     "residual": _large(snapo.Residual(snapo.Linear(0.1 * np.ones((2, 3), np.float32), 0.5), BOX, 3, key=KEY)),
     "linear": snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),

@@ -33,7 +33,7 @@ print(held.value, held.policy(jnp.ones(3), snapo.Exact())[0])
 @pytest.mark.parametrize(
     "recipe",
     [
-        snapo.MLP(), snapo.MLP(hidden=(8,), activation=jnp.tanh), snapo.GRU(), snapo.Recent(2),
+        snapo.MLP(), snapo.MLP(hidden=(8,), activation=jnp.tanh), snapo.GRU(), snapo.LastObservations(2),
         snapo.Residual(snapo.Constant(0.1)), snapo.Constant(0.2), snapo.Linear(),
     ],
     ids=lambda recipe: type(recipe).__name__,

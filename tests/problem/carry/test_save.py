@@ -13,14 +13,14 @@ from snapo.problem.carry import archive
 from snapo.problem.policy import Network, Policy
 
 KEY = jax.random.key(3)
-BOX = snapo.Box(2, low=[0.0, -1.0], high=[1.0, np.inf])
+BOX = snapo.Box([0.0, -1.0], [1.0, np.inf])
 POLICIES = {
     "network": snapo.MLP(BOX, 3, key=KEY, hidden=(4,), activation=jax.nn.tanh),
     "shares": snapo.MLP(snapo.Simplex(3), 3, key=KEY, hidden=(4, 5)),
     "residual": snapo.Residual(snapo.Constant([0.5, 0.5]), BOX, 3, key=KEY, hidden=(4,), scale=0.3),
     "linear": snapo.Linear(np.ones((2, 3), np.float32), 0.5, BOX),
     "several": snapo.MLP(
-        snapo.Product(run=snapo.Choice(2), power=snapo.Whole(1, 0, 9)), 3, key=KEY, hidden=(4,)
+        snapo.Product(run=snapo.Choice(2), power=snapo.Integers(0, 9)), 3, key=KEY, hidden=(4,)
     ),
     "base stock": snapo.BaseStock(12.5, position=1, scale=2.0),
     "threshold": snapo.Threshold(1.0, [0.0], [1.0], feature=2),

@@ -67,7 +67,7 @@ class Reading(snapo.Simulator):
     """The state stays 1; every output is the number that one way of reading gives."""
 
     horizon: int = HORIZON
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 0
 
     factor = 1.0  # of the class, no field

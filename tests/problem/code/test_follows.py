@@ -106,5 +106,5 @@ def test_every_way_of_reading_is_followed_by_solve_and_evaluate(engine, expected
     assert shown(solved(reading.Reading()).totals) == expected
     assert first.problem is not None and first.policy is not None
     assert shown(path_totals(first.problem, first.policy, 8)) == expected
-    found = snapo.evaluate(first.problem, first.policy, 8)
+    found = snapo.evaluate(first.problem, first.policy, paths=8)
     assert found.value == pytest.approx(reading.HORIZON * expected["global"], rel=1e-12)

@@ -19,7 +19,7 @@ class Sales(Simulator):
     """Sales of a number that is made of `size` and of noise."""
 
     horizon: int = 2
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -152,7 +152,7 @@ def test_a_lost_derivative_is_not_known_and_never_zero():
     policy = Constant(np.array([0.5]), own.action)
     engine = Xla("float64")
     table = sensitivities(
-        own, policy, 256, smooth=snapo.Smooth(0.1), smooth_paths=64, engine=engine
+        own, policy, paths=256, smooth=snapo.Smooth(0.1), smooth_paths=64, engine=engine
     )
     for found in (table.held, table.smooth):
         assert found is not None and np.isnan(found["size"].value)

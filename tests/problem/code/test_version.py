@@ -28,7 +28,7 @@ class Own(snapo.Simulator):
     """A simulator of which tests write `step`."""
 
     horizon: int = 2
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 0
 
     def prepare(self, inputs):
@@ -216,8 +216,10 @@ def test_a_table_of_decisions_follows_what_the_policy_reads(monkeypatch):
 
 def test_the_code_of_snapo_has_no_version():
     """Its programs are those of before."""
-    policy = snapo.MLP(snapo.Box(1), 2, key=jax.random.key(0))
+    policy = snapo.MLP(snapo.Box(-np.inf, np.inf), 2, key=jax.random.key(0))
     price = Schwartz((0.0, 1.0))  # pyright: ignore[reportCallIssue]
     assert of((policy, price, snapo.Exact()), lambda: 1 / 0) is None
-    own = snapo.MLP(snapo.Box(1), 2, key=jax.random.key(0), activation=lambda x: SETTINGS * x)
+    own = snapo.MLP(
+        snapo.Box(-np.inf, np.inf), 2, key=jax.random.key(0), activation=lambda x: SETTINGS * x
+    )
     assert of((own, price, snapo.Exact()), lambda: 1 / 0) is not None

@@ -17,7 +17,7 @@ class Regulator(snapo.Simulator):
     """x' = drift x + u + noise; cost x^2 + effort u^2 a step, and x^2 at the end."""
 
     horizon: int = T
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 1
     initial_noise_size = 1
 
@@ -64,7 +64,7 @@ def test_the_policy_is_near_the_optimum_of_every_member(policy):
     """Within 1.5 % of the least cost in corners and inside, on the same exact expectation."""
     for effort, drift in ((0.35, 0.65), (0.35, 1.05), (2.8, 0.65), (2.8, 1.05), (1.0, 0.9)):
         member = FAMILY.at({"effort": effort, "drift": drift})
-        found = evaluate(member, policy, 8192, engine=Native("float64"))
+        found = evaluate(member, policy, paths=8192, engine=Native("float64"))
         least = best(1.0, effort, drift)
         assert found.value < least + 3 * found.standard_error
         assert found.value > 1.015 * least - 3 * found.standard_error, (effort, drift)
@@ -77,7 +77,7 @@ def test_sensitivities_of_a_member_in_both_engines(policy):
     at = {"effort": 1.5, "drift": 0.95}
     member = FAMILY.at(at)
     tables = [
-        snapo.sensitivities(member, policy, 8192, smooth_paths=0, engine=engine).held
+        snapo.sensitivities(member, policy, paths=8192, smooth_paths=0, engine=engine).held
         for engine in (Native("float64"), Xla("float64"))
     ]
     values = {"start": 1.0, **at}

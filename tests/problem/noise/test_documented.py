@@ -32,6 +32,8 @@ def test_the_shop_runs_and_the_own_noise_draws():
     given = solution.problem
     assert "no findings" in str(snapo.check(given.simulator, given.inputs))
     assert given.in_mean == ("demand.mean", "storm.transition")
-    assert {bump.input for bump in certify_derivatives(given, solution.policy, 16)} == {"price.df"}
+    assert {bump.input for bump in certify_derivatives(given, solution.policy, paths=16)} == {
+        "price.df"
+    }
     drawn = found["Spike"](0.3, 2.0).draw(np.array([-1.0, 0.0]))
     assert float(drawn) == pytest.approx(2 * np.log(2), rel=1e-5)

@@ -33,7 +33,7 @@ class Everything(snapo.Simulator):
     """Outputs of all noises, whose expectations have closed forms. No decision matters."""
 
     horizon: int = T
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = SIZE + 1
 
     def prepare(self, inputs):
@@ -111,7 +111,8 @@ PATHS = 16_384
 def tables():
     engines = Xla("float64"), Native("float64")
     return [
-        snapo.sensitivities(PROBLEM, RULE, PATHS, smooth_paths=0, engine=e).held for e in engines
+        snapo.sensitivities(PROBLEM, RULE, paths=PATHS, smooth_paths=0, engine=e).held
+        for e in engines
     ]
 
 

@@ -29,7 +29,7 @@ class Battery(snapo.Simulator):
     """
 
     horizon: int = DAYS
-    action: snapo.Box = snapo.Box(HOURS, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0, HOURS)
     noise_size: int = HOURS + 1
     initial_noise_size: int = HOURS + 1
 
@@ -105,7 +105,7 @@ class Hydro(snapo.Simulator):
     """
 
     horizon: int = MONTHS
-    action: snapo.Box = snapo.Box(4, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0, 4)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -154,7 +154,7 @@ class Stocks(snapo.Simulator):
     """Twelve goods that have nothing in common; orders come at once, and demand waits."""
 
     horizon: int = PERIODS
-    action: snapo.Box = snapo.Box(GOODS, 0.0, 60.0)
+    action: snapo.Box = snapo.Box(0.0, 60.0, GOODS)
     noise_size: int = GOODS
 
     def prepare(self, inputs):
@@ -185,7 +185,7 @@ class Saver(snapo.Simulator):
     """
 
     horizon: int = 120
-    action: snapo.Box = snapo.Box(2, (-1.0, 0.0), (4.0, 1.0))  # the stock's weight, consumption
+    action: snapo.Box = snapo.Box((-1.0, 0.0), (4.0, 1.0))  # the stock's weight, consumption
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -20,7 +20,7 @@ class Follows(snapo.Simulator):
     table: jax.Array
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
@@ -82,7 +82,7 @@ def test_a_table_that_is_built_anew_shows_no_reaction_of_an_optimal_policy():
         return built(problem)
 
     problem = follows(counted)
-    held = snapo.sensitivities(problem, Reads(), 4096, engine=ENGINE).held
+    held = snapo.sensitivities(problem, Reads(), paths=4096, engine=ENGINE).held
     found = reactions(problem, Reads(), 4096, held, rollouts=0, engine=ENGINE)["target"]
     assert abs(found.estimate[0]) < 1e-6
     assert len(builds) == 1

@@ -22,7 +22,7 @@ class Newsvendor(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 100.0)
+    action: snapo.Box = snapo.Box(0.0, 100.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})
@@ -78,7 +78,7 @@ def test_the_interval_of_a_wrong_order_holds_the_derivative_of_the_best_one(prob
     }
     surface = surface_of(problem, coordinates(policy), 16384, 0, ENGINE)
     assert surface is not None
-    table = held_alone(problem, snapo.sensitivities(problem, policy, 16384).held)
+    table = held_alone(problem, snapo.sensitivities(problem, policy, paths=16384).held)
     margin = margin_of(problem, policy, surface, 4096, 0, ENGINE)
     curvature = (AT["h"] + AT["p"]) * stats.norm.pdf(FRACTILE) / AT["sd"]
     gap = 1.5**2 * curvature / 2
@@ -94,7 +94,7 @@ def test_coordinates_of_networks_and_rules():
     rule = snapo.Linear([[2.0, -1.0]], offset=[0.5])
     assert np.allclose(coordinates(rule).directions, np.diag([2.0, 1.0, 0.5]))
     del interface
-    network = snapo.MLP(snapo.Box(2), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))
+    network = snapo.MLP(snapo.Box(-np.inf, np.inf, 2), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))
     around = coordinates(network)
     assert around.directions.shape == (4, parameters(network).size)
     # A shift of the first output moves its bias alone; a gain is its row once more.
@@ -103,10 +103,10 @@ def test_coordinates_of_networks_and_rules():
     gained = moved(network, around.directions[1])
     assert np.allclose(gained.network.weights[-1][0], 2 * network.network.weights[-1][0])
     assert np.allclose(gained.network.weights[-1][1], network.network.weights[-1][1])
-    many = snapo.MLP(snapo.Box(9), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))
+    many = snapo.MLP(snapo.Box(-np.inf, np.inf, 9), 3, key=jnp.zeros(2, jnp.uint32), hidden=(4,))
     assert coordinates(many).directions.shape[0] == 5
     assert coordinates(many, network_like(many)).directions.shape[0] == 6
-    recurrent = snapo.GRU(snapo.Box(1), 2, key=jnp.zeros(2, jnp.uint32), hidden=4)
+    recurrent = snapo.GRU(snapo.Box(-np.inf, np.inf), 2, key=jnp.zeros(2, jnp.uint32), hidden=4)
     assert coordinates(recurrent).directions.shape[0] == 2
     assert not np.any(coordinates(recurrent).directions[:, :-7])  # the readout alone
 

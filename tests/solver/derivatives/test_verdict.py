@@ -18,7 +18,9 @@ PATHS = 4096
 def judged(simulator, inputs, policy, output, smooth, seed=0):
     sources = Sources.of(None, seed)
     problem = snapo.Problem(simulator, inputs, snapo.Mean(output), sources)
-    table = snapo.sensitivities(problem, policy, PATHS, smooth=snapo.Smooth(np.float64(smooth)))
+    table = snapo.sensitivities(
+        problem, policy, paths=PATHS, smooth=snapo.Smooth(np.float64(smooth))
+    )
     bumped = reactions(problem, policy, PATHS, table.held)
     found = verdicts(bumped)
     result = reported(problem, table.held, table.smooth, bumped, found)
@@ -47,7 +49,7 @@ class Once(snapo.Simulator):
 class Signal(Once):
     """x ~ N(0, v) is seen through noise of variance w; the cost is (x - action)^2."""
 
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 0
     initial_noise_size: int = 2
 
@@ -80,7 +82,7 @@ class Reservoir(Once):
     """One inflow: `worth` a unit of water, and a prize for a level above fifty."""
 
     hidden: bool = False
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return constants["water"]
@@ -116,7 +118,7 @@ def test_across_a_jump_the_bump_is_reported(hidden):
 class Callers(Once):
     """A whole number of callers, each served for a fee while there is stock."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return constants["stock"]
@@ -156,7 +158,7 @@ def test_a_wrong_held_derivative_is_refuted_and_the_right_ones_are_kept(name):
 class Sale(Once):
     """A sale of the lesser of two amounts that are equal."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return jnp.zeros(())
@@ -183,7 +185,7 @@ def test_at_a_kink_the_range_of_both_sides_is_reported():
         assert interval.holds(0.0) and interval.holds(1.0)
         assert interval.low > -0.1 and interval.high < 1.1
     problem = snapo.Problem(Sale(), inputs, snapo.Mean("cash"))
-    bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), 64)}
+    bumps = {each.input: each for each in certify_derivatives(problem, Gain(0.0), paths=64)}
     # The adjoint at the reported inputs is one of the two sides.
     for name in ("stock", "room"):
         assert bumps[name].passed and bumps[name].kink
@@ -211,7 +213,7 @@ class Sure(Once):
     """No noise at all, and a value that bends: the cube of an input."""
 
     noise_size: int = 0
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def initial(self, constants, noise):
         return jnp.zeros(())

@@ -9,7 +9,7 @@ class IdleStore(snapo.Simulator):
     """Six cheap steps, then six dear ones; a decision is the shares bought and sold."""
 
     horizon: int = 12
-    action: snapo.Box = snapo.Box(2, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0, 2)
     noise_size: int = 1
 
     def prepare(self, inputs):

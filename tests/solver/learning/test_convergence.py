@@ -28,7 +28,7 @@ class Regulator(Simulator):
     """A double integrator: position and speed, pushed by the action and by noise."""
 
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 2
 
     def prepare(self, inputs):
@@ -170,7 +170,7 @@ def test_a_regulator_by_default_settings_reaches_its_closed_form(seed):
     sources = snapo.Evaluation().sources(seed)
     problem = Problem(Regulator(), INPUTS, snapo.Mean("value"), sources)
     solution = snapo.solve(problem, evaluation=SMALL, training=snapo.Training(seed=seed))
-    best = snapo.evaluate(problem, Linear(-gain), 8192)
+    best = snapo.evaluate(problem, Linear(-gain), paths=8192)
     assert best.value == pytest.approx(-cost, abs=4 * best.standard_error)
     print(f"seed {seed}: {best.value - solution.value:.2g} of {cost:.5g} short")
     assert solution.value > best.value - 0.005 * cost
@@ -188,7 +188,7 @@ class Press(Simulator):
     """Earns the action times a price that nothing tells beforehand, less its square."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):
@@ -261,7 +261,7 @@ def test_a_put_that_stops_at_once_is_constant_and_is_told_what_to_try():
 
 
 def test_a_decision_of_several_that_never_changes_is_found_by_name():
-    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0, 1.0))
+    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(0.0, 1.0))
     rng = np.random.default_rng(0)
     on = (rng.random((3, 8)) > 0.5).astype(float)
     taken = np.stack([on, 1 - on, np.full((3, 8), 1.0)], axis=-1)
@@ -272,7 +272,7 @@ def test_a_decision_of_several_that_never_changes_is_found_by_name():
     three = np.insert(taken[..., :2], 1, 0.0, -1)
     assert not constant.constant_decisions(snapo.Choice(3), three)
     many = constant.constant_decisions(
-        snapo.Box(6), np.insert(np.full((2, 2, 5), 0.5), 5, on[:2, :2], -1)
+        snapo.Box(-np.inf, np.inf, 6), np.insert(np.full((2, 2, 5), 0.5), 5, on[:2, :2], -1)
     )
     assert constant.words(many, 6) == (
         "5 of 6 decisions never change: 1 (0.5), 2 (0.5), 3 (0.5) and 2 more"
@@ -285,7 +285,7 @@ class Closes(snapo.Simulator):
     """A plant that is closed once and for good, or a stock that is sold part by part."""
 
     horizon: int = 4
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
     part: float = 1.0
 
@@ -310,8 +310,8 @@ class Closes(snapo.Simulator):
         (Closes(part=0.3), 1.0, False),  # a store that only withdraws
         (Closes(), 5.0, False),  # no flag
         (Closes(action=snapo.Choice(2), part=0.0), 1.0, False),
-        (Closes(action=snapo.Box(1, 0.0)), 1.0, False),  # no upper end
-        (Closes(action=snapo.Product(a=snapo.Box(1, 0.0, 1.0), b=snapo.Choice(2))), 1.0, False),
+        (Closes(action=snapo.Box(0.0, np.inf)), 1.0, False),  # no upper end
+        (Closes(action=snapo.Product(a=snapo.Box(0.0, 1.0), b=snapo.Choice(2))), 1.0, False),
     ],
 )
 def test_a_decision_stops_where_it_takes_a_flag_for_good(simulator, first, stops):
@@ -324,7 +324,7 @@ def test_options_that_are_never_taken_are_told_with_the_name_of_their_choice():
     three[0, :, 1] = three[1, :, 2] = 1.0
     said = "Options that are never taken: 0 of 0 to 2"
     assert constant.never_taken(snapo.Choice(3), three) == said
-    speed = snapo.Product(much=snapo.Box(2, 0.0, 1.0), speed=snapo.Choice(3))
+    speed = snapo.Product(much=snapo.Box(0.0, 1.0, 2), speed=snapo.Choice(3))
     pump = snapo.Product(pump=speed)
     part = np.concatenate([np.full((2, 4, 2), 0.1), three], axis=-1)
     assert constant.never_taken(pump, part) == f"{said} of pump.speed"
@@ -340,10 +340,10 @@ def test_a_rule_is_compared_with_its_mean_and_with_the_limits_where_they_are_few
         taken = np.broadcast_to(np.asarray(mean, float), (2, 3, action.size))
         return [each.tolist() for each in constant.rivals(action, taken)]
 
-    assert of(snapo.Box(1, 0.0, 2.0), [0.5]) == [[0.5], [0.0], [2.0]]
+    assert of(snapo.Box(0.0, 2.0), [0.5]) == [[0.5], [0.0], [2.0]]
     assert of(snapo.Stop(), [0.2]) == [[0.0], [1.0]]  # the mean, settled, is one of both
-    assert of(snapo.Box(1, 0.0), [0.5]) == [[0.5]]
+    assert of(snapo.Box(0.0, np.inf), [0.5]) == [[0.5]]
     assert of(snapo.Simplex(2), [0.5, 0.5]) == [[0.5, 0.5], [1.0, 0.0], [0.0, 1.0]]
-    assert len(of(snapo.Box(24, 0.0, 1.0), [0.5] * 24)) == 3
-    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0))
+    assert len(of(snapo.Box(0.0, 1.0, 24), [0.5] * 24)) == 3
+    both = snapo.Product(run=snapo.Choice(2), size=snapo.Box(0.0, np.inf))
     assert of(both, [0.3, 0.7, 4.0]) == [[0.0, 1.0, 4.0], [1.0, 0.0, 4.0]]

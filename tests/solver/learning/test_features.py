@@ -21,7 +21,7 @@ class Store(snapo.Simulator):
     """Sees a price, its stock, the stock of the step before, the two's product and a constant."""
 
     horizon: int = HORIZON
-    action: snapo.Box = snapo.Box(12, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0, 12)
     noise_size: int = 1
     initial_noise_size: int = 1
 
@@ -90,15 +90,19 @@ def test_the_gradient_by_scaled_numbers_is_that_of_the_chain_rule():
 
 
 @pytest.mark.prove
-@pytest.mark.parametrize("kind", [snapo.Recent(3), snapo.GRU(hidden=4)], ids=["recent", "gru"])
+@pytest.mark.parametrize(
+    "kind", [snapo.LastObservations(3), snapo.GRU(hidden=4)], ids=["recent", "gru"]
+)
 def test_all_first_layers_of_a_policy_with_memory_see_the_scaled_features(kind):
     """Those that it remembers too; its decisions and its own units are left as they are."""
     of = problem()
     drawn = kind.for_problem(of.interface, jax.random.key(0))
     plain, (mean, deviation) = SCALE.plain(drawn), map(jnp.asarray, SCALE)
     scaled = (SEEN - mean) / deviation
-    own = jax.random.uniform(jax.random.key(1), (12 if isinstance(kind, snapo.Recent) else 4,))
-    if isinstance(kind, snapo.Recent):
+    own = jax.random.uniform(
+        jax.random.key(1), (12 if isinstance(kind, snapo.LastObservations) else 4,)
+    )
+    if isinstance(kind, snapo.LastObservations):
         seen, before = (
             jnp.concatenate([each, own, each + 1 / by, own])
             for each, by in ((SEEN, 1.0), (scaled, deviation))
@@ -114,9 +118,9 @@ def test_all_first_layers_of_a_policy_with_memory_see_the_scaled_features(kind):
 
 
 def test_only_a_policy_that_is_not_drawn_is_a_recipe():
-    made = snapo.Recent(2).for_problem(problem().interface, jax.random.key(0))
-    assert undrawn(snapo.Recent(2)) and undrawn(snapo.GRU()) and undrawn(snapo.MLP())
-    assert not undrawn(made) and not undrawn(snapo.Recent(2, made.policy))
+    made = snapo.LastObservations(2).for_problem(problem().interface, jax.random.key(0))
+    assert undrawn(snapo.LastObservations(2)) and undrawn(snapo.GRU()) and undrawn(snapo.MLP())
+    assert not undrawn(made) and not undrawn(snapo.LastObservations(2, made.policy))
     # A policy that is made is trained on from where it stands.
     assert made.for_problem(problem().interface, jax.random.key(1)) is made
 
@@ -142,7 +146,7 @@ def test_where_decisions_move_all_features_there_is_no_scale():
 class One(Store):
     """Decides one number."""
 
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
 
 def test_where_few_numbers_are_decided_there_is_no_scale():
@@ -165,7 +169,7 @@ def test_where_the_decision_is_when_to_stop_price_and_time_are_scaled():
 class Sized(american_put.Put):
     """Sells all of the share or a little less."""
 
-    action = snapo.Product(stop=snapo.Stop(), size=snapo.Box(1, 0.9, 1.0))
+    action = snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.9, 1.0))
 
     def initial(self, terms, noise):
         return {"spot": terms["spot"], "right": self.action["stop"].initial()}
@@ -182,7 +186,10 @@ class Sized(american_put.Put):
 
 
 def test_a_stop_in_a_product_and_under_a_policy_with_memory_is_a_stop_as_well():
-    for simulator, kind in ((Sized(), snapo.MLP()), (american_put.Put(), snapo.Recent(2))):
+    for simulator, kind in (
+        (Sized(), snapo.MLP()),
+        (american_put.Put(), snapo.LastObservations(2)),
+    ):
         of = snapo.Problem(simulator, american_put.inputs, snapo.Mean("cash"))
         made = kind.for_problem(of.interface, jax.random.key(0))
         assert scale_of(made, of) is not None
@@ -191,7 +198,7 @@ def test_a_stop_in_a_product_and_under_a_policy_with_memory_is_a_stop_as_well():
 
 @pytest.mark.study
 @pytest.mark.parametrize(
-    "kind, policy", [("product", None), ("alone", snapo.Recent(2)), ("alone", snapo.GRU())],
+    "kind, policy", [("product", None), ("alone", snapo.LastObservations(2)), ("alone", snapo.GRU())],
     ids=["product", "recent", "gru"],
 )  # fmt: skip
 def test_a_max_call_of_five_beside_a_size_or_under_a_policy_with_memory(kind, policy):
@@ -209,7 +216,7 @@ def test_a_max_call_of_five_beside_a_size_or_under_a_policy_with_memory(kind, po
 class SizedCall(max_call.MaxCall):
     """A max-call of which nine tenths or more are used."""
 
-    action: snapo.Product = snapo.Product(stop=snapo.Stop(), size=snapo.Box(1, 0.9, 1.0))  # pyright: ignore
+    action: snapo.Product = snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.9, 1.0))  # pyright: ignore
 
     def initial(self, terms, noise):
         spots = jnp.full(self.noise_size, terms["spot"])

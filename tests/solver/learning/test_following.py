@@ -67,7 +67,10 @@ def test_numbers_that_are_given_stay_and_the_rest_follows():
 
 def test_weights_decay_where_many_numbers_are_decided_unless_steps_or_decay_are_given():
     of = problem(Regulator)
-    many, made = replace(of, simulator=Regulator(action=snapo.Box(9))), policy(of)
+    many, made = (
+        replace(of, simulator=Regulator(action=snapo.Box(-math.inf, math.inf, 9))),
+        policy(of),
+    )
     found = fitted(Training(), many, made)
     # The rate is half as large on average: a weight that nothing holds ends at a quarter.
     assert math.exp(-found.decay * found.learning_rate * found.steps / 2) == pytest.approx(0.25)
@@ -82,10 +85,10 @@ def test_decisions_explore_where_many_numbers_are_decided_unless_steps_or_a_shar
     of = problem(Regulator)
     made = policy(of)
 
-    def share(training=Training(), action=snapo.Box(9, -1.0, 1.0)):
+    def share(training=Training(), action=snapo.Box(-1.0, 1.0, 9)):
         return fitted(training, replace(of, simulator=Regulator(action=action)), made).exploration
 
-    assert share() == share(action=snapo.Whole(9, 0, 4)) == share(action=snapo.Simplex(9)) == 0.1
+    assert share() == share(action=snapo.Integers(0, 4, 9)) == share(action=snapo.Simplex(9)) == 0.1
     assert fitted(Training(), of, made).exploration == 0
     assert share(Training(steps=50)) == 0
     assert share(Training(steps=50, exploration=0.3)) == 0.3
@@ -94,23 +97,27 @@ def test_decisions_explore_where_many_numbers_are_decided_unless_steps_or_a_shar
 
 def test_none_explore_that_have_no_bounds_or_a_temperature_that_stays():
     of = problem(Regulator)
-    unbounded = replace(of, simulator=Regulator(action=snapo.Box(9)))
+    unbounded = replace(of, simulator=Regulator(action=snapo.Box(-math.inf, math.inf, 9)))
     choices = replace(of, simulator=Regulator(action=snapo.Choice(9)))
-    bounded = replace(of, simulator=Regulator(action=snapo.Box(9, -1.0, 1.0)))
+    bounded = replace(of, simulator=Regulator(action=snapo.Box(-1.0, 1.0, 9)))
     for each in (unbounded, choices):
         assert fitted(Training(), each, policy(of)).exploration == 0
     assert fitted(Training(temperature_start=0.005), bounded, policy(of)).exploration == 0
 
 
 def test_hidden_layers_grow_with_the_numbers_that_are_decided():
-    assert widths(snapo.Box(1)) == widths(snapo.Box(8)) == (32, 32)
-    assert widths(snapo.Box(9)) == (64, 64)
-    assert widths(snapo.Box(1000)) == (128, 128)
+    assert (
+        widths(snapo.Box(-math.inf, math.inf))
+        == widths(snapo.Box(-math.inf, math.inf, 8))
+        == (32, 32)
+    )
+    assert widths(snapo.Box(-math.inf, math.inf, 9)) == (64, 64)
+    assert widths(snapo.Box(-math.inf, math.inf, 1000)) == (128, 128)
 
 
 @pytest.mark.parametrize("count, hidden", [(1, 32), (12, 64), (40, 128)])
 def test_so_do_the_networks_of_residuals_and_of_recurrent_policies(count, hidden):
-    interface = Interface(snapo.Box(count), 3)
+    interface = Interface(snapo.Box(-math.inf, math.inf, count), 3)
     key = jax.random.key(0)
     residual = snapo.Residual(snapo.Constant()).for_problem(interface, key)
     recurrent = snapo.GRU().for_problem(interface, key)

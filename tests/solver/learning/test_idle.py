@@ -25,7 +25,7 @@ class Store(snapo.Simulator):
 
     horizon: int = DATES
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
 
     def prepare(self, inputs):
         t = jnp.arange(float(DATES))
@@ -122,6 +122,6 @@ def test_a_training_that_still_does_nothing_says_so():
 
 def test_it_begins_anew_with_decisions_drawn_where_they_have_bounds():
     plan = TrainingPlan(steps=100, paths=8)
-    assert idle.exploring(plan, snapo.Box(2, 0.0, 1.0)).exploration == idle.DRAWN
-    assert idle.exploring(replace(plan, exploration=0.5), snapo.Box(1, 0.0, 1.0)).exploration == 0.5
-    assert idle.exploring(plan, snapo.Box(1, 0.0, np.inf)) is plan
+    assert idle.exploring(plan, snapo.Box(0.0, 1.0, 2)).exploration == idle.DRAWN
+    assert idle.exploring(replace(plan, exploration=0.5), snapo.Box(0.0, 1.0)).exploration == 0.5
+    assert idle.exploring(plan, snapo.Box(0.0, np.inf)) is plan

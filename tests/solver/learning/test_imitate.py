@@ -18,11 +18,11 @@ def test_a_network_imitates_a_rule_and_is_trained_on():
     begun = snapo.imitate(PROBLEM, RULE, snapo.MLP(hidden=(16,)))
     # Decisions of the rule have a standard deviation of about 0.4.
     assert begun.distance < 0.02
-    value, ruled = (evaluate(PROBLEM, p, 4096).value for p in (begun.policy, RULE))
+    value, ruled = (evaluate(PROBLEM, p, paths=4096).value for p in (begun.policy, RULE))
     assert value == pytest.approx(ruled, rel=2e-3)
     none = snapo.Training(steps=0, validation_paths=64)
     same = snapo.solve(PROBLEM, policy=begun.policy, training=none, evaluation=FEW)
-    assert same.value == pytest.approx(evaluate(PROBLEM, begun.policy, 1024).value, rel=1e-6)
+    assert same.value == pytest.approx(evaluate(PROBLEM, begun.policy, paths=1024).value, rel=1e-6)
     short = snapo.Training(steps=40, paths=128, learning_rate=3e-3, validation_paths=1024)
     better = snapo.solve(PROBLEM, policy=same, training=short, evaluation=FEW)
     assert better.value > same.value + 0.005
@@ -30,7 +30,7 @@ def test_a_network_imitates_a_rule_and_is_trained_on():
 
 def test_a_rule_is_imitated_for_a_problem_with_limits():
     """A limit is of an output that imitation does not have: it was a KeyError."""
-    limited = replace(PROBLEM, limits=(snapo.AtMost("cost", 5.0),))
+    limited = replace(PROBLEM, constraints=(snapo.AtMost("cost", 5.0),))
     few = snapo.Training(steps=2, paths=16, validation_paths=16)
     begun = snapo.imitate(limited, RULE, snapo.Linear(), training=few, engine="xla")
     assert np.isfinite(begun.distance)

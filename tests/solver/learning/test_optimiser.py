@@ -8,7 +8,7 @@ import snapo
 from snapo.problem.policy import trainable
 from snapo.solver.learning.optimiser import Parts, flat
 
-BOX = snapo.Box(2, -1.0, 1.0)
+BOX = snapo.Box(-1.0, 1.0, 2)
 KEY = jax.random.key(0)
 BASE = snapo.MLP(BOX, 3, key=KEY, hidden=(4,))
 POLICIES = {

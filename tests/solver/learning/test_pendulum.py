@@ -13,7 +13,7 @@ class Pendulum(snapo.Simulator):
     """Gymnasium's Pendulum-v1, its angle unwrapped and its cost periodic."""
 
     horizon: int = 200
-    action: snapo.Box = snapo.Box(1, -2.0, 2.0)
+    action: snapo.Box = snapo.Box(-2.0, 2.0)
     noise_size: int = 0
     initial_noise_size: int = 2
 
@@ -25,11 +25,11 @@ class Pendulum(snapo.Simulator):
         return {"angle": jnp.pi * angle, "speed": speed}
 
     def observe(self, constants, now, state):
-        return jnp.append(snapo.turned(state["angle"]), state["speed"] / 4)
+        return jnp.append(snapo.angle_features(state["angle"]), state["speed"] / 4)
 
     def step(self, constants, now, state, action, noise, smooth):
         angle, speed, torque = state["angle"], state["speed"], action[0]
-        cost = snapo.wrapped(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
+        cost = snapo.wrap_angle(angle) ** 2 + 0.1 * speed**2 + 0.001 * torque**2
         turn = 1.5 * constants["gravity"] * jnp.sin(angle) + 3 * torque
         speed = jnp.clip(speed + 0.05 * turn, -8.0, 8.0)
         return {"angle": angle + 0.05 * speed, "speed": speed}, {"value": -cost}

@@ -8,7 +8,7 @@ import pytest
 
 import snapo
 from snapo.engine import Native, Xla
-from snapo.problem.actions import Box, Choice, Product, Simplex, Stop, Whole
+from snapo.problem.actions import Box, Choice, Integers, Product, Simplex, Stop
 from snapo.problem.noise import Stored
 from snapo.problem.policy import MLP, Constant, Linear
 from snapo.problem.problem import Problem
@@ -30,7 +30,7 @@ class Drive(Simulator):
     """A place, which starts at random and is pushed by a decision between -1 and 1, and by noise."""
 
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 1
     initial_noise_size: int = 1
 
@@ -120,8 +120,8 @@ def test_the_derivative_of_an_exploring_decision_is_that_of_its_paths():
 
 @pytest.mark.parametrize(
     "action",
-    [Box(2, [-1.0, 0.0], [2.0, 0.5]), Box(1, 0.0), Box(1, high=3.0), Whole(1, 0, 5), Simplex(3),
-     Product(lots=Whole(1, 0, 5), mix=Simplex(2))],
+    [Box([-1.0, 0.0], [2.0, 0.5]), Box(0.0, np.inf), Box(-np.inf, 3.0), Integers(0, 5), Simplex(3),
+     Product(lots=Integers(0, 5), mix=Simplex(2))],
     ids=str,
 )  # fmt: skip
 def test_a_decision_that_explores_stays_in_its_set(action):
@@ -141,7 +141,7 @@ def test_a_decision_that_explores_stays_in_its_set(action):
 
 def test_a_choice_and_a_stop_explore_by_themselves():
     assert Choice(3).explores == Stop().explores == 0
-    both = Product(stop=Stop(), power=Box(2, 0.0, 1.0))
+    both = Product(stop=Stop(), power=Box(0.0, 1.0, 2))
     assert both.explores == 2
     found = both.explore(jnp.array([0.3, 0.0, 0.0]), jnp.zeros(2), jnp.float32(0.5))
     np.testing.assert_allclose(found, [0.3, 0.25, 0.25])

@@ -82,10 +82,10 @@ def test_starts_are_compared_at_equal_steps_also_where_the_winner_was_behind():
     "action, several",
     [
         (snapo.Choice(2), True),
-        (snapo.Whole(1, 0, 5), True),
+        (snapo.Integers(0, 5), True),
         (snapo.Stop(), True),
-        (snapo.Product(run=snapo.Choice(2), size=snapo.Box(1, 0.0, 1.0)), True),
-        (snapo.Box(1, 0.0, 1.0), False),
+        (snapo.Product(run=snapo.Choice(2), size=snapo.Box(0.0, 1.0)), True),
+        (snapo.Box(0.0, 1.0), False),
         (snapo.Simplex(3), False),
     ],
 )
@@ -123,7 +123,7 @@ class Press(snapo.Simulator):
     """Earns what is pressed."""
 
     horizon: int = 2
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

@@ -25,7 +25,7 @@ class Runaway(Simulator):
 
     factor: float = 1.3
     horizon: int = STEPS
-    action: snapo.Box = snapo.Box(1, -1.0, 1.0)
+    action: snapo.Box = snapo.Box(-1.0, 1.0)
     noise_size: int = 1
 
     def prepare(self, inputs):

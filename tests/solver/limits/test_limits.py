@@ -8,8 +8,7 @@ from scipy.stats import norm
 
 import snapo
 from snapo.engine import Xla
-from snapo.problem.limits import priced
-from snapo.problem.objective import Probability
+from snapo.problem.objective import Probability, priced
 from snapo.problem.problem import Problem
 from snapo.problem.smooth import Smooth
 from snapo.solver.evaluate import path_totals
@@ -28,7 +27,7 @@ class Spend(snapo.Simulator):
     horizon: int = 4
     noise_size: int = 1
     initial_noise_size = 1
-    action: snapo.Box = snapo.Box(1, -10.0, 10.0)
+    action: snapo.Box = snapo.Box(-10.0, 10.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(4))
@@ -59,7 +58,7 @@ FEW = snapo.Evaluation(paths=16384, sensitivity_paths=4096, smooth_paths=0, judg
 
 def solved(limits, **settings):
     return snapo.solve(
-        Spend(), INPUTS, snapo.Linear(), objective=snapo.Mean("earned"), limits=limits,
+        Spend(), INPUTS, snapo.Linear(), objective=snapo.Mean("earned"), constraints=limits,
         training=snapo.Training(**{"steps": 300, "learning_rate": 0.03, **settings}),
         evaluation=FEW,
     )  # fmt: skip
@@ -73,7 +72,7 @@ def budget():
 @pytest.mark.prove
 def test_the_price_of_a_budget_is_that_of_its_closed_form(budget):
     """Mean of b 2, budget 6: x = b - .5, price .5, value 4 (E b^2 - .25) / 2 = 8."""
-    (found,) = budget.limits
+    (found,) = budget.constraints
     assert found.met in ("met", "met nearly")
     assert found.value == pytest.approx(6.0, abs=0.03)
     assert abs(found.price - 0.5) < 3 * found.price_error + 0.005 and found.price_error < 0.02
@@ -91,15 +90,15 @@ def test_derivatives_are_those_of_the_best_value_within_the_limit(budget):
 @pytest.mark.prove
 def test_the_file_and_the_lines_tell_limits(budget, tmp_path):
     budget.save(tmp_path)
-    assert snapo.Solution.load(tmp_path).limits == budget.limits
+    assert snapo.Solution.load(tmp_path).constraints == budget.constraints
     assert "mean of spent at most 6" in str(budget)
 
 
 @pytest.mark.prove
 def test_a_limit_that_cannot_be_met_and_one_that_does_not_bind_are_told():
     found = solved((snapo.AtMost("spent", -50.0), snapo.AtLeast("earned", -1e4)), steps=60)
-    assert [each.met for each in found.limits] == ["not met", "met"]
-    assert found.limits[1].price == 0
+    assert [each.met for each in found.constraints] == ["not met", "met"]
+    assert found.constraints[1].price == 0
     assert any("Limit not met on fresh paths: mean of spent" in note for note in found.notes)
 
 
@@ -108,7 +107,7 @@ class Newsvendor(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 300.0)
+    action: snapo.Box = snapo.Box(0.0, 300.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, jnp.zeros(1))
@@ -135,11 +134,11 @@ def test_a_newsvendor_with_a_service_level():
     known = (1 - 2 * (1 - norm.cdf(z))) / slope
     found = snapo.solve(
         Newsvendor(), {"price": snapo.Input(2.0)}, snapo.Constant(np.array([100.0])),
-        objective=snapo.Mean("profit"), limits=(limit,),
+        objective=snapo.Mean("profit"), constraints=(limit,),
         training=snapo.Training(steps=800, paths=1024, learning_rate=0.5),
         evaluation=snapo.Evaluation(paths=65536, sensitivity_paths=0, smooth_paths=0),
     )  # fmt: skip
-    (each,) = found.limits
+    (each,) = found.constraints
     # The logistic step of width 2 measures F' over a tenth of a deviation: its slope is 3 % larger.
     assert abs(abs(each.price) - known / 1.03) < 2 * each.price_error < 0.15 * known
     assert abs(each.multiplier) == pytest.approx(known / 1.03, rel=0.03)
@@ -171,7 +170,7 @@ def test_the_unit_of_a_price_is_that_of_derivatives_and_knows_no_noise():
     limits, policy = (snapo.AtMost("spent", 1.0),), snapo.Constant(np.array([1.0]))
     units = []
     for simulator in (Spend(), Noisy()):
-        problem = Problem(simulator, INPUTS, snapo.Mean("earned"), limits=limits)
+        problem = Problem(simulator, INPUTS, snapo.Mean("earned"), constraints=limits)
         given = policy.for_problem(problem.interface, jax.random.key(0))
         draws = problem.sources.training.batch(0, 512, simulator)
         bound = Xla(precision="float64").bind(problem)
@@ -185,7 +184,7 @@ def test_a_limit_far_from_its_level_has_no_price_and_a_note():
     told = {}
     for level in (8.01, 100.0):
         limits = (snapo.AtMost("spent", level),)
-        problem = Problem(Spend(), INPUTS, snapo.Mean("earned"), limits=limits)
+        problem = Problem(Spend(), INPUTS, snapo.Mean("earned"), constraints=limits)
         policy = snapo.Linear().for_problem(problem.interface, jax.random.key(0))
         totals = path_totals(problem, policy, 1024)
         room = {"spent": 8.0 + np.tile([-0.3, 0.3], 512)}
@@ -204,7 +203,7 @@ class Reservoir(snapo.Simulator):
 
     horizon: int = 12
     noise_size: int = 2
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, {"week": jnp.arange(12.0)})
@@ -235,11 +234,11 @@ def test_a_network_keeps_limits_far_below_the_rule_that_it_begins_with():
     for level in levels:
         solution = snapo.solve(
             Reservoir(), {"price": snapo.Input(50.0)}, snapo.MLP(), objective=snapo.Mean("cash"),
-            limits=(snapo.AtMost("released", level),),
+            constraints=(snapo.AtMost("released", level),),
             training=snapo.Training(steps=600),
             evaluation=snapo.Evaluation(paths=16384, sensitivity_paths=0),
         )  # fmt: skip
-        (found,) = solution.limits
+        (found,) = solution.constraints
         assert found.value == pytest.approx(level, rel=0.02)
         assert found.price == pytest.approx(found.multiplier, rel=0.03)
         values.append(solution.value), prices.append(found.price)
@@ -254,7 +253,7 @@ class Budget(snapo.Simulator):
 
     horizon: int = 4
     noise_size: int = 0
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"day": jnp.arange(4.0)})
@@ -272,7 +271,9 @@ class Budget(snapo.Simulator):
 
 def test_a_rule_that_breaks_a_limit_is_no_rival():
     """Ten are saved with four doses, seven with the two that there are."""
-    problem = Problem(Budget(), INPUTS, snapo.Mean("saved"), limits=(snapo.AtMost("doses", 2.0),))
+    problem = Problem(
+        Budget(), INPUTS, snapo.Mean("saved"), constraints=(snapo.AtMost("doses", 2.0),)
+    )
     mine = {"saved": np.full(8, 7.0), "doses": np.full(8, 2.0)}
     for doses, sure in ((4.0, True), (2.0, False)):
         other = {"saved": np.full(8, 10.0), "doses": np.full(8, doses)}
@@ -287,12 +288,12 @@ def test_without_noise_a_limit_is_met_up_to_round_off():
     """Two doses go to the last two days: 3 + 4. All paths are one, so no interval allows for the
     last digits of a policy in float32."""
     found = snapo.solve(
-        Budget(), INPUTS, objective=snapo.Mean("saved"), limits=(snapo.AtMost("doses", 2.0),),
+        Budget(), INPUTS, objective=snapo.Mean("saved"), constraints=(snapo.AtMost("doses", 2.0),),
         training=snapo.Training(steps=400, paths=16, learning_rate=0.01), evaluation=FEW,
         engine="xla",
     )  # fmt: skip
     assert found.value == pytest.approx(7.0, abs=1e-4)
-    assert found.limits[0].met in ("met", "met nearly") and found.convergence == "converged"
+    assert found.constraints[0].met in ("met", "met nearly") and found.convergence == "converged"
     assert not found.notes
 
 

@@ -20,7 +20,7 @@ class Signal(snapo.Simulator):
     horizon: int = 1
     noise_size: int = 0
     initial_noise_size: int = 2
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
 
     def prepare(self, inputs):
         return snapo.Schedule(dict(inputs), {"t": jnp.zeros(1)})

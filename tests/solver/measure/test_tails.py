@@ -11,7 +11,7 @@ class Bets(snapo.Simulator):
 
     horizon: int = 1
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(inputs, {"t": jnp.zeros(1)})
@@ -37,7 +37,7 @@ class Bets(snapo.Simulator):
 )
 def test_a_tail_of_few_paths_is_noted(objective, limits, told):
     found = snapo.solve(
-        snapo.Problem(Bets(), {"mean": snapo.Input(1.0)}, objective, limits=limits),
+        snapo.Problem(Bets(), {"mean": snapo.Input(1.0)}, objective, constraints=limits),
         training=snapo.Training(steps=2, paths=16, validation_paths=16),
         evaluation=snapo.Evaluation(paths=1024, sensitivity_paths=0),
     )

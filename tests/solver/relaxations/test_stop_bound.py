@@ -79,11 +79,11 @@ def test_two_rights_lie_between_the_bounds_of_a_simple_rule():
     """The upper bound is near the exact value although the rule is not; without the penalty the
     bound is that of perfect foresight."""
     given, relaxation = problem(), relaxation_of(problem())
-    found = snapo.bound(given, BelowStrike(), relaxation, paths=1024)
+    found = snapo.bound(given, BelowStrike(), relaxation=relaxation, paths=1024)
     known = exact(2, 0.05)
     assert found.lower.high < known < found.upper.value + 3 * found.upper.standard_error
     assert found.upper.value < 1.005 * known
-    blind = snapo.bound(given, BelowStrike(), relaxation, paths=1024, penalty="none")
+    blind = snapo.bound(given, BelowStrike(), relaxation=relaxation, paths=1024, penalty="none")
     assert blind.upper.value > 1.2 * known
 
 
@@ -106,7 +106,7 @@ class Moved(Rights):
 class Boxed(Rights):
     """No stopping problem."""
 
-    action: snapo.Box = snapo.Box(1, 0.0, 1.0)
+    action: snapo.Box = snapo.Box(0.0, 1.0)
 
 
 class Largest(Rights):

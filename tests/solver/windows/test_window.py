@@ -19,7 +19,7 @@ class Regulator(snapo.Simulator):
     """x' = x + u + .2 noise, cost x^2 + u^2: a decision pays only after it."""
 
     horizon: int = 24
-    action: snapo.Box = snapo.Box(1)
+    action: snapo.Box = snapo.Box(-np.inf, np.inf)
     noise_size: int = 1
     initial_noise_size: int = 1
 

@@ -16,7 +16,7 @@ class Shop(snapo.Simulator):
 
     horizon: int
     noise_size: int = 1
-    action: snapo.Box = snapo.Box(1, low=0.0, high=4.0)
+    action: snapo.Box = snapo.Box(0.0, 4.0)
 
     def prepare(self, inputs):
         return snapo.Schedule(constants=inputs, steps={"left": jnp.arange(self.horizon, 0, -1.0)})

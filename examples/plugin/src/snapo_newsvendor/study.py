@@ -133,7 +133,7 @@ def make_setup(case: Case, engine: str) -> Setup:
     evaluation = snapo.Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
     simulator = Shop(horizon=case.shop.days)  # pyright: ignore[reportCallIssue]
-    problem = snapo.Problem(simulator, inputs, snapo.Mean("profit"), sources)
+    problem = snapo.Problem(simulator, inputs, "profit", sources)
     key = jax.random.key(training.seed)
     policy = snapo.MLP().for_problem(problem.interface, key)
     return Setup(problem, policy, training, evaluation, choose(engine, problem, policy))
@@ -144,7 +144,7 @@ def best_rule(run: StudyRun, case: Case) -> dict[str, Any]:
     problem, engines = run.setup.problem, run.setup.engines
     evaluation = run.setup.evaluation
     rule = snapo.BaseStock(level(case.shop) / case.shop.demand)
-    found = snapo.evaluate(problem, rule, evaluation.paths, engine=engines.evaluate)
+    found = snapo.evaluate(problem, rule, paths=evaluation.paths, engine=engines.evaluate)
     return {"best_rule": {"value": found.value, "standard_error": found.standard_error}}
 
 

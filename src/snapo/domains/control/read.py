@@ -18,7 +18,7 @@ from snapo.case.settings import (
     read_training,
 )
 from snapo.case.table import parse
-from snapo.problem.policies.memory import GRU, Memory, Recent
+from snapo.problem.policies.memory import GRU, LastObservations, Memory
 from snapo.problem.policy import MLP, Policy
 
 from .inputs import make_inputs
@@ -98,7 +98,7 @@ def _recipe(table: PolicyTable, name: str) -> Policy:
         what = 'only memory = "Recent" has a number of steps'
         raise CaseError(name, "policy.steps", table.steps, what)
     if table.memory == "Recent":
-        return Recent(table.steps or WINDOW, MLP(hidden=hidden))
+        return LastObservations(table.steps or WINDOW, MLP(hidden=hidden))
     if table.memory is None:
         return MLP(hidden=hidden)
     if hidden is not None and len(hidden) != 1:

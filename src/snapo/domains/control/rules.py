@@ -5,10 +5,11 @@ import jax
 import jax.flatten_util
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array
 
 from snapo.problem.inputs import Frozen, plain
-from snapo.problem.policy import Constant, Policy
+from snapo.problem.policy import Constant, Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from .plants.plant import Plant, Values
 from .regulator import linearised, riccati
@@ -40,7 +41,9 @@ class Feedback(Policy):
         self.middle, self.unit = Frozen(middle), Frozen(np.asarray(plant.drive(p, one)) - middle)
         self.clipped = bool(np.all(np.isfinite(plant.action.bounds())))
 
-    def __call__(self, observation: Float[Array, " features"], smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+
         def number(held: Frozen) -> Array:
             return jnp.asarray(held.array, observation.dtype)
 

@@ -6,7 +6,7 @@ import jax
 import numpy as np
 
 from snapo.case.objective import make_objective
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -45,7 +45,7 @@ def bare_problem(case: StorageCase) -> Problem:
 
 
 def make_setup(
-    case: StorageCase, engine: Choice = "auto", fitted: FittedValue | None = None
+    case: StorageCase, engine: EngineName = "auto", fitted: FittedValue | None = None
 ) -> Setup:
     """Simulator with its guide and its hedge, scenarios, policy and engines."""
     training = TrainingPlan.given(case.training.model_dump())

@@ -132,7 +132,7 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "start": case.start.isoformat(),
         "end": case.end.isoformat(),
         "days": [day.isoformat() for day in case.days],
-        "model": case.model.words(),
+        "model": case.model.describe(),
         "objective": case.objective.kind,
         "value_unit": case.currency if case.objective.keeps_unit else "",
         "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)

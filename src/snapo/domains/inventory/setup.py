@@ -5,7 +5,7 @@ import numpy as np
 from scipy import stats
 
 from snapo.case.objective import make_objective
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.problem import Problem
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
@@ -18,7 +18,7 @@ from .item.simulator import InventorySimulator, inputs_of
 from .policy.order_up_to import OrderUpTo
 
 
-def make_setup(case: InventoryCase, engine: Choice = "auto") -> Setup:
+def make_setup(case: InventoryCase, engine: EngineName = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
     training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
@@ -35,7 +35,7 @@ def moved_setup(setup: Setup, case: InventoryCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
     values = {name: given.value for name, given in inputs_of(case).items()}
-    engine: Choice = setup.engines.name  # pyright: ignore[reportAssignmentType]
+    engine: EngineName = setup.engines.name  # pyright: ignore[reportAssignmentType]
     return at_values(setup, simulator, values, lambda: make_setup(case, engine))
 
 

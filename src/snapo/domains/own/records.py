@@ -6,8 +6,7 @@ from pathlib import Path
 
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.inputs import Input
-from snapo.problem.limits import Limit
-from snapo.problem.objective import Objective
+from snapo.problem.objective import Limit, Objective
 from snapo.problem.simulator import Simulator
 
 
@@ -41,6 +40,6 @@ class OwnCase:
     evaluation: EvaluationTable
 
     @property
-    def limits(self) -> tuple[Limit, ...]:
+    def constraints(self) -> tuple[Limit, ...]:
         """Those that the simulator's class holds."""
-        return tuple(getattr(self.simulator, "limits", ()))
+        return tuple(getattr(self.simulator, "constraints", ()))

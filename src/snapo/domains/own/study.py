@@ -54,7 +54,7 @@ def checked(case: OwnCase) -> Findings:
     for key, output in case.outputs.items():
         if output not in known["outputs"]:
             raise CaseError(str(case.file), f"{key}.output", output, there)
-    for mistake in unknown_outputs(case.objective, case.limits, known["outputs"]):
+    for mistake in unknown_outputs(case.objective, case.constraints, known["outputs"]):
         raise CaseError(":".join(case.place), mistake.of, Unquoted(mistake.got), there)
     every = [name for each in known.values() for name in each]
     for name in case.units:
@@ -158,7 +158,7 @@ def make_setup(case: OwnCase, engine: str) -> Setup:
     training = Training(**case.training.model_dump(exclude_none=True))
     evaluation = Evaluation(**case.evaluation.model_dump())
     sources = evaluation.sources(training.seed)
-    problem = Problem(case.simulator, case.inputs, case.objective, sources, case.limits)
+    problem = Problem(case.simulator, case.inputs, case.objective, sources, case.constraints)
     recipe = getattr(case.simulator, "policy", None) or MLP()
     if not isinstance(recipe, Policy):
         got = Unquoted(f"a {type(recipe).__name__}")

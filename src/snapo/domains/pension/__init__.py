@@ -10,5 +10,5 @@ DOMAIN = Kind(
     reader="read.case:resolve",
     summary="results.figures.lines:lines",
     maker="results.study:pension_study",
-    page="sections.page:REPORT",
+    page="report:REPORT",
 )

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 from jaxtyping import Float, PyTree
 
-from snapo.engine import Choice, choose
+from snapo.engine import EngineName, choose
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
 from snapo.problem.problem import Problem
@@ -47,7 +47,12 @@ def inputs_of(fit: Fit, known: Known) -> dict[str, PyTree]:
 
 
 def trained(
-    model: Model, inputs: Any, policy: MLP, training: Training, engine: Choice, share: float = 1.0
+    model: Model,
+    inputs: Any,
+    policy: MLP,
+    training: Training,
+    engine: EngineName,
+    share: float = 1.0,
 ) -> MLP:
     """The policy trained on in the model, for a share of the steps."""
     sources = Sources.of(None, training.seed)
@@ -61,7 +66,12 @@ def trained(
 
 
 def value(
-    model: Model, inputs: Any, policy: MLP, firsts: Float[np.ndarray, "n k"], engine: Choice, seed
+    model: Model,
+    inputs: Any,
+    policy: MLP,
+    firsts: Float[np.ndarray, "n k"],
+    engine: EngineName,
+    seed,
 ) -> np.ndarray:
     """[n] the value in the model from each first observation, the mean over all members."""
     problem = Problem(model, inputs, Mean("reward"))

@@ -8,7 +8,7 @@ and the next fit knows better.
 from collections.abc import Callable
 from typing import Any
 
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.policy import MLP
 from snapo.solver.train import Training
 
@@ -33,7 +33,7 @@ def learn(
     reward: Reward | None = None,
     over: Over | None = None,
     seed: int = 0,
-    engine: Choice = "auto",
+    engine: EngineName = "auto",
     progress: Callable[[Round], object] | None = None,
 ) -> Learned:
     """Learns a policy for a black box: a Gymnasium environment with boxes of numbers.

@@ -69,7 +69,7 @@ class Learned:
     - `rounds`: the history; `chosen` the round, from 1, whose policy this is: that which earned
       most in the real environment from the starts that all rounds share.
     - `model`, `inputs`: the simulator and its numbers, as of the last fit: `snapo.Problem(model,
-      inputs, snapo.Mean("reward"))`.
+      inputs, "reward")`.
     """
 
     policy: MLP

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import jax
 import numpy as np
 
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.actions import Box
 from snapo.problem.objective import Mean
 from snapo.problem.policy import MLP
@@ -41,7 +41,7 @@ class Plan:
     reward: Reward | None
     over: Over | None
     seed: int
-    engine: Choice
+    engine: EngineName
 
 
 class Inside(NamedTuple):
@@ -70,7 +70,7 @@ def fitted(plan: Plan, known: Known, raw: Any, number: int) -> Inside:
     seen, real = known.seen, known.real
     capacity = -(-plan.steps // real.hold) + real.limit
     found = fit(seen, raw, capacity, LATER if number else FIRST, plan.seed)
-    box = Box(real.size, np.ravel(real.actions.low), np.ravel(real.actions.high))
+    box = Box(np.ravel(real.actions.low), np.ravel(real.actions.high), real.size)
     size, ends = seen.before.shape[1], bool(seen.ended.any())
     model = Model(
         horizon=plan.horizon,

@@ -3,8 +3,8 @@
 from .base import Actions as Actions
 from .box import Box as Box
 from .choice import Choice as Choice
+from .integers import Integers as Integers
 from .product import Product as Product
 from .product import holds as holds
 from .simplex import Simplex as Simplex
 from .stop import Stop as Stop
-from .whole import Whole as Whole

@@ -14,6 +14,15 @@ from jaxtyping import Array, Float
 from .base import ROUNDING, Actions, count
 
 Bound = float | tuple[float, ...]
+Bounds = float | Sequence[float] | np.ndarray  # as they may be given
+
+
+def components(name: str, low: Any, high: Any, size: Any) -> int:
+    """The number of components: `size`, else the length of the bounds, else 1."""
+    if size is None:
+        lengths = [len(each) for each in (low, high) if np.ndim(each)]
+        size = lengths[0] if lengths else 1
+    return count(f"{name}: size", size, 1, f", after the bounds: {name}(0, 1, size=2)")
 
 
 def _bound(name: str, given: Any, size: int) -> Bound:
@@ -39,27 +48,27 @@ def _bound(name: str, given: Any, size: int) -> Bound:
 class Box(Actions):
     """Actions in a box: `size` numbers, each between its `low` and its `high`.
 
-    A bound is one number for all components, or a sequence of one per component; it may be
-    infinite. `Box(3, low=[0.0, -1.0, 0.0], high=[1.0, 1.0, math.inf])`
+    **Arguments:**
 
-    >>> box = snapo.Box(2, low=[0.0, -1.0], high=1.0)
+    - `low`, `high`: one number for all components, or an array [size] of one for each; either may
+      be infinite, as in `Box(-math.inf, math.inf)`.
+    - `size`: the number of components; by default that of the arrays, or 1.
+
+    **Raises:** `ValueError` where a `low` is not below its `high`, for NaN, and for other sizes.
+
+    >>> box = snapo.Box([0.0, -1.0], 1.0)
     >>> box.bounds()
     (array([ 0., -1.]), array([1., 1.]))
     >>> box.squash(np.zeros(2, np.float32)).tolist()  # the middle
     [0.5, 0.0]
     """
 
-    size: int = eqx.field(static=True)
     low: Bound = eqx.field(static=True)
     high: Bound = eqx.field(static=True)
+    size: int = eqx.field(static=True)
 
-    def __init__(
-        self,
-        size: int = 1,
-        low: float | Sequence[float] | np.ndarray = -math.inf,
-        high: float | Sequence[float] | np.ndarray = math.inf,
-    ):
-        size = count("Box: size", size, 1, ", and bounds come after it: Box(2, low=0.0, high=1.0)")
+    def __init__(self, low: Bounds, high: Bounds, size: int | None = None):
+        size = components("Box", low, high, size)
         self.size = size
         self.low, self.high = _bound("low", low, size), _bound("high", high, size)
         for i, (least, most) in enumerate(zip(*self.bounds())):

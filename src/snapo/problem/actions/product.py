@@ -14,7 +14,7 @@ from .base import Actions
 def holds(action: Actions, kind: type[Actions]) -> bool:
     """Whether a decision, or one of those in a `Product`, lies in a set of this kind.
 
-    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(1)), snapo.Stop)
+    >>> holds(snapo.Product(stop=snapo.Stop(), size=snapo.Box(0.0, 1.0)), snapo.Stop)
     True
     """
     if isinstance(action, Product):
@@ -25,7 +25,7 @@ def holds(action: Actions, kind: type[Actions]) -> bool:
 def decision_names(action: Actions) -> list[str]:
     """The names of all decisions, which `together` counts, in a `Product`; empty ones elsewhere.
 
-    >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(2)))
+    >>> decision_names(snapo.Product(run=snapo.Choice(2), power=snapo.Box(0.0, 1.0, size=2)))
     ['run', 'power[0]', 'power[1]']
     """
     if not isinstance(action, Product):
@@ -38,7 +38,7 @@ def decision_names(action: Actions) -> list[str]:
 
 
 class Product(Actions):
-    """Several decisions at once, by name: `Product(run=Choice(2), power=Box(1, 0.0, 1.0))`.
+    """Several decisions at once, by name: `Product(run=Choice(2), power=Box(0.0, 1.0))`.
 
     The numbers of all lie one after another in the action; `parts` gives them by name, and
     `self.action["run"]` is the set of one of them.
@@ -46,7 +46,7 @@ class Product(Actions):
         decided = self.action.parts(action)
         power = decided["run"][1] * decided["power"][0]
 
-    >>> both = snapo.Product(run=snapo.Choice(2), power=snapo.Box(1, 0.0, 1.0))
+    >>> both = snapo.Product(run=snapo.Choice(2), power=snapo.Box(0.0, 1.0))
     >>> both.size
     3
     >>> both.parts(np.array([0.0, 1.0, 0.4]))

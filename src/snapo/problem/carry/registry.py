@@ -14,7 +14,7 @@ KINDS = {
         "snapo.problem.policy",
     ),
     **dict.fromkeys(
-        ("Box", "Choice", "Product", "Simplex", "Stop", "Whole"), "snapo.problem.actions"
+        ("Box", "Choice", "Product", "Simplex", "Stop", "Integers"), "snapo.problem.actions"
     ),
     "Frozen": "snapo.problem.inputs",
     "Stages": "snapo.problem.policies.stages",

@@ -18,13 +18,16 @@ An objective of one's own is one formula in `jax.numpy`; weights and errors foll
             return jnp.mean(totals["profit"]) / jnp.std(totals["profit"])
 
 A negative weight on it multiplies its numbers; `as_cost` says where something else is meant.
+
+A comparison with a number is a constraint that holds on average or with a probability:
+`Mean("unserved") <= 0.05`. What never may be exceeded is for the simulator.
 """
 
 import abc
 import numbers
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -146,6 +149,18 @@ class Objective(abc.ABC):
     def __neg__(self) -> "Weighted":
         return self * -1.0
 
+    def __le__(self, level: float) -> "AtMost":
+        return self._compared(AtMost, level)
+
+    def __ge__(self, level: float) -> "AtLeast":
+        return self._compared(AtLeast, level)
+
+    def _compared(self, kind: Any, level: Any) -> Any:
+        if not _number(level):
+            name = type(self).__name__
+            raise TypeError(f"{name}: compared with {level!r}; allowed is a number.")
+        return kind(self, level)
+
     def _times(self, over: Any, under: Any, words: str) -> "Weighted":
         if not all(isinstance(each, numbers.Real | np.bool_) for each in (over, under)):
             return NotImplemented
@@ -154,6 +169,10 @@ class Objective(abc.ABC):
             kind = type(self).__name__
             raise ValueError(f"{kind}: the factor is {words}; allowed is a finite number.")
         return Weighted((factor, self))
+
+
+def _number(other: Any) -> bool:
+    return isinstance(other, numbers.Real) and not isinstance(other, bool)
 
 
 def _is(other: Any) -> bool:
@@ -236,3 +255,145 @@ def _sided(terms: Any) -> Iterator[tuple[float, Objective]]:
             yield factor, term.as_cost if factor < 0 else term.as_gain
         else:
             yield factor, term
+
+
+@dataclass(frozen=True)
+class OneOutput(Objective):
+    """An objective of one output's totals x in closed form, by its slope and influence."""
+
+    output: str
+
+    @property
+    def outputs(self) -> tuple[str, ...]:
+        return (self.output,)
+
+    def value(self, totals: Totals) -> float:
+        return float(np.mean(self.influence(totals)))
+
+    def weights(self, totals: Totals) -> Weights:
+        x = self.used(totals)[self.output]
+        return {self.output: self._slope(x) / x.size}
+
+    def influence(self, totals: Totals) -> np.ndarray:
+        return self._influence(self.used(totals)[self.output])
+
+    @abc.abstractmethod
+    def _slope(self, x: np.ndarray) -> np.ndarray:
+        """N times d value / d x."""
+
+    @abc.abstractmethod
+    def _influence(self, x: np.ndarray) -> np.ndarray:
+        """Numbers whose mean is the value and whose spread is its sampling error."""
+
+
+class ByPath(OneOutput):
+    """A mean of each path's own number."""
+
+    @property
+    def by_path(self) -> bool:
+        return True
+
+
+@dataclass(frozen=True)
+class Mean(ByPath):
+    """The mean."""
+
+    @property
+    def linear(self) -> bool:
+        return True
+
+    def words(self) -> str:
+        return f"mean of {self.output}"
+
+    def _slope(self, x):
+        return np.ones_like(x)
+
+    def _influence(self, x):
+        return x
+
+
+@dataclass(frozen=True)
+class Limit:
+    """A number made of all paths' totals that is kept on one side of a level; see `AtMost`."""
+
+    of: Objective | str
+    level: float
+    sign: ClassVar[int] = 1
+    words: ClassVar[str] = ""
+
+    def __post_init__(self):
+        kind, level = type(self).__name__, self.level
+        if not isinstance(self.of, str | Objective):
+            what = 'allowed is the name of an output or an objective, such as Probability("x", 0.0)'
+            raise ValueError(f"{kind}: of is {self.of!r}; {what}.")
+        if not (_number(level) and np.isfinite(level)):
+            raise ValueError(f"{kind}: level is {level!r}; allowed is a finite number.")
+        _ = self.measure  # which refuses a utility of a cost
+
+    @property
+    def measure(self) -> Objective:
+        """The number that is limited, as an objective: the mean of an output that is named.
+
+        A measure of risk looks at the tail that breaks the limit: the dear one under `AtMost`.
+        """
+        of = as_objective(self.of)
+        return of.as_cost if self.sign > 0 else of
+
+    @property
+    def name(self) -> str:
+        """The limit in words: "mean of unserved at most 0.05"."""
+        return f"{self.measure.words()} {self.words} {self.level:g}"
+
+    def __bool__(self) -> bool:
+        raise TypeError(
+            f"{self.name}: a constraint is neither true nor false; a chain of comparisons is two "
+            "constraints, such as [0.1 <= x, x <= 0.2]."
+        )
+
+    def excess(self, totals: Totals) -> float:
+        """By how much the limit is not met; negative where it is."""
+        return self.sign * (self.measure.value(totals) - self.level)
+
+
+class AtMost(Limit):
+    """The mean of an output, or any objective of it, is at most `level`.
+
+    The same as `Mean("unserved") <= 0.05`; with a probability
+    `Probability("shortfall", 0.0, width=1.0) <= 0.01`. Training finds its price (see `solve`,
+    `constraints`).
+
+    >>> snapo.AtMost("unserved", 0.05).name
+    'mean of unserved at most 0.05'
+    >>> snapo.Mean("unserved") <= 0.05
+    AtMost(of=Mean(output='unserved'), level=0.05)
+    """
+
+    words = "at most"
+
+
+class AtLeast(Limit):
+    """The same from below: `AtLeast("filled", 0.98)`, or `Mean("filled") >= 0.98`."""
+
+    sign, words = -1, "at least"
+
+
+def as_objective(given: Objective | str) -> Objective:
+    """The mean of an output that is named; an objective as it is."""
+    return Mean(given) if isinstance(given, str) else given
+
+
+def as_constraints(given: Sequence[Limit] | Limit) -> tuple[Limit, ...]:
+    """One or several, as a tuple."""
+    return (given,) if isinstance(given, Limit) else tuple(given)
+
+
+def priced(objective: Objective, limits: Sequence[Limit], prices: Sequence[float]) -> Objective:
+    """The objective less the price of every limit's measure, in the direction of its excess.
+
+    Its derivatives are those of the best value within the limits; its value lacks the constant
+    `price * level`.
+    """
+    if not limits:
+        return objective
+    terms = ((-each.sign * price, each.measure) for each, price in zip(limits, prices))
+    return Weighted((1.0, objective), *terms)

@@ -1,43 +1,14 @@
-"""The objectives that there are, each in closed form: means, measures of risk, utilities."""
+"""Objectives in closed form: measures of risk, utilities, probabilities."""
 
 import abc
 from dataclasses import dataclass
 
 import numpy as np
 
-from .base import Objective, Totals, Weights
+from .base import ByPath, Objective, OneOutput, Totals, Weights
 
 
-@dataclass(frozen=True)
-class _OneOutput(Objective):
-    """An objective of one output's totals x in closed form, by its slope and influence."""
-
-    output: str
-
-    @property
-    def outputs(self) -> tuple[str, ...]:
-        return (self.output,)
-
-    def value(self, totals: Totals) -> float:
-        return float(np.mean(self.influence(totals)))
-
-    def weights(self, totals: Totals) -> Weights:
-        x = self.used(totals)[self.output]
-        return {self.output: self._slope(x) / x.size}
-
-    def influence(self, totals: Totals) -> np.ndarray:
-        return self._influence(self.used(totals)[self.output])
-
-    @abc.abstractmethod
-    def _slope(self, x: np.ndarray) -> np.ndarray:
-        """N times d value / d x."""
-
-    @abc.abstractmethod
-    def _influence(self, x: np.ndarray) -> np.ndarray:
-        """Numbers whose mean is the value and whose spread is its sampling error."""
-
-
-class _Risk(_OneOutput):
+class _Risk(OneOutput):
     """A measure of risk: of a cost it looks at the other tail."""
 
     @property
@@ -91,32 +62,6 @@ class OfCost(Objective):
         return {name: -total for name, total in self.measure.used(totals).items()}
 
 
-class _ByPath(_OneOutput):
-    """A mean of each path's own number."""
-
-    @property
-    def by_path(self) -> bool:
-        return True
-
-
-@dataclass(frozen=True)
-class Mean(_ByPath):
-    """The mean."""
-
-    @property
-    def linear(self) -> bool:
-        return True
-
-    def words(self) -> str:
-        return f"mean of {self.output}"
-
-    def _slope(self, x):
-        return np.ones_like(x)
-
-    def _influence(self, x):
-        return x
-
-
 @dataclass(frozen=True)
 class CVaR(_Risk):
     """The mean of the worst (smallest) 1 - level of the paths (Rockafellar and Uryasev 2000).
@@ -157,41 +102,44 @@ class CVaR(_Risk):
 
 @dataclass(frozen=True)
 class MeanVariance(_Risk):
-    """mean - aversion / 2 * variance; of a cost, mean + aversion / 2 * variance."""
+    """mean - risk_aversion / 2 * variance; of a cost, mean + risk_aversion / 2 * variance."""
 
-    aversion: float = 1.0
+    risk_aversion: float = 1.0
 
     def _words(self, cost):
-        return f"mean-variance of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+        of = f"{'the cost ' * cost}{self.output}"
+        return f"mean-variance of {of} (aversion {self.risk_aversion:g})"
 
     def _slope(self, x):
-        return 1 - self.aversion * (x - x.mean())
+        return 1 - self.risk_aversion * (x - x.mean())
 
     def _influence(self, x):
-        return x - self.aversion / 2 * (x - x.mean()) ** 2
+        return x - self.risk_aversion / 2 * (x - x.mean()) ** 2
 
 
 @dataclass(frozen=True)
 class Entropic(_Risk):
     """-log(mean(exp(-a x))) / a, the certainty equivalent of exponential utility, a > 0."""
 
-    aversion: float = 1.0
+    risk_aversion: float = 1.0
 
     def _words(self, cost):
-        return f"entropic mean of {'the cost ' * cost}{self.output} (aversion {self.aversion:g})"
+        of = f"{'the cost ' * cost}{self.output}"
+        return f"entropic mean of {of} (aversion {self.risk_aversion:g})"
 
     def _slope(self, x):
-        tilt = np.exp(-self.aversion * (x - x.min()))
+        tilt = np.exp(-self.risk_aversion * (x - x.min()))
         return tilt / tilt.mean()
 
     def _influence(self, x):
         tilt = self._slope(x)
-        level = x.min() - np.log(np.exp(-self.aversion * (x - x.min())).mean()) / self.aversion
-        return level - (tilt - 1) / self.aversion
+        mean = np.exp(-self.risk_aversion * (x - x.min())).mean()
+        level = x.min() - np.log(mean) / self.risk_aversion
+        return level - (tilt - 1) / self.risk_aversion
 
 
 @dataclass(frozen=True)
-class ExpectedUtility(_ByPath):
+class ExpectedUtility(ByPath):
     """Mean utility of the total, such as `CRRA(5.0)`.
 
     Ruin is an outcome with the worst utility: with one path of it the value is minus infinity and
@@ -231,41 +179,41 @@ class ExpectedUtility(_ByPath):
 
 @dataclass(frozen=True)
 class CRRA:
-    """Utility W^(1 - aversion) / (1 - aversion) of W = wealth + x, the logarithm at aversion 1;
+    """Utility W^(1 - risk_aversion) / (1 - risk_aversion) of W = wealth + x, the logarithm at 1;
     minus infinity where W <= 0.
 
     >>> snapo.CRRA(2.0)(np.array([1.0, 2.0])).tolist()
     [-1.0, -0.5]
     """
 
-    aversion: float
+    risk_aversion: float
     wealth: float = 0.0
 
     def __call__(self, x: np.ndarray) -> np.ndarray:
         x = x + self.wealth
         positive = np.where(x > 0, x, 1.0)
-        if self.aversion == 1:
+        if self.risk_aversion == 1:
             utility = np.log(positive)
         else:
-            utility = positive ** (1 - self.aversion) / (1 - self.aversion)
+            utility = positive ** (1 - self.risk_aversion) / (1 - self.risk_aversion)
         return np.where(x > 0, utility, -np.inf)
 
     def slope(self, x: np.ndarray) -> np.ndarray:
         x = x + self.wealth
-        return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.aversion, np.nan)
+        return np.where(x > 0, np.where(x > 0, x, 1.0) ** -self.risk_aversion, np.nan)
 
     def certainty_equivalent(self, utility: float) -> float:
         """The sure x of this utility; infinite where no x has as much."""
-        if self.aversion == 1:
+        if self.risk_aversion == 1:
             return float(np.exp(utility)) - self.wealth
-        power = (1 - self.aversion) * utility
+        power = (1 - self.risk_aversion) * utility
         if power <= 0:
-            return np.inf if self.aversion > 1 else -self.wealth
-        return float(power ** (1 / (1 - self.aversion))) - self.wealth
+            return np.inf if self.risk_aversion > 1 else -self.wealth
+        return float(power ** (1 / (1 - self.risk_aversion))) - self.wealth
 
 
 @dataclass(frozen=True)
-class Target(_ByPath):
+class Target(ByPath):
     """Minus the mean squared distance from a target: -mean((x - target)^2)."""
 
     target: float = 0.0
@@ -281,7 +229,7 @@ class Target(_ByPath):
 
 
 @dataclass(frozen=True)
-class Probability(_ByPath):
+class Probability(ByPath):
     """The probability that x > threshold; its weights round the step over `width` (in x's unit).
 
     The value is the exact frequency. The pathwise derivative of a step is zero, so the weights

@@ -14,10 +14,10 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float, PyTree
 
 from ..actions import Actions, Box
-from ..policy import MLP, Network, Policy, widths
+from ..policy import MLP, Network, Policy, as_observation, widths
 from ..problem import Problem
 from ..simulator import Around, Interface, Simulator
-from ..smooth import Exact
+from ..smooth import EXACT, Exact
 
 
 class Memory(Policy):
@@ -38,8 +38,14 @@ class Memory(Policy):
     ) -> tuple[Float[Array, " size"], Float[Array, " memory"]]:
         """The action, and the memory at the next decision."""
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         features = observation.shape[0] - self.memory
+        if features < 1:
+            raise ValueError(
+                f"{type(self).__name__}: give the observation, followed by the {self.memory} "
+                "numbers that it remembers, which are zeros before the first decision."
+            )
         seen, memory = observation[:features], observation[features:]
         action, kept = self.decide(seen, memory, smooth)
         return jnp.concatenate([action, kept.astype(action.dtype)])
@@ -118,12 +124,12 @@ class GRU(Memory):
         return self
 
 
-class Recent(Memory):
+class LastObservations(Memory):
     """A policy that sees the last `steps` observations, and the decisions between them.
 
-    `Recent(4, MLP(hidden=(32,)))` is a recipe. The inner policy's observation is the present one,
-    then each earlier observation followed by the decision taken there, the latest first; before the
-    start both are zeros.
+    `LastObservations(4, MLP(hidden=(32,)))` is a recipe. The inner policy's observation is the
+    present one, then each earlier observation followed by the decision taken there, the latest
+    first; before the start both are zeros.
     """
 
     policy: Policy
@@ -132,10 +138,12 @@ class Recent(Memory):
 
     def __init__(self, steps: int, policy: Policy | None = None, width: int = 0):
         if not isinstance(steps, int) or steps < 2:
-            raise ValueError(f"Recent: steps is {steps!r}; allowed is a whole number of 2 or more.")
+            raise ValueError(
+                f"LastObservations: steps is {steps!r}; allowed is a whole number of 2 or more."
+            )
         self.policy, self.steps, self.width = MLP() if policy is None else policy, steps, width
         if isinstance(self.policy, Memory):
-            raise ValueError("Recent: its inner policy has a memory of its own already.")
+            raise ValueError("LastObservations: its inner policy has a memory of its own already.")
 
     @property
     def memory(self) -> int:
@@ -143,20 +151,24 @@ class Recent(Memory):
 
     def decide(self, observation, memory, smooth):
         if not self.width:
-            raise ValueError("Recent: this is a recipe; solve makes it for the simulator.")
+            raise ValueError(
+                "LastObservations: this is a recipe; solve makes it for the simulator."
+            )
         action = self.policy(jnp.concatenate([observation, memory]), smooth)
         kept = jnp.concatenate([observation, action.astype(observation.dtype), memory])
         return action, kept[: self.memory]
 
-    def for_problem(self, interface: Interface, key) -> "Recent":
+    def for_problem(self, interface: Interface, key) -> "LastObservations":
         _no_stages(self, interface)
         width = interface.features + interface.action.size
         if self.width and self.width != width:
-            raise ValueError(f"Recent: made for observations and decisions of {self.width}.")
+            raise ValueError(
+                f"LastObservations: made for observations and decisions of {self.width}."
+            )
         seen = interface.features + (self.steps - 1) * width
         inner = self.policy.for_problem(Interface(interface.action, seen), key)
         made = self.width == width and inner is self.policy
-        return self if made else Recent(self.steps, inner, width)
+        return self if made else LastObservations(self.steps, inner, width)
 
 
 def remembered(policy: Policy | None) -> int:
@@ -181,7 +193,7 @@ class Remembering(Around):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(self.own.action.size + self.memory)
+        return Box(-jnp.inf, jnp.inf, self.own.action.size + self.memory)
 
     def initial(self, constants, noise):
         return self.begun(self.own.initial(constants, noise))

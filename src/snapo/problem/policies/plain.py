@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 
 from ..actions import Actions
-from ..policy import Policy
+from ..policy import Policy, as_observation
 from ..simulator import Interface
-from ..smooth import Smooth
+from ..smooth import EXACT, Smooth
 
 NEEDED = (
     "a policy of snapo's, or an eqx.Module that is called as policy(observation, smooth), or as "
@@ -30,7 +30,8 @@ class Plain(Policy):
     raw: bool = eqx.field(static=True)
     action: Actions | None = None
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         if not self.raw:
             return self.module(observation, smooth)
         if self.action is None:
@@ -67,7 +68,7 @@ def as_policy(given: Any) -> Policy:
     needed = [
         each
         for each in inspect.signature(given).parameters.values()
-        if each.default is each.empty
+        if (each.default is each.empty or each.name == "smooth")
         and each.kind in (each.POSITIONAL_ONLY, each.POSITIONAL_OR_KEYWORD)
     ]
     if len(needed) not in (1, 2):

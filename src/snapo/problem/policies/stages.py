@@ -7,8 +7,9 @@ import jax
 import jax.numpy as jnp
 
 from ..actions import Actions
-from ..policy import Policy, without_memory
+from ..policy import Policy, as_observation, without_memory
 from ..simulator import Interface
+from ..smooth import EXACT
 
 
 class Stages(Policy):
@@ -38,7 +39,8 @@ class Stages(Policy):
         self.action = interface.action
         self.features = tuple(stage.features for stage in interface.stages)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         if self.action is None:
             raise ValueError(
                 "Stages: this is a recipe; make the policy with "

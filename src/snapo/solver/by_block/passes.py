@@ -8,11 +8,12 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound
+from snapo.engine import Adjoint, BoundEngine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective, Totals, Weights
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
+from snapo.problem.smooth import Exact, Smooth
 
 from ..adjoint import float64, pull_back
 from ..evaluate import DECIDED, in_a_row
@@ -54,9 +55,9 @@ class Way(NamedTuple):
     """
 
     problem: Problem
-    bound: Bound
+    bound: BoundEngine
     policy: Policy
-    smooth: Any
+    smooth: Smooth | Exact
     held: bool
     recorded: np.ndarray | None = None
     inputs: bool = True

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from snapo.engine import Engine
-from snapo.problem.actions import Actions, Choice, Stop, Whole
+from snapo.problem.actions import Actions, Choice, Integers, Stop
 from snapo.problem.actions.product import holds
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -72,7 +72,7 @@ def margin_of(
 
 def floor_of(actions: Actions) -> float:
     """The gap that is assumed at least, in targets: whole numbers hide more of it."""
-    hard = any(holds(actions, kind) for kind in (Choice, Whole, Stop))
+    hard = any(holds(actions, kind) for kind in (Choice, Integers, Stop))
     return HARD_FLOOR if hard else SMOOTH_FLOOR
 
 

@@ -13,7 +13,7 @@ import numpy as np
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
-from snapo.problem.policies.memory import GRU, Recent
+from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policies.plain import Plain
 from snapo.problem.policy import MLP, Policy, parameters
 from snapo.problem.problem import Problem
@@ -35,7 +35,7 @@ CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell
 SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # words that a bound may make CONVERGED
-DRAWN = (MLP, GRU, Recent, Plain)  # policies that begin as networks drawn at random
+DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
 SURE = 2.0  # standard errors of a gain
 OFFSET = 10  # times all that was gained: a value of more has a part that no decision moves
 ENOUGH = 2048  # paths on which two rules are compared
@@ -173,7 +173,7 @@ def _further(
 
     Within limits it counts at their prices: a policy that breaks one is no worse a measure.
     """
-    rated = problem.priced(progress.dual.prices or [0.0] * len(problem.limits))
+    rated = problem.priced(progress.dual.prices or [0.0] * len(problem.constraints))
     known = exact[problem.objective.outputs[0]]
     best, spread = worth(problem.objective, exact), float(np.nanstd(known))
     size = min(OFFSET * abs(over_start.value), max(abs(best), spread))
@@ -316,12 +316,12 @@ def _gain(problem: Problem, exact: Totals, parts: list[Totals], paths: np.ndarra
 
 def _unpriced(problem: Problem) -> Problem:
     """With the outputs of its limits beside those of its objective, as kernels have them."""
-    return problem.priced([0.0] * len(problem.limits))
+    return problem.priced([0.0] * len(problem.constraints))
 
 
 def _breaks_a_limit(problem: Problem, mine: Totals, other: Totals, groups: np.ndarray) -> bool:
     """Whether the other rule is surely further beyond a limit than mine is."""
-    for limit in problem.limits:
+    for limit in problem.constraints:
         influence = limit.measure.influence(other)
         error = statistics.mean(influence, groups).standard_error
         beyond = limit.excess(other) - max(limit.excess(mine), 0.0)

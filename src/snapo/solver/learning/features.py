@@ -29,9 +29,9 @@ import jax
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Bound, Xla
+from snapo.engine import BoundEngine, Xla
 from snapo.problem.actions import Stop, holds
-from snapo.problem.policies.memory import GRU, Recent
+from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policy import MLP, Network, Policy, Residual
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, at
@@ -83,7 +83,7 @@ class Scale(NamedTuple):
 def _columns(policy: Policy, features: tuple[float, ...], other: float) -> np.ndarray:
     """Numbers of the features for all that the first layers of a policy see."""
     memory: tuple[float, ...] = ()
-    if isinstance(policy, Recent):  # past observations, each with the decision taken there
+    if isinstance(policy, LastObservations):  # each with the decision taken there
         memory = (policy.steps - 1) * (*features, *(policy.width - len(features)) * (other,))
     elif isinstance(policy, GRU):
         memory = policy.memory * (other,)
@@ -96,7 +96,7 @@ def networks(policy: Policy) -> list[Network | None]:
     Empty for a policy without any, such as a rule, and for one of which that is not known: the
     stages of a chain, a class of one's own.
     """
-    if isinstance(policy, Recent):
+    if isinstance(policy, LastObservations):
         return networks(policy.policy)
     if isinstance(policy, GRU):
         return [policy.gates, policy.fresh, policy.readout]
@@ -151,7 +151,7 @@ def fixed(problem: Problem) -> Scale | None:
         return None
     simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
     still = _Unmoved(simulator, moved)  # pyright: ignore
-    bound = Bound(Xla("float32"), still, schedule)
+    bound = BoundEngine(Xla("float32"), still, schedule)
     draws = problem.sources.training.batch(0, PATHS, simulator)
     actions = np.zeros((horizon, draws.size, simulator.action.size), np.float32)
     states = bound.values(None, draws, Exact(), actions=actions, record=("state",)).record["state"]

@@ -17,7 +17,7 @@ decay alone, 95.7 to 97.7 % with both; of the first five with exploration alone 
 Twelve stocks of known optimum, over 3,840 steps, cost .13 % too much with neither and .17 % with
 both; .45 and .48 % with a decay of .2, seven times as large.
 
-A `Choice`, a `Whole` or a `Stop` decides between few values, so that where the weights begin
+A `Choice`, `Integers` or a `Stop` decides between few values, so that where the weights begin
 matters more: several of them begin, and the better half goes on (`starts`).
 """
 
@@ -26,7 +26,7 @@ import math
 import jax
 import numpy as np
 
-from snapo.problem.actions import Actions, Choice, Stop, Whole, holds
+from snapo.problem.actions import Actions, Choice, Integers, Stop, holds
 from snapo.problem.policy import Network, Policy, parameters
 from snapo.problem.problem import Problem
 
@@ -78,7 +78,7 @@ def fitted(
     if decay == "auto":
         # The rate falls to zero by a cosine, so that it is half as large on average.
         decay = -2 * math.log(LEFT) / (rate * steps) if free and problem.action.size > MANY else 0.0
-    few_values = any(holds(problem.action, kind) for kind in (Choice, Whole, Stop))
+    few_values = any(holds(problem.action, kind) for kind in (Choice, Integers, Stop))
     starts = SEVERAL if fresh and free and few_values else 1
     return TrainingPlan.of(
         training, paths=paths, steps=steps, learning_rate=rate, decay=decay, exploration=explored,

@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.engine import Choice, choose
+from snapo.engine import EngineName, choose
 from snapo.problem.actions import Box
 from snapo.problem.inputs import Frozen
 from snapo.problem.meant import takes_problem
@@ -69,7 +69,7 @@ def imitate(
     policy: Policy | None = None,
     *,
     training: Training | None = None,
-    engine: Choice = "auto",
+    engine: EngineName = "auto",
 ) -> Imitation:
     """Trains a policy to decide as `rule` does, in the states that the rule itself meets.
 
@@ -86,7 +86,7 @@ def imitate(
     rule = rule.for_problem(problem.interface, jax.random.key(training.seed))
     followed = Imitating(problem.simulator, rule, _ranges(problem))
     # The rule's outputs are gone, and with them limits on them: the next training has those.
-    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), limits=())
+    problem = replace(problem, simulator=followed, objective=-Mean(DISTANCE), constraints=())
     policy = (policy or MLP()).for_problem(problem.interface, jax.random.key(training.seed))
     engines = choose(engine, problem, policy)
     progress = train(problem, begin(policy, training, problem), training, engines.train)

@@ -154,8 +154,8 @@ def begin(policy: Policy, training: Training, problem: Problem | None = None) ->
     if isinstance(training.window, int):
         if problem is None:
             raise ValueError("begin: give the problem too where training has a window.")
-        if problem.limits:
-            raise ValueError("begin: training on windows knows no limits; take window=None.")
+        if problem.constraints:
+            raise ValueError("begin: training on windows knows no constraints; take window=None.")
         if training.window < problem.simulator.horizon:
             window, critic = training.window, learner(remembering(problem, policy), training.seed)
     state = begun(plan, policy, UPDATES if window else 1)

@@ -44,7 +44,7 @@ class Training:
       the decisions have bounds.
     - `starts`: so many first weights of the policy's networks begin, and after every tenth of the
       steps the better half goes on (`solver.learning.starts`). "auto": four where `solve`
-      draws them, the steps are "auto" too and a `Choice`, `Whole` or `Stop` decides; else one.
+      draws them, the steps are "auto" too and a `Choice`, `Integers` or `Stop` decides; else one.
     - `seed`: of the network's first weights and of all scenarios.
     """
 

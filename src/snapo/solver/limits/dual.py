@@ -18,10 +18,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from snapo.engine import Bound
-from snapo.problem.limits import Limit
+from snapo.engine import BoundEngine
 from snapo.problem.noise import Draws
-from snapo.problem.objective import Objective, Totals
+from snapo.problem.objective import Limit, Objective, Totals
 from snapo.problem.policy import Policy
 
 from .slopes import slope_of
@@ -50,7 +49,7 @@ class Dual(NamedTuple):
 
     def measured(
         self,
-        bound: Bound,
+        bound: BoundEngine,
         policy: Policy,
         draws: Draws,
         smooth,

@@ -5,7 +5,7 @@ limits' measures times their shadow prices. So the prices are the least squares 
 others, on independent blocks of fresh paths: with a standard error that knows nothing of training.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +13,7 @@ from snapo.engine import Engine
 from snapo.problem.objective import Totals
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
+from snapo.problem.smooth import Smooth
 
 from ..evaluate import worth_of_groups
 from ..statistics import of_shares
@@ -71,11 +72,11 @@ def _alike(half: float, level: float) -> float:
 
 
 def limits_found(
-    problem: Problem, policy: Policy, totals: Totals, dual: Dual, smooth: Any, engine: Engine
+    problem: Problem, policy: Policy, totals: Totals, dual: Dual, smooth: Smooth, engine: Engine
 ) -> tuple[LimitFound, ...]:
     """Every limit of the problem, on exact `totals` of its evaluation scenarios; prices by smooth
     derivatives on the first of these paths."""
-    limits, source = problem.limits, problem.sources.evaluation
+    limits, source = problem.constraints, problem.sources.evaluation
     if not limits:
         return ()
     measured = [of_shares(worth_of_groups(each.measure, totals, source)) for each in limits]
@@ -124,12 +125,12 @@ def _note(found: LimitFound) -> str:
     return room
 
 
-def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Any, engine: Engine):
+def _prices(problem: Problem, policy: Policy, binds: np.ndarray, smooth: Smooth, engine: Engine):
     """[limits] shadow prices and their standard errors by a jackknife; zeros where none binds."""
     prices, errors = np.zeros(len(binds)), np.zeros(len(binds))
     if not binds.any():
         return prices, errors
-    bind = [each for each, on in zip(problem.limits, binds) if on]
+    bind = [each for each, on in zip(problem.constraints, binds) if on]
     wanted = [problem.objective, *(each.measure for each in bind)]
     signs = np.array([1.0, *(each.sign for each in bind)])[:, None]
     bound, source = engine.bind(problem), problem.sources.evaluation

@@ -3,7 +3,7 @@
 import jax
 import numpy as np
 
-from snapo.engine import Bound
+from snapo.engine import BoundEngine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy, trainable
@@ -12,7 +12,7 @@ from ..adjoint import weighted_adjoint
 
 
 def slope_of(
-    bound: Bound, policy: Policy, draws: Draws, smooth, objective: Objective
+    bound: BoundEngine, policy: Policy, draws: Draws, smooth, objective: Objective
 ) -> np.ndarray:
     """In one row, in float64."""
     result = weighted_adjoint(bound, policy, draws, smooth, objective, wrt=("policy",))[1]

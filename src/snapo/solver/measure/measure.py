@@ -13,7 +13,7 @@ from snapo.problem.objective import Totals
 from snapo.problem.policies.memory import Memory, remembered
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import EXACT, Smooth
 from snapo.problem.unseen import words
 
 from ..derivatives.bump import reactions
@@ -80,7 +80,7 @@ def measure(run: Run) -> dict[str, Any]:
     problem, training, engine = run.problem, run.training, run.engines.evaluate
     objective, evaluation = problem.objective, run.evaluation
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
-    surface = _surface(run, problem) if not problem.limits else None
+    surface = _surface(run, problem) if not problem.constraints else None
     with _compiled_meanwhile(run):
         selection = _selection(run, surface)
         run = run._replace(progress=replace(run.progress, best=selection.policy))
@@ -90,7 +90,7 @@ def measure(run: Run) -> dict[str, Any]:
     value = estimate(objective, exact, source, controls)
     limits = limits_found(problem, policy, exact, progress.dual, run.smooth, engine)
     within = problem.priced([abs(limit.price) for limit in limits])
-    if problem.limits:
+    if problem.constraints:
         surface = _surface(run, within)
     table, soft = _sensitivities(run, within, selection, surface, exact, decisions)
     gap, gap_error = _smoothing_gap(problem, policy, exact, soft, run.smooth, engine)
@@ -134,7 +134,7 @@ def measure(run: Run) -> dict[str, Any]:
         ),
         "dropped": dropped,
         "notes": notes,
-        "limits": limits,
+        "constraints": limits,
         "growth": progress.growth,
         "window": progress.window,
         "clip": progress.clip,
@@ -148,7 +148,7 @@ def _compiled_meanwhile(run: Run) -> AbstractContextManager:
     """Compiles the smooth derivatives beside the work of the block, where the engine's programs
     serve any number of paths and the objective is known already."""
     problem, engine = run.problem, run.engines.evaluate
-    wanted = run.held_paths and run.evaluation.smooth_paths and not problem.limits
+    wanted = run.held_paths and run.evaluation.smooth_paths and not problem.constraints
     if not wanted or not isinstance(engine, Native):
         return nullcontext()
     return beside(through_policy(problem, run.progress.best, run.smooth, engine).compile)
@@ -159,7 +159,7 @@ def _surface(run: Run, problem: Problem) -> Surface | None:
     progress, effort = run.progress, run.effort
     if not effort.most or not np.isfinite(progress.best_value):
         return None
-    newest = progress.best if problem.limits or run.problem.limits else progress.average
+    newest = progress.best if problem.constraints or run.problem.constraints else progress.average
     around = coordinates(newest, progress.halfway if progress.step > 1 else None)
     count = len(around.directions)
     while count > PAIR and rollouts(count) * FEWEST > effort.work:
@@ -172,7 +172,7 @@ def _selection(run: Run, surface: Surface | None) -> Selection:
     """The policy that is reported; within limits the newest one, as training keeps it."""
     problem, progress, evaluation = run.problem, run.progress, run.evaluation
     paths = min(evaluation.selection_paths, max(evaluation.paths, run.training.validation_paths))
-    if problem.limits or not paths or not np.isfinite(progress.best_value):
+    if problem.constraints or not paths or not np.isfinite(progress.best_value):
         return Selection(HIGHEST, progress.best)
     candidates = {NEWEST: progress.average, HIGHEST: progress.best}
     if surface is not None:
@@ -197,7 +197,7 @@ def _sensitivities(
     policy, paths = progress.best, run.held_paths
     if not paths:
         return None, None
-    smooth = run.smooth if evaluation.smooth_paths else None
+    smooth = run.smooth if evaluation.smooth_paths else EXACT
     earlier = progress.halfway if progress.step > 1 else None
     table, soft = sensitivities_and_totals(
         problem, policy, paths, smooth, evaluation.smooth_paths, earlier, engine, decisions
@@ -266,7 +266,7 @@ def _status(value: float, status: str) -> str:
 
 def _tails(problem: Problem, paths: int) -> list[str]:
     """A sentence for every measure of a tail that has few paths."""
-    measures = problem.objective, *(limit.measure for limit in problem.limits)
+    measures = problem.objective, *(limit.measure for limit in problem.constraints)
     return [
         f"Few paths in the tail: the {each.words()} is that of {each.tail * paths:.0f} of "
         f"{paths:,} paths, and its error is rough below {TAIL}; take "

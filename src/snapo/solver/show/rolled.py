@@ -23,7 +23,7 @@ PATHS, POINTS, CELLS = 1024, 121, 61
 
 def rolled(problem: Problem, policy: Policy, paths: int = PATHS) -> dict[str, np.ndarray]:
     """{name: [T or T + 1, paths]} of every number of state, action and outputs."""
-    course = simulate(problem, policy, paths)
+    course = simulate(problem, policy, paths=paths)
     return {**course.states, **course.actions, **course.outputs}
 
 

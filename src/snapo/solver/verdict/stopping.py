@@ -4,7 +4,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Actions, Box, Choice, Stop, Whole
+from snapo.problem.actions import Actions, Box, Choice, Integers, Stop
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
@@ -43,7 +43,7 @@ def _extremes(action: Actions) -> tuple[np.ndarray, np.ndarray] | None:
     if isinstance(action, Choice) and action.size == 2:
         return np.array([1.0, 0.0]), np.array([0.0, 1.0])
     low, high = action.bounds()
-    one = isinstance(action, Box | Whole) and not isinstance(action, Stop) and action.size == 1
+    one = isinstance(action, Box | Integers) and not isinstance(action, Stop) and action.size == 1
     return (low, high) if one and np.isfinite(high - low).all() else None
 
 

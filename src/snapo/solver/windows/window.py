@@ -11,18 +11,19 @@ present policy, from the sweep over the whole horizon that gives the windows the
 Only an objective that is a mean of sums has such a value; others are refused.
 """
 
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import PyTree
 
-from snapo.engine import Adjoint, Bound, Window
+from snapo.engine import Adjoint, BoundEngine, Window
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Schedule, Simulator, at
+from snapo.problem.smooth import Smooth
 
 from ..adjoint import float64
 from ..finite_paths import adjoint_of_finite_paths
@@ -77,11 +78,11 @@ class Sweep(NamedTuple):
 
 def sweep(
     problem: Problem,
-    bound: Bound,
+    bound: BoundEngine,
     known: Learner,
     policy: PyTree,
     draws: Draws,
-    smooth: Any,
+    smooth: Smooth,
     length: int,
     step: int,
 ) -> Sweep:
@@ -97,11 +98,11 @@ def sweep(
 
 def window_adjoint(
     problem: Problem,
-    bound: Bound,
+    bound: BoundEngine,
     swept: Sweep,
     policy: PyTree,
     draws: Draws,
-    smooth: Any,
+    smooth: Smooth,
     length: int,
     turn: int,
     **options,
@@ -117,7 +118,7 @@ def window_adjoint(
     if first + length == horizon:
         options["window"], objective = Window(first, length), problem.objective
     else:
-        bound = Bound(bound.engine, *_ending(problem, swept.known.critic, first + length))
+        bound = BoundEngine(bound.engine, *_ending(problem, swept.known.critic, first + length))
         options["window"] = Window(first, length, terminal=True)
         objective = problem.objective + Mean(AHEAD)
     return adjoint_of_finite_paths(bound, policy, draws, smooth, objective, **options)

@@ -24,7 +24,12 @@ def bounded(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> di
     if policy is None:
         raise ValueError("the run has no policy")
     found = bound(
-        setup.problem, policy, relaxation(), paths, penalty=penalty, engine=setup.engines.evaluate
+        setup.problem,
+        policy,
+        relaxation=relaxation(),
+        paths=paths,
+        penalty=penalty,
+        engine=setup.engines.evaluate,
     )
     value, error = run.solution.value, run.solution.standard_error
     found = found.above(value, error, setup.problem.objective)

@@ -110,9 +110,9 @@ def certificate(
             raise ValueError("the run has no policy")
         paths = min(LIMIT_PATHS, setup.evaluation.paths)
         bumps = certify_derivatives(
-            problem, policy, min(bump_paths, paths), near=near, engine=engine
+            problem, policy, paths=min(bump_paths, paths), near=near, engine=engine
         )
-        limits = feasibility(problem, policy, paths, engine=engine)
+        limits = feasibility(problem, policy, paths=paths, engine=engine)
         verdicts = (solution.sensitivities.verdicts if solution.sensitivities else None) or {}
         rows = [bump.row() for bump in bumps] + in_the_mean(problem, verdicts)
         slack = tolerance(problem)

@@ -24,7 +24,11 @@ def ready(name: str):
 def certified(name: str, paths: int):
     setup, relaxation = ready(name)
     return bound(
-        setup.problem, setup.policy.guide, relaxation, paths, engine=setup.engines.evaluate
+        setup.problem,
+        setup.policy.guide,
+        relaxation=relaxation,
+        paths=paths,
+        engine=setup.engines.evaluate,
     )
 
 
@@ -68,8 +72,8 @@ def test_intervals_cover_the_exact_value_and_a_bad_policy_has_a_wide_gap():
         bound(
             problem,
             setup.policy.guide,
-            relaxation,
-            128,
+            relaxation=relaxation,
+            paths=128,
             engine=engine,
             source=Pseudo(seed, stream=9),
         )
@@ -78,7 +82,7 @@ def test_intervals_cover_the_exact_value_and_a_bad_policy_has_a_wide_gap():
     held = sum(each.lower.low <= exact <= each.upper.high for each in found)
     assert held >= 47
     dear = _dear(setup.policy)
-    bad = bound(problem, dear, relaxation, 128, engine=engine)
+    bad = bound(problem, dear, relaxation=relaxation, paths=128, engine=engine)
     assert bad.gap.value > 10 * found[0].gap.value
 
 

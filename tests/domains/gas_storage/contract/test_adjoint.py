@@ -25,7 +25,7 @@ from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.objective import CVaR, Mean
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import EXACT, Smooth
 from snapo.solver import certificate
 from snapo.solver.adjoint import pull_back
 
@@ -112,12 +112,12 @@ def prepared(case, nudge=off_ties):
     return nudge(problem), StoragePolicy(problem.features, key=jax.random.key(0))
 
 
-def check(contract, objective=None, smooth=None, paths=128, engine=None, every=True):
+def check(contract, objective=None, smooth=EXACT, paths=128, engine=None, every=True):
     problem, policy = contract
     return certificate.bump_check(
         replace(problem, objective=objective or Mean("cash_flow")),
         policy,
-        paths,
+        paths=paths,
         smooth=smooth,
         every=every,
         engine=engine or Native("float64"),

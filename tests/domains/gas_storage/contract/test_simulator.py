@@ -373,7 +373,7 @@ def test_the_curve_explains_the_value_before_costs(name, tables):
     sources = Sources.of(Pseudo(1))
     problem = Problem(simulator, inputs, Mean("cash_flow"), sources)
     given = {"paths": paths, "engine": engine}
-    value, gradient = value_and_gradient(problem, policy, held=True, **given)
+    value, gradient = value_and_gradient(problem, policy, decisions="held", **given)
     draws = Pseudo(1).draws(np.arange(paths), simulator)
     costs = np.asarray(engine.values(simulator, policy, schedule, draws, Exact()).totals["costs"])
     explained = np.sum(inputs["forward_curve"].value * gradient.inputs["forward_curve"])

@@ -89,7 +89,7 @@ def test_every_derivative_agrees_with_differences(make):
     """Also that by the intensity: a spike is continuous in its probability."""
     problem = off_ties(bare_problem(case()))
     policy = StoragePolicy(problem.features, key=jax.random.key(0))
-    bumps = certificate.bump_check(problem, policy, 64, engine=make("float64"))
+    bumps = certificate.bump_check(problem, policy, paths=64, engine=make("float64"))
     assert {"jump_intensity", "jump_size", "jump_mean_reversion"} <= {b.input for b in bumps}
     wrong = [bump for bump in bumps if not bump.passed]
     assert not wrong, "\n".join(map(str, wrong))
@@ -117,6 +117,6 @@ def test_a_store_earns_the_spikes():
         made = make_setup(case(jump_intensity=intensity), "native")
         assert made.problem.simulator.control_variates() == ("forward_hedge",)
         engine = made.engines.evaluate
-        values[intensity] = evaluate(made.problem, made.policy.guide, 4096, engine=engine)
+        values[intensity] = evaluate(made.problem, made.policy.guide, paths=4096, engine=engine)
     calm, wild = values.values()
     assert wild.value - calm.value > 5 * np.hypot(calm.standard_error, wild.standard_error)

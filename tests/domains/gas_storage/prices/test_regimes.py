@@ -93,7 +93,7 @@ def test_every_derivative_agrees_with_differences(make):
     problem = off_ties(bare_problem(case()))
     assert set(problem.in_mean) == {"tightens", "eases"}
     policy = StoragePolicy(problem.features, key=jax.random.key(0))
-    bumps = certificate.certify_derivatives(problem, policy, 64, engine=make("float64"))
+    bumps = certificate.certify_derivatives(problem, policy, paths=64, engine=make("float64"))
     assert "premium" in {bump.input for bump in bumps}
     wrong = [bump for bump in bumps if not bump.passed]
     assert not wrong, "\n".join(map(str, wrong))
@@ -152,6 +152,6 @@ def test_a_store_earns_the_regimes():
     for premium in (0.0, 1.5):
         made = make_setup(case(premium=premium), "native")
         engine = made.engines.evaluate
-        values[premium] = evaluate(made.problem, made.policy.guide, 32768, engine=engine)
+        values[premium] = evaluate(made.problem, made.policy.guide, paths=32768, engine=engine)
     calm, tight = values.values()
     assert tight.value - calm.value > 5 * np.hypot(calm.standard_error, tight.standard_error)

@@ -34,7 +34,7 @@ def merton():
 def test_mertons_problem_is_certified_within_a_thousandth(merton):
     """The prices of risk of a month are not quite those of the best mix, so the gap is not zero."""
     problem, policy, relaxation = merton
-    found = bound(problem, policy, relaxation, 512)
+    found = bound(problem, policy, relaxation=relaxation, paths=512)
     lower, upper = found.sure
     assert problem.objective.sure(found.lower.low) <= EQUIVALENT * (1 + 1e-8)
     assert problem.objective.sure(found.upper.high) >= EQUIVALENT
@@ -44,12 +44,12 @@ def test_mertons_problem_is_certified_within_a_thousandth(merton):
 @pytest.mark.prove
 def test_wrong_prices_are_wide_and_never_wrong(merton):
     problem, policy, relaxation = merton
-    right = bound(problem, policy, relaxation, 512).gap.value
+    right = bound(problem, policy, relaxation=relaxation, paths=512).gap.value
     kept = relaxation.price
     try:
         for wrong in (0 * kept, 2 * kept):
             relaxation.price = wrong
-            found = bound(problem, policy, relaxation, 512)
+            found = bound(problem, policy, relaxation=relaxation, paths=512)
             assert found.upper.high >= OBJECTIVE.utility(np.array([EQUIVALENT]))[0]
             assert found.gap.value > 3 * right
     finally:
@@ -66,7 +66,7 @@ def test_the_levered_mix_of_a_logarithm_is_certified_too():
     simulator = PensionSimulator(replace(one, assets=held))  # pyright: ignore
     problem = Problem(simulator, pension_inputs(one), logarithm, Sources.of(Pseudo(3)))
     policy = Constant(np.array([1 - weight, weight]))
-    found = bound(problem, policy, FundRelaxation(problem, policy, 512), 512)
+    found = bound(problem, policy, relaxation=FundRelaxation(problem, policy, 512), paths=512)
     best = np.exp(10 * (0.02 + 0.04**2 / (2 * 0.18**2)))
     lower, upper = found.sure
     assert lower < upper < 1.002 * lower
@@ -83,10 +83,10 @@ def test_a_fund_whose_rules_respond_is_bounded_path_by_path():
     data["fund"]["years"] = 1
     setup = make_setup(DOMAIN.read(file, data), "xla")
     relaxation = FundRelaxation(setup.problem, setup.policy, 128)
-    found = bound(setup.problem, setup.policy, relaxation, 128)
+    found = bound(setup.problem, setup.policy, relaxation=relaxation, paths=128)
     assert 0.9 < found.sure[0] < found.sure[1] < 1.5
     with pytest.raises(ValueError, match="in hindsight"):
-        bound(setup.problem, setup.policy, relaxation, 128, penalty="none")
+        bound(setup.problem, setup.policy, relaxation=relaxation, paths=128, penalty="none")
 
 
 @pytest.mark.prove

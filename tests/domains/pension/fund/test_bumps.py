@@ -15,7 +15,7 @@ from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.results.setup import make_setup
 from snapo.engine.native import Native
 from snapo.problem.scenarios import Pseudo
-from snapo.problem.smooth import Smooth
+from snapo.problem.smooth import EXACT, Smooth
 from snapo.solver.certificate import Bump, bump_check, nudged
 
 pytestmark = pytest.mark.study
@@ -33,7 +33,7 @@ def checked(setup, problem, smooth) -> list[Bump]:
     """Every number of every input bumped by itself."""
     problem = replace(problem, sources=replace(problem.sources, evaluation=Pseudo(1)))
     engine = Native("float64")
-    found = bump_check(problem, setup.policy, PATHS, smooth=smooth, every=True, engine=engine)
+    found = bump_check(problem, setup.policy, paths=PATHS, smooth=smooth, every=True, engine=engine)
     assert len(found) == INPUTS
     return found
 
@@ -60,6 +60,6 @@ def test_every_number_through_the_policy(setup):
 def test_every_number_with_decisions_held_in_the_exact_fund(setup):
     """Costs, caps and floors have corners: a bump moves some paths across one of thousands. The
     adjoint then is compared on the others, or with the side that it belongs to."""
-    found = checked(setup, nudged(setup.problem), None)
+    found = checked(setup, nudged(setup.problem), EXACT)
     assert all(each.passed for each in found)
     assert np.mean([each.crossing > 0 for each in found]) < 0.2

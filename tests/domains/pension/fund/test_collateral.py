@@ -17,7 +17,7 @@ from snapo.domains.pension.market.assets.bond import Bond
 from snapo.domains.pension.policies.limits import Limits
 from snapo.domains.pension.records.assets import Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.domains.pension.results.balance import headroom
+from snapo.domains.pension.results.balance import Headroom, headroom
 from snapo.problem.prepare import prepare
 from snapo.problem.smooth import Exact
 
@@ -60,8 +60,8 @@ def fund(gilts: float, cash: float, swap: float, zero_coupon=(0,)):
 )
 def test_gilts_fall_with_the_swaps_that_they_back(gilts, cash, swap, rise):
     one = fund(gilts, cash, swap)
-    found = headroom(one, one.assets.weight.used(), np.array([swap])) or {}
-    assert found["headroom"] == pytest.approx(1e4 * rise, rel=1e-9)
+    found = headroom(one, one.assets.weight.used(), np.array([swap])) or Headroom()
+    assert found.headroom == pytest.approx(1e4 * rise, rel=1e-9)
 
 
 def test_par_swaps_lose_what_their_payments_do():
@@ -73,9 +73,9 @@ def test_par_swaps_lose_what_their_payments_do():
         fixed = due @ np.exp(-(0.03 + rise) * years)
         return 30 * np.exp(-20 * rise) + 10 - 50 * (1 - fixed)
 
-    found = headroom(one, one.assets.weight.used(), np.array([50.0])) or {}
-    assert found["headroom"] == pytest.approx(1e4 * brentq(left, 0.0, 0.2, xtol=1e-15), rel=1e-9)
-    assert found["pv01"] == pytest.approx(1e-4 * 50 * (due @ (years * np.exp(-0.03 * years))))
+    found = headroom(one, one.assets.weight.used(), np.array([50.0])) or Headroom()
+    assert found.headroom == pytest.approx(1e4 * brentq(left, 0.0, 0.2, xtol=1e-15), rel=1e-9)
+    assert found.pv01 == pytest.approx(1e-4 * 50 * (due @ (years * np.exp(-0.03 * years))))
 
 
 @pytest.mark.parametrize("zero_coupon", [(), (0,)])
@@ -85,8 +85,8 @@ def test_the_policy_and_the_count_of_a_path_see_the_same_need(zero_coupon):
     one = fund(30.0, 10.0, 30.0, zero_coupon)
     weights, overlay = one.assets.weight.used(), one.overlay
     assert overlay is not None
-    known = headroom(one, weights, np.array([30.0])) or {}
-    stress = given("overlay_collateral_stress", 1e-4 * known["headroom"])
+    known = headroom(one, weights, np.array([30.0])) or Headroom()
+    stress = given("overlay_collateral_stress", 1e-4 * known.headroom)
     one = replace(one, overlay=replace(overlay, collateral_stress=stress))
     cover = Limits(one).cover
     assert cover is not None
@@ -97,11 +97,11 @@ def test_the_policy_and_the_count_of_a_path_see_the_same_need(zero_coupon):
         schedule = prepare(PensionSimulator(one), pension_inputs(one))  # pyright: ignore
         state, action = opening(schedule.constants), jnp.asarray([*weights, 1.0])
         held = trade(one, schedule.constants, state, action, 40.0, None, Exact())
-    beyond = stressed(one, 1e-4 * known["headroom"]).need[0] * 10.0
+    beyond = stressed(one, 1e-4 * known.headroom).need[0] * 10.0
     assert float(held.collateral_shortfall) == pytest.approx(beyond, rel=1e-9)
 
 
 def test_assets_that_outlast_any_rise_are_enough():
     one = fund(30.0, 60.0, 50.0)
-    found = headroom(one, one.assets.weight.used(), np.array([50.0])) or {}
-    assert found["headroom"] is None and found["enough"]
+    found = headroom(one, one.assets.weight.used(), np.array([50.0])) or Headroom()
+    assert found.headroom is None and found.enough

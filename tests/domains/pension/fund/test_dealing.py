@@ -11,7 +11,7 @@ from tests.domains.pension.market_cases import full
 from snapo.domains.pension.fund.dealing import dealt
 from snapo.domains.pension.fund.observation import slots
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.present_mix import PresentMix, present_mixes
+from snapo.domains.pension.policies.classical import PresentMix, present_mixes
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native

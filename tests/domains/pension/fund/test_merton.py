@@ -122,7 +122,7 @@ def test_sensitivities_are_those_of_the_closed_form(solved):
     # Sobol points: the error of the derivative by sigma is 1 % on as many pseudo-random paths.
     source, paths, engine = Sobol(11), 2**15, Native("float64")
     problem = replace(problem, sources=replace(problem.sources, evaluation=source))
-    _, gradient = value_and_gradient(problem, policy, paths=paths, held=True, engine=engine)
+    _, gradient = value_and_gradient(problem, policy, paths=paths, decisions="held", engine=engine)
     draws = source.draws(np.arange(paths), problem.simulator)
     assets_then = np.asarray(engine.bind(problem).values(policy, draws, Exact()).totals["assets"])
     # d ln CE = d U / ((1 - gamma) U); the mean is given as that of a year's simple return.

@@ -9,9 +9,8 @@ import pytest
 from tests.domains.pension.market_cases import CASH, EQUITY, assets, case, cash_flows, full, given
 
 from snapo.domains.pension.fund.simulator import PensionSimulator
-from snapo.domains.pension.policies.classical import ConstantMix
+from snapo.domains.pension.policies.classical import ConstantMix, PresentMix
 from snapo.domains.pension.policies.network import new_policy
-from snapo.domains.pension.policies.present_mix import PresentMix
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.engine import Xla
 from snapo.engine.native import Native, unsupported
@@ -88,7 +87,7 @@ def test_mean_log_growth_and_its_derivatives_of_a_levered_mix():
         problem = Problem(simulator, inputs, Mean("log_relative"))
         problem = replace(problem, sources=replace(problem.sources, evaluation=Sobol(5)))
         value, gradient = value_and_gradient(
-            problem, PresentMix(one, 1), paths=paths, held=True, engine=ENGINES["native"]
+            problem, PresentMix(one, 1), paths=paths, decisions="held", engine=ENGINES["native"]
         )
         h = 1e-5
         by_drift = (log_growth(weight, DRIFT + h) - log_growth(weight, DRIFT - h)) / (2 * h)
@@ -132,7 +131,7 @@ def test_a_fund_that_lost_everything_owes_its_debt_in_cash(engine):
     simulator, inputs = PensionSimulator(one), pension_inputs(one)  # pyright: ignore
     problem = Problem(simulator, inputs, Mean("assets"))
     _, gradient = value_and_gradient(
-        problem, PresentMix(one, 1), paths=8, held=True, engine=ENGINES[engine]
+        problem, PresentMix(one, 1), paths=8, decisions="held", engine=ENGINES[engine]
     )
     assert gradient.inputs["assets"] == pytest.approx(found[0], rel=1e-12)
     assert all(np.isfinite(each).all() for each in gradient.inputs.values())

@@ -9,11 +9,13 @@ import pytest
 from scipy.optimize import brentq
 from tests.domains.pension.market_cases import cash_flows, full, given
 
+from snapo.domains.pension.chapters.sensitivities import usual_move
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.swap_limits import limit_unit, notionals
 from snapo.domains.pension.policies.limits import Limits, present
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.domains.pension.results import balance, effects
+from snapo.domains.pension.results import balance
+from snapo.domains.pension.results.balance import Headroom
 from snapo.engine import Xla
 from snapo.engine.native import Native
 from snapo.problem.inputs import Input
@@ -69,10 +71,10 @@ def test_headroom_of_receivers_of_payers_and_of_nothing():
     one = swaps()
     weights = np.array([0.05, 0.95, 0, 0, 0, 0, 0])  # cash counts in full, shares do not
     none, receive, pay = (
-        balance.headroom(one, weights, np.array(notional)) or {}
+        balance.headroom(one, weights, np.array(notional)) or Headroom()
         for notional in ([0, 0], [8, 10], [-8, -10.0])
     )
-    assert none["headroom"] is None
+    assert none.headroom is None
     years = np.arange(1, 11)
     zero = np.interp(years, one.curve.tenor, one.curve.rate.values)
     price = np.exp(-zero * years)
@@ -81,14 +83,14 @@ def test_headroom_of_receivers_of_payers_and_of_nothing():
     def gain(rise):
         return 8 * (due @ (price * np.exp(-rise * years)) - 1) + 10 * np.expm1(-20 * rise)
 
-    assert receive["headroom"] == pytest.approx(1e4 * brentq(lambda x: 5 + gain(x), 0, 0.1))
-    assert receive["direction"] == "rise"
-    assert pay["headroom"] == pytest.approx(1e4 * brentq(lambda x: 5 - gain(-x), 0, 0.1))
-    assert pay["direction"] == "fall"
+    assert receive.headroom == pytest.approx(1e4 * brentq(lambda x: 5 + gain(x), 0, 0.1))
+    assert receive.direction == "rise"
+    assert pay.headroom == pytest.approx(1e4 * brentq(lambda x: 5 - gain(-x), 0, 0.1))
+    assert pay.direction == "fall"
 
 
 def test_one_per_cent_of_nothing_is_a_unit():
-    move = effects.move(Input(np.zeros(2)))
+    move = usual_move(Input(np.zeros(2)))
     assert move.size.tolist() == [1, 1]
     assert move.words == "1 unit"
 

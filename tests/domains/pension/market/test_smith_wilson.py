@@ -17,8 +17,8 @@ import numpy as np
 import pytest
 from tests.domains.pension.market_cases import curve
 
+from snapo.domains.pension.chapters.stress import from_zero_rates, zero_rates
 from snapo.domains.pension.market.smith_wilson import fit, heart, log_bond
-from snapo.domains.pension.results.stress import from_zero_rates, zero_rates
 
 # Par swap rates after the adjustment for credit risk, which Q b and the speed imply.
 TENOR = [1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11, 12, 15, 20]

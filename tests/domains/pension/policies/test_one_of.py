@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from snapo.domains.pension.policies.one_of import OneOf
+from snapo.domains.pension.policies.classical import OneOf
 from snapo.problem.policy import Constant, Linear
 from snapo.problem.smooth import Exact
 

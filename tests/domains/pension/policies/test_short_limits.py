@@ -15,10 +15,9 @@ from snapo.domains.pension.fund.observation import FEATURES
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.fund.trading import excess
 from snapo.domains.pension.market.assets.bond import Bond
-from snapo.domains.pension.policies.classical import ConstantMix, followers
+from snapo.domains.pension.policies.classical import ConstantMix, PresentMix, followers
 from snapo.domains.pension.policies.limits import Limits
 from snapo.domains.pension.policies.network import new_policy
-from snapo.domains.pension.policies.present_mix import PresentMix
 from snapo.domains.pension.records.assets import Group, Overlay
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.problem.prepare import prepare

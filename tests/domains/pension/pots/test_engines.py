@@ -31,7 +31,7 @@ def test_both_engines_agree_and_the_adjoint_is_that_of_differences():
         Problem(simulator, pension_inputs(case), Mean("pension"), Sources(source, source, source))
     )
     policy = Constant(np.array([0.2, 0.5, 0.3]))
-    found = bump_check(problem, policy, 16, smooth=None, every=True, engine=Native("float64"))
+    found = bump_check(problem, policy, paths=16, every=True, engine=Native("float64"))
     assert {"reserve_reserve", "pot_protection", "pot_exposure"} <= {each.input for each in found}
     assert all(each.passed for each in found)
     draws = source.draws(np.arange(16), simulator)

@@ -11,15 +11,15 @@ from tests.domains.pension.miniature import TEMPLATES
 from snapo.case.error import CaseError
 from snapo.case.table import load
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.chapters import stress
+from snapo.domains.pension.chapters.stress import zero_rates
 from snapo.domains.pension.fund.observation import FEATURES
 from snapo.domains.pension.market.rates.registry import MODELS
 from snapo.domains.pension.read.case import read_case, resolve
 from snapo.domains.pension.read.stress import read_shocks
 from snapo.domains.pension.records.inputs import every_given, pension_inputs
 from snapo.domains.pension.records.people import ACTIVE, FEMALE, MALE, SPOUSE
-from snapo.domains.pension.results import stress
 from snapo.domains.pension.results.figures.reconcile import check, figures
-from snapo.domains.pension.results.stress import zero_rates
 from snapo.problem.inputs import plain
 
 GROUPS = {

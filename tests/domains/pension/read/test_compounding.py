@@ -7,10 +7,10 @@ import pytest
 from tests.domains.pension.every_key import MARKET, written
 
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.chapters.stress import zero_rates
 from snapo.domains.pension.read.case import resolve
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.figures.reconcile import figures
-from snapo.domains.pension.results.stress import zero_rates
 from snapo.problem.inputs import plain
 
 FLOWS = {1: 100.0, 5: 200.0, 10: 900.0, 20: 400.0}

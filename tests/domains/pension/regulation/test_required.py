@@ -1,6 +1,7 @@
 """The Dutch standard model: the law's own example, its formulas by hand, and a fund in the large."""
 
 import datetime
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -43,7 +44,7 @@ def test_the_root_of_article_2():
     """S = 10, 20, 5, 0, 6, 3 and 2: 902 under the root where rates fall, 694 where they rise."""
     losses = Losses(10.0, 20.0, 5.0, 0.0, 6.0, 3.0, 2.0, True)
     assert total(RULES, losses) == pytest.approx(np.sqrt(902), rel=1e-15)
-    assert total(RULES, losses._replace(falling=False)) == pytest.approx(np.sqrt(694), rel=1e-15)
+    assert total(RULES, replace(losses, falling=False)) == pytest.approx(np.sqrt(694), rel=1e-15)
 
 
 def test_groups_of_shares_and_currencies_are_correlated():

@@ -91,8 +91,8 @@ def test_the_way_to_recover_is_that_of_twelve_month_means():
     rising = np.linspace(1.0, 1.24, 25)[:, None] * np.array([1.0, 0.5])
     rising[0] = 1.0
     found = recovery(one, rising, 1.0)
-    assert found["years"] == [0, 1, 2]
+    assert found.years == (0, 1, 2)
     policy = [(11 * 0.9 + 1.0) / 12, rising[1:13, 0].mean(), rising[13:25, 0].mean()]
     low = [policy[0], rising[1:13, 1].mean(), rising[13:25, 1].mean()]
-    assert found["median"] == pytest.approx(np.mean([policy, low], 0))
-    assert found["share"].tolist() == [0.0, 0.5, 0.5]
+    assert found.median == pytest.approx(np.mean([policy, low], 0))
+    assert found.share == (0.0, 0.5, 0.5)

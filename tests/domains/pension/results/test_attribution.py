@@ -16,8 +16,8 @@ from tests.domains.pension.market_cases import (
     plan,
 )
 
+from snapo.domains.pension.chapters.attribution import ROWS, Explained
 from snapo.domains.pension.records.inputs import pension_inputs
-from snapo.domains.pension.results.attribution import ROWS, Explained
 from snapo.engine import Xla
 from snapo.problem.policy import Constant
 from snapo.problem.prepare import prepare

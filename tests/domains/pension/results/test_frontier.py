@@ -16,8 +16,8 @@ from tests.domains.pension.market_cases import (
 )
 
 from snapo.case.settings import EvaluationTable, TrainingTable
+from snapo.domains.pension.chapters import frontier
 from snapo.domains.pension.records.case import Frontier
-from snapo.domains.pension.results import frontier
 from snapo.domains.pension.results.setup import make_setup
 from snapo.problem.objective import CVaR, Mean
 from snapo.solver.evaluate import path_totals
@@ -67,12 +67,12 @@ def test_points_are_in_order_within_their_errors():
         solution=SimpleNamespace(policy=setup.policy, totals=totals),
         tell=lambda text: None,
     )
-    points = frontier.work(run)["frontier"]["points"]  # pyright: ignore[reportArgumentType]
+    points = frontier.measure(run).points  # pyright: ignore[reportArgumentType]
     for one, other in pairwise(points):
-        paid = np.hypot(one["contributions_error"], other["contributions_error"])
-        tail = np.hypot(one["cvar_error"], other["cvar_error"])
-        assert other["contributions"] < one["contributions"] + 2 * paid
-        assert other["cvar"] < one["cvar"] + 2 * tail
+        paid = np.hypot(one.contributions_error, other.contributions_error)
+        tail = np.hypot(one.cvar_error, other.cvar_error)
+        assert other.contributions < one.contributions + 2 * paid
+        assert other.cvar < one.cvar + 2 * tail
     # Each end serves its own aim best, on fresh paths too.
-    assert points[0]["cvar"] > points[-1]["cvar"]
-    assert points[0]["contributions"] > points[-1]["contributions"]
+    assert points[0].cvar > points[-1].cvar
+    assert points[0].contributions > points[-1].contributions

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 from tests.domains.pension.results.test_frontier import fund
 
+from snapo.domains.pension.chapters import outputs
+from snapo.domains.pension.chapters.sensitivities import usual_move
 from snapo.domains.pension.policies.classical import ConstantMix
-from snapo.domains.pension.results import outputs
-from snapo.domains.pension.results.effects import move
 from snapo.domains.pension.results.setup import FUNDING, make_setup
 from snapo.solver.evaluate import path_totals
 from snapo.solver.sensitivity import sensitivities
@@ -23,7 +23,7 @@ def run(tmp_path_factory):
     small = replace(setup.evaluation, paths=256, sensitivity_paths=256)
     setup = setup._replace(evaluation=small, policy=ConstantMix(fund()))
     engine, folder = setup.engines.evaluate, tmp_path_factory.mktemp("run")
-    table = sensitivities(setup.problem, setup.policy, 256, engine=engine)
+    table = sensitivities(setup.problem, setup.policy, paths=256, engine=engine)
     totals = path_totals(setup.problem, setup.policy, 256, engine=engine)
     solution = SimpleNamespace(
         policy=setup.policy, sensitivities=table, totals=totals, value=-0.2, standard_error=0.01
@@ -37,7 +37,7 @@ def run(tmp_path_factory):
         setup=setup,
         solution=solution,
         tell=lambda text: None,
-        get=lambda path: 95.0,
+        get={"reconciliation": {}, "liability": 95.0}.get,
         write_csv=write_csv,
         folder=folder,
     )
@@ -50,8 +50,8 @@ def smoothed(totals):
 
 @pytest.mark.prove
 def test_each_output_moves_as_its_own_differences_say(run):
-    found = outputs.work(run)["outputs"]
-    values = {each["key"]: each["value"] for each in found["outputs"]}
+    found = outputs.measure(run)
+    values = {each.key: each.value for each in found.outputs}
     totals = run.solution.totals
     assert values["funding"] == pytest.approx(totals["funding_ratio"].mean())
     assert values["underfunded"] == pytest.approx((totals["funding_ratio"] <= 1).mean())
@@ -62,9 +62,9 @@ def test_each_output_moves_as_its_own_differences_say(run):
     }
     problem, engine = run.setup.problem, run.setup.engines.evaluate
     for name in ("asset_mean", "zero_rate"):
-        (row,) = [each for each in found["families"] if each["input"] == name]
+        (row,) = [each for each in found.families if each.input == name]
         given = problem.inputs[name]
-        size, step = move(given).size.reshape(given.value.shape), 0.01
+        size, step = usual_move(given).size.reshape(given.value.shape), 0.01
         for key, value in goals.items():
             either = []
             for sign in (1, -1):
@@ -73,12 +73,12 @@ def test_each_output_moves_as_its_own_differences_say(run):
                 totals = path_totals(bumped, run.solution.policy, 256, engine=engine)
                 either.append(value(totals))
             slope = (either[0] - either[1]) / (2 * step)
-            assert row["effects"][key][0] == pytest.approx(slope, rel=1e-5, abs=1e-12)
+            assert row.effects[key][0] == pytest.approx(slope, rel=1e-5, abs=1e-12)
 
 
 @pytest.mark.prove
 def test_the_table_has_points_basis_points_and_money(run):
-    outputs.work(run)
+    outputs.measure(run)
     with (run.folder / outputs.CSV).open() as stream:
         rows = list(csv.DictReader(stream))
     numbers = sum(each.value.size for each in run.setup.problem.inputs.values())

@@ -10,11 +10,12 @@ from tests.domains.pension.miniature import short_case, solved
 
 from snapo.case.error import CaseError
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.chapters import stress
 from snapo.domains.pension.people.longer_life import year_of_life
 from snapo.domains.pension.read.case import read_case
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.people import FEMALE, MALE
-from snapo.domains.pension.results import balance, stress
+from snapo.domains.pension.results import balance
 from snapo.domains.pension.results.figures.reconcile import figures
 from snapo.problem.inputs import plain
 from snapo.study.report import write_report
@@ -200,11 +201,9 @@ def test_a_small_shock_agrees_with_the_key_rates(case):
     shock = stress.Stressed("1 bp", {"zero_rate": curve}, np.ones(len(case.assets.classes)))
     after = stress.stressed(case, inputs, shock, notional)
     amount = float(case.assets.amount.used())
-    moved = float(np.sum(ladder["assets"] + ladder["swaps"]))
-    assert after["assets"] - amount == pytest.approx(moved, rel=2e-3)
-    assert after["liability"] - found.liability == pytest.approx(
-        ladder["liability"].sum(), rel=5e-3
-    )
+    moved = float(np.sum(ladder.assets + ladder.swaps))
+    assert after.assets - amount == pytest.approx(moved, rel=2e-3)
+    assert after.liability - found.liability == pytest.approx(ladder.liability.sum(), rel=5e-3)
 
 
 def test_prices_fall_by_what_the_shock_says(case):
@@ -212,7 +211,7 @@ def test_prices_fall_by_what_the_shock_says(case):
     shock = stress.Stressed("equity", {}, price)
     after = stress.stressed(case, plain(pension_inputs(case)), shock, np.zeros(2))
     amount = float(case.assets.amount.used())
-    assert after["assets"] == pytest.approx(amount * (1 - 0.3 * 0.35))
+    assert after.assets == pytest.approx(amount * (1 - 0.3 * 0.35))
 
 
 def test_a_figure_within_its_tolerance_is_accepted(tmp_path, case):

@@ -7,8 +7,8 @@ import pytest
 from tests.domains.pension.miniature import short_case
 
 from snapo.domains.pension import DOMAIN
+from snapo.domains.pension.chapters.attribution import sources
 from snapo.domains.pension.read.case import read_case
-from snapo.domains.pension.results.variance import sources
 from snapo.study.domain import Domain, Options
 from snapo.study.run_folder import plain_json
 from snapo.study.study import StudyRun

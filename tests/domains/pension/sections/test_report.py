@@ -11,11 +11,12 @@ import pytest
 from matplotlib.figure import Figure
 
 from snapo.domains.pension import DOMAIN
-from snapo.domains.pension.sections import risk
-from snapo.domains.pension.sections.outputs import outputs as outputs_section
-from snapo.domains.pension.sections.page import SECTIONS
-from snapo.domains.pension.sections.reconciliation import _signed
-from snapo.domains.pension.sections.run import PensionRun
+from snapo.domains.pension.chapters import sensitivities
+from snapo.domains.pension.chapters.outputs import OUTPUTS
+from snapo.domains.pension.chapters.sensitivities import InputEffect, NumberEffect
+from snapo.domains.pension.chapters.stress import _signed
+from snapo.domains.pension.report import SECTIONS
+from snapo.domains.pension.run import PensionRun
 from snapo.report.bands import Layer, stack
 from snapo.report.page import Table
 from snapo.report.quantity import number
@@ -45,6 +46,7 @@ def outputs() -> dict:
     ]
     effects = {"funding": [0.0123, 2e-4], "contributions": [-5e5, 1e4]}
     family = {"input": "zero_rate", "move": "1 bp", "count": 6, "effects": effects}
+    family |= {"group": "curve", "words": "the zero rate at one node"}
     return {"outputs": every, "families": [family], "rows": []}
 
 
@@ -135,12 +137,16 @@ def sample() -> dict:
             "weights": {"share": np.zeros(120), "ever": 0.0},
             "collateral": {"share": np.linspace(0, 0.01, 120), "ever": 0.02},
         },
+        "first_decision": {"weights": target, "overlay": [0.4, 0.4]},
+        "recorded_paths": 4096,
         "trades": {
             "classes": trades,
             "swaps": [{"tenor": "30y", "now": 0.0, "target": 4e7, "trade": 4e7}],
         },
         "ladder": ladder | {"assets": after["assets"] / 2, "swaps": np.zeros(6)},
         "ladder_after": after,
+        "inflation_ladder": {},
+        "inflation_ladder_after": {},
         "collateral": {
             "now": {"eligible": 1.1e8, "pv01": 0.0, "headroom": None, "required": 350},
             "after": {"eligible": 1.4e8, "pv01": 1.2e5, "headroom": 1166.0, "required": 350},
@@ -378,14 +384,14 @@ def test_the_page_reads_its_run(folder):
 
 def test_a_parallel_shift_keeps_its_digits_where_the_objective_is_no_money():
     row = {"input": "zero_rate", "move": "1 bp", "reacting": 2e-4}
-    rows = [row | {"label": "1y", "effect": 0.001, "low": 0.00096, "high": 0.00104}]
-    whole = row | {"effect": 0.001309, "low": 0.001305, "high": 0.001313}
-    table = risk._nodes(whole, rows, 1.0, "objective")
+    node = NumberEffect(**row, label="1y", effect=0.001, low=0.00096, high=0.00104)
+    whole = InputEffect(**row, effect=0.001309, low=0.001305, high=0.001313)
+    table = sensitivities._nodes(whole, [node], 1.0, "objective")
     assert table.rows[-1][:3] == ("Parallel = sum", "1 bp", "+0.0013090")
 
 
 def test_outputs_are_told_in_points_basis_points_and_money(folder):
-    blocks = outputs_section(PensionRun.read(folder)).blocks
+    blocks = OUTPUTS(PensionRun.read(folder)).blocks
     summary, funding, paid = (each.rows for each in blocks if isinstance(each, Table))
     assert summary[0][1:] == ("+1.23", "−500")
     # Of a liability of 250 million.

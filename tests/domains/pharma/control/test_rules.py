@@ -41,7 +41,7 @@ class Delayed(Simulator):
     ramp: float = 1e9
     load: float = 0.0
     noise_size: int = 0
-    action: Box = Box(1, 0.0, 1.0)
+    action: Box = Box(0.0, 1.0)
 
     def prepare(self, inputs):
         return Schedule({}, {"clock": np.arange(self.horizon) / self.horizon})

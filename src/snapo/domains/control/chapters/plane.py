@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.colors import to_rgba
 
-from snapo.problem.angle import wrapped
+from snapo.problem.angle import wrap_angle
 from snapo.problem.policies.memory import first_decision
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -161,7 +161,7 @@ def _map(axes: Axes, plane: Plane) -> None:
 
 def _folded(angle: np.ndarray) -> np.ndarray:
     """An angle between -pi and pi, with a gap where it jumps over the edge."""
-    folded = np.array(wrapped(angle))
+    folded = np.array(wrap_angle(angle))
     folded[1:][np.abs(np.diff(folded)) > np.pi] = np.nan
     return folded
 

@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.angle import turned
+from snapo.problem.angle import angle_features
 
 from .integrate import runge_kutta
 from .plant import Parameter, Plant, Quantity
@@ -67,7 +67,7 @@ class CartPole(Plant):
 
     def features(self, p, state):
         place = jnp.stack([state["position"], state["speed"] / 2])
-        return jnp.concatenate([place, turned(state["angle"]), state["spin"][None] / 5])
+        return jnp.concatenate([place, angle_features(state["angle"]), state["spin"][None] / 5])
 
     def recover(self, p, features):
         x, v, cosine, sine, spin = features[:5]

@@ -68,7 +68,8 @@ class LinearQuadratic(Plant):
 
     def decisions(self, inputs):
         size = inputs["plant"]["B"].value.shape[1]
-        return Box(size, -1.0, 1.0) if "limit" in inputs["plant"] else Box(size)
+        high = 1.0 if "limit" in inputs["plant"] else math.inf
+        return Box(-high, high, size)
 
     def drive(self, p, action):
         return p["limit"] * action if "limit" in p else action

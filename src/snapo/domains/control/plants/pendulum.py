@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.angle import turned, wrapped
+from snapo.problem.angle import angle_features, wrap_angle
 
 from .plant import Parameter, Plant, Quantity
 
@@ -53,13 +53,13 @@ class Pendulum(Plant):
 
     def cost(self, w, p, state, u):
         return {
-            "angle": w["angle"] * wrapped(state["angle"]) ** 2,
+            "angle": w["angle"] * wrap_angle(state["angle"]) ** 2,
             "speed": w["speed"] * state["speed"] ** 2,
             "torque": w["torque"] * u[0] ** 2,
         }
 
     def features(self, p, state):
-        return jnp.append(turned(state["angle"]), state["speed"] / p["max_speed"])
+        return jnp.append(angle_features(state["angle"]), state["speed"] / p["max_speed"])
 
     def recover(self, p, features):
         angle = jnp.arctan2(features[1], features[0])

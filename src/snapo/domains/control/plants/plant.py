@@ -111,7 +111,7 @@ class Plant(Simulator):
 
     def decisions(self, inputs: Mapping[str, Values]) -> Actions:
         """The set of actions: a share of each limit, from -1 to 1."""
-        return Box(len(self.actions), -1.0, 1.0)
+        return Box(-1.0, 1.0, len(self.actions))
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -51,7 +51,7 @@ class Quadrotor(Plant):
     }
 
     def decisions(self, inputs):
-        return Box(2, -1.0, 1.0)
+        return Box(-1.0, 1.0, 2)
 
     def drive(self, p, action):
         return p["thrust"] * (action + 1) / 2

@@ -118,7 +118,7 @@ def measure(run: StudyRun) -> ContractValues:
 def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
     """Intrinsic, the guide's rule, the trained policy, the reference, and after fixed costs."""
     engine = run.setup.engines.evaluate
-    guide = evaluate(beside(run.setup), policy_of(solution).guide, PATHS, engine=engine)
+    guide = evaluate(beside(run.setup), policy_of(solution).guide, paths=PATHS, engine=engine)
     plan, error = INTRINSIC.of(run), solution.standard_error
     ladder = [
         ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")

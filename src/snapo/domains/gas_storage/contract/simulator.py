@@ -65,7 +65,7 @@ class StorageSimulator(Simulator):
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     surprises: Surprises | None = None
-    action: Box = eqx.field(static=True, default=Box(2, 0.0, 1.0))
+    action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 2))
     fully_observed = True
 
     @classmethod

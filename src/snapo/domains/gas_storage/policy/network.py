@@ -14,7 +14,8 @@ import jax
 import jax.numpy as jnp
 from jaxtyping import Array
 
-from snapo.problem.policy import Network, Policy
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from .observation import HEAD, Economics
 
@@ -42,7 +43,8 @@ class StoragePolicy(Policy):
     ):
         self.network = Network((features - HEAD, *hidden, 3), key=key, activation=activation)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         return _flows(Economics(*observation[:HEAD]), self.marginal_value(observation), smooth)
 
     @property

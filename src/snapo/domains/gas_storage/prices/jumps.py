@@ -181,7 +181,7 @@ class OneFactorJumps(PriceProcess):
         decay = np.full((count, 1), constants.decay)
         return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "One mean-reverting factor with upward spikes that die out, compensated"
 
 

@@ -41,7 +41,7 @@ class MultiFactor(GivenFactors):
         given = read_factors(section, factors, correlation, delivery, numbered=True)
         return cls.of(delivery, *given)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "Correlated mean-reverting factors"
 
 

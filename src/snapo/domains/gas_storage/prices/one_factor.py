@@ -26,5 +26,5 @@ class OneFactor(GivenFactors):
         given = read_factors(section, [table], [], delivery, numbered=False)
         return cls.of(delivery, *given)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "One factor, mean-reverting, volatility by delivery day"

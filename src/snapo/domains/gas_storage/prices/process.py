@@ -1,7 +1,7 @@
 """A price process of a gas store: the core's `Process`, and all that a storage asks of it beyond.
 
 Everything that depends on the kind of price stands in its class: its table in the case file, its
-parameters, noise, dynamics, forward price, words. Nothing outside asks which kind it is.
+parameters, noise, dynamics, forward price, description. Nothing outside asks which kind it is.
 """
 
 import abc

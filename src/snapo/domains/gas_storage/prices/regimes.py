@@ -210,5 +210,5 @@ class Regimes(PriceProcess):
         decay = np.full((count, 1), constants.decay)
         return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "One mean-reverting factor in a market that is calm or tight, compensated"

@@ -137,7 +137,7 @@ class SuppliedPrices(PriceProcess):
         later[: len(following), :, 0] = following
         return Supplied(later, paths[:, :1], seed)
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "Supplied price paths" + (", rescaled to the forward curve" * self.rescaled)
 
 

@@ -83,7 +83,7 @@ class ThreeFactorSeasonal(FactorPrices):
             jnp.eye(3),
         )
 
-    def words(self) -> str:
+    def describe(self) -> str:
         return "Three factors: spot (mean-reverting), long-term, seasonal"
 
 

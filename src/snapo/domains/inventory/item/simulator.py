@@ -25,7 +25,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Actions, Box, Choice, Product, Whole
+from snapo.problem.actions import Actions, Box, Choice, Integers, Product
 from snapo.problem.inputs import Input
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -68,7 +68,7 @@ class InventorySimulator(Simulator):
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
         item = self.case.item
-        size = Whole(1, 0, item.most) if item.whole else Box(1, 0.0, item.most)
+        size = Integers(0, item.most) if item.whole else Box(0.0, item.most)
         return Product(order=Choice(2), size=size) if item.fixed else size
 
     def prepare(self, inputs: Any) -> Schedule:

@@ -6,9 +6,9 @@ import numpy as np
 from jaxtyping import Array, Float
 from numpy.typing import ArrayLike
 
-from snapo.problem.actions import Actions, Choice, Product, Whole
-from snapo.problem.policy import Network, Policy
-from snapo.problem.smooth import Exact
+from snapo.problem.actions import Actions, Choice, Integers, Product
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.smooth import EXACT, Exact
 
 from ..policy.order_up_to import TRIGGER
 from .records import NetworkCase
@@ -65,7 +65,8 @@ class EchelonRule(Policy):
         widths = (features - places, *hidden, action.size - len(self.fixed))
         self.network = None if plain else Network(widths, key=key)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         n = self.first.shape[0]
         gap, unit = observation[:n], observation[n : 2 * n]
         raw = jnp.concatenate([gap + self.first, self.kept])
@@ -89,7 +90,7 @@ class EchelonRule(Policy):
         if not self.fixed or not isinstance(smooth, Exact):
             return above
         assert isinstance(self.action, Product)
-        least = 0.5 if isinstance(self.action["order"], Whole) else 0.0
+        least = 0.5 if isinstance(self.action["order"], Integers) else 0.0
         return jnp.where(amounts[np.array(self.fixed, int)] > least, above, -1.0)
 
     def _choices(self, scores, smooth) -> list[Array]:

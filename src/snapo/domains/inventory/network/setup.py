@@ -3,7 +3,7 @@
 import jax
 
 from snapo.case.objective import make_objective
-from snapo.engine import Choice
+from snapo.engine import EngineName
 from snapo.problem.problem import Problem
 from snapo.solver.learning.settings import TrainingPlan
 from snapo.solver.solve import Evaluation
@@ -17,7 +17,7 @@ from .records import NetworkCase
 from .simulator import NetworkSimulator
 
 
-def make_setup(case: NetworkCase, engine: Choice = "auto") -> Setup:
+def make_setup(case: NetworkCase, engine: EngineName = "auto") -> Setup:
     """Simulator, scenarios, policy and engines."""
     training = TrainingPlan.given(case.training.model_dump())
     evaluation = Evaluation(**case.evaluation.model_dump())
@@ -36,7 +36,7 @@ def moved_setup(setup: Setup, case: NetworkCase) -> Setup:
     """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`."""
     simulator = NetworkSimulator(case)  # pyright: ignore[reportCallIssue]
     values = {name: given.value for name, given in network_inputs(case).items()}
-    engine: Choice = setup.engines.name  # pyright: ignore[reportAssignmentType]
+    engine: EngineName = setup.engines.name  # pyright: ignore[reportAssignmentType]
     return at_values(setup, simulator, values, lambda: make_setup(case, engine))
 
 

@@ -23,7 +23,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.problem.actions import Actions, Box, Product, Whole
+from snapo.problem.actions import Actions, Box, Integers, Product
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
 
@@ -72,12 +72,15 @@ class NetworkSimulator(Simulator):
 
     @property
     def action(self) -> Actions:  # pyright: ignore[reportIncompatibleVariableOverride]
-        case, amounts = self.case, Whole if self.case.whole else Box
-        sets: dict[str, Actions] = {"order": amounts(len(case.places), 0.0)}
+        case, amounts = self.case, Integers if self.case.whole else Box
+        sets: dict[str, Actions] = {"order": amounts(0.0, np.inf, len(case.places))}
         if held := len(case.moving(False)):
-            sets["held"] = amounts(held, 0.0)
+            sets["held"] = amounts(0.0, np.inf, held)
         if balanced := len(case.moving(True)):
-            sets |= {"band": amounts(balanced, 0.0), "shift": Box(balanced)}
+            sets |= {
+                "band": amounts(0.0, np.inf, balanced),
+                "shift": Box(-np.inf, np.inf, balanced),
+            }
         sets |= choices(case)
         return Product(**sets) if len(sets) > 1 else sets["order"]
 

@@ -11,7 +11,8 @@ from jaxtyping import Array, Float
 
 from snapo.problem.actions import Actions
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from .order_up_to import HEAD, within
 
@@ -30,7 +31,8 @@ class Myopic(Policy):
     lead: int
     action: Actions
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         unit, moves, met = observation[1], self.moves.array, self.met.array
         n = moves.shape[0]
         amounts = jnp.round(observation[HEAD:] * unit + self.mean)

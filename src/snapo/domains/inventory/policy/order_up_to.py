@@ -13,7 +13,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Actions, Product
-from snapo.problem.policy import Network, Policy
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 HEAD = 2  # numbers of the observation before those of the state: the gap, and the unit
 SHARP = 4.0  # of the softplus: an order is 0 from about one deviation below
@@ -49,7 +50,8 @@ class OrderUpTo(Policy):
         self.wait = jnp.asarray(wait, jnp.float32)
         self.action = action
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         gap, unit = observation[0], observation[1]
         seen = jnp.concatenate([gap[None], observation[HEAD:]])
         found = self.network(seen)

@@ -4,7 +4,8 @@ import jax.numpy as jnp
 from jaxtyping import Array, Float
 
 from snapo.problem.actions import Actions, Product
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from .order_up_to import within
 
@@ -28,7 +29,8 @@ class Classical(Policy):
     reorder: Float[Array, ""]
     action: Actions
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         gap = observation[0] * observation[1]
         wanted = smooth.positive_part(gap + self.above, observation[1])
         placed = smooth.indicator(gap + self.reorder, observation[1])

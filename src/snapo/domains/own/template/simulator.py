@@ -17,7 +17,7 @@ WEEKS = 52
 class Reservoir(snapo.Simulator):
     horizon = WEEKS  # the number of decisions
     noise_size = 2  # standard normals of one week: rain and price
-    action = snapo.Box(1, low=0.0, high=1.0)  # the share of the turbines' capacity
+    action = snapo.Box(0.0, 1.0)  # the share of the turbines' capacity
 
     # Once per call: the numbers that all paths share. `steps` has one entry per week.
     def prepare(self, inputs):

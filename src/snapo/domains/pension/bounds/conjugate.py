@@ -35,11 +35,11 @@ def conjugate(objective: Objective, start: float = 1.0) -> Conjugate:
 def _of_power(utility) -> Conjugate:
     def gained(z: Array) -> Array:
         # u'(F + w) = z; no ratio is below zero.
-        best = jnp.maximum(z ** (-1 / utility.aversion), utility.wealth)
-        if utility.aversion == 1:
+        best = jnp.maximum(z ** (-1 / utility.risk_aversion), utility.wealth)
+        if utility.risk_aversion == 1:
             gained = jnp.log(best)
         else:
-            gained = best ** (1 - utility.aversion) / (1 - utility.aversion)
+            gained = best ** (1 - utility.risk_aversion) / (1 - utility.risk_aversion)
         return gained - z * (best - utility.wealth)
 
     return gained

@@ -105,9 +105,9 @@ class PensionSimulator(Simulator):
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
         assets, swaps = self.case.assets, np.zeros(self.case.buckets)
         if not assets.short:
-            return Box(len(assets.classes) + self.case.buckets, 0.0, 1.0)
+            return Box(0.0, 1.0, len(assets.classes) + self.case.buckets)
         low = np.concatenate([np.minimum(assets.low, 0.0), swaps])
-        return Box(len(low), low, np.concatenate([np.maximum(assets.high, 1.0), swaps + 1]))
+        return Box(low, np.concatenate([np.maximum(assets.high, 1.0), swaps + 1]), len(low))
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]

@@ -1,6 +1,7 @@
 """Classical policies, with the numbers that tuning may move, and closed forms of known problems."""
 
 import math
+from collections.abc import Sequence
 
 import equinox as eqx
 import jax
@@ -9,16 +10,18 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
 from snapo.problem.quickly import compiled_sooner
-from snapo.problem.smooth import Exact
+from snapo.problem.smooth import EXACT, Exact
 
 from ..fund.observation import RATIO, slots
+from ..fund.swap_limits import limit_unit
 from ..records.case import PensionCase
 from .limits import Limits, logits_of, present
 
 WIDTH = 0.1  # of funding ratios, over which corners are rounded while tuning
 LEAST = 1e-3  # a class of less weight is tuned from this one, where it can still learn
+NEEDED = ("time", "weights")  # of the observation, to see a year's end and what is held
 UNIT = 0.1  # of shares and funding ratios: in it they are tuned by steps as large as logits
 
 
@@ -35,7 +38,8 @@ class ConstantMix(Policy):
             start[: len(weights)] = logits_of(case, weights)
         self.logits = jnp.asarray(start, jnp.float32)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         return self.limits(self.logits.astype(observation.dtype), smooth)
 
 
@@ -56,7 +60,8 @@ class GlidePath(Policy):
         self.logits = jnp.stack([mix.logits] * 2)
         self.bounds = jnp.asarray(ratios, jnp.float32) / UNIT
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         low, high = UNIT * self.bounds.astype(observation.dtype)
         width = jnp.maximum(high - low, 0.01)
         ratio = jnp.exp(RATIO * observation[self.place])
@@ -100,7 +105,8 @@ class LiabilityDriven(Policy):
         self.mix = jnp.asarray(np.log(np.maximum(np.abs(held - floor * whole), LEAST)), jnp.float32)
         self.hedge = mix.logits[count:] if case.buckets else None
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         kind = observation.dtype
         own = np.array(self.own)
         growth = UNIT * self.growth.astype(kind)
@@ -157,7 +163,8 @@ class StockBond(Policy):
         left = np.arange(math.ceil(self.years) + 1)
         self.weights = jnp.asarray([rule(float(each)) for each in left], jnp.float32)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         left = self.years * (1 - observation[self.place]) / 2
         table = self.weights.astype(observation.dtype)
         nodes = np.arange(table.shape[0])
@@ -189,3 +196,85 @@ def _ratio_slot(case: PensionCase) -> int:
     seen: dict[str, slice] = slots(case)
     name = "funding_ratio" if "funding_ratio" in seen else "relative_funding"
     return seen[name].start
+
+
+class PresentMix(Policy):
+    """Today's weights, and today's notionals as places in the ranges of the swaps.
+
+    `mix` [n + b]. `every` is the number of steps from one rebalancing to the next; between them
+    weights drift with the markets, and swaps stay at their places.
+    """
+
+    mix: Frozen
+    every: Frozen
+    time: int = eqx.field(static=True)
+    held: slice = eqx.field(static=True)
+    steps: int = eqx.field(static=True)
+
+    def __init__(self, case: PensionCase, every: int):
+        assets, overlay = case.assets, case.overlay
+        seen = slots(case)
+        parts = [assets.weight.used()]
+        if overlay is not None:
+            unit, width = limit_unit(case), overlay.high - overlay.low
+            share = overlay.notional.used() / np.where(unit > 0, unit, 1.0)
+            place = np.where(width > 0, (share - overlay.low) / np.where(width > 0, width, 1), 0.5)
+            parts.append(np.clip(place, 0.0, 1.0))
+        self.mix = Frozen(np.concatenate(parts))
+        self.every = Frozen(np.array(float(every)))
+        self.time = seen["time"].start if "time" in seen else -1
+        self.held = seen.get("weights", slice(0, 0))
+        self.steps = case.steps
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        mix = jnp.asarray(self.mix.array, observation.dtype)
+        count = self.held.stop - self.held.start
+        if self.time < 0 or not count:
+            return mix
+        every = jnp.asarray(self.every.array, observation.dtype)
+        step = (1 + observation[self.time]) / 2 * self.steps
+        # Half a step of room: the share of the horizon is not exact.
+        since = step - every * jnp.floor((step + 0.5) / every)
+        held = jnp.concatenate([observation[self.held], mix[count:]])
+        return jnp.where(since < 0.5, mix, held)
+
+
+def present_mixes(case: PensionCase) -> dict[str, tuple[str, Policy]]:
+    """{key: (name, policy)}: rebalanced at every step, and yearly where steps are shorter and the
+    policy sees time and weights."""
+    each = round(1 / case.step)
+    found: dict[str, tuple[str, Policy]] = {
+        "present_mix": ("Present mix", PresentMix(case, 1)),
+    }
+    if each > 1 and set(NEEDED) <= set(case.observation):
+        found["present_mix_yearly"] = ("Present mix, rebalanced yearly", PresentMix(case, each))
+    return found
+
+
+class OneOf(Policy):
+    """Decides as the rule at `place` does; only this one is tuned.
+
+    All are computed, which costs a fund little beside its own step; the place is a number that
+    the program reads, not a part of it.
+    """
+
+    rules: tuple[Policy, ...]
+    place: Frozen
+
+    def __init__(self, rules: Sequence[Policy], place: int):
+        self.rules, self.place = tuple(rules), Frozen(np.array(float(place)))
+
+    @property
+    def rule(self) -> Policy:
+        """The one that decides."""
+        return self.rules[round(float(self.place.array))]
+
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
+        place = jax.lax.stop_gradient(jnp.asarray(self.place.array, observation.dtype))
+        actions = [rule(observation, smooth) for rule in self.rules]
+        action = actions[0]
+        for i, each in enumerate(actions[1:], 1):
+            action = jnp.where(jnp.abs(place - i) < 0.5, each, action)
+        return action

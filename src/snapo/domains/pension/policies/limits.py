@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Policy
+from snapo.problem.policy import Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 from ..fund.collateral import stressed
 from ..fund.swap_limits import limit_unit
@@ -74,7 +75,8 @@ class Limits(Policy):
             places = self.cover(places, weights, smooth)
         return jnp.concatenate([weights, places])
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         count = self.low.array.shape[0]
         weights = self.weights(observation[:count], smooth)
         return self.action(weights, observation[count:], smooth)

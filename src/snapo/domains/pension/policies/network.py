@@ -4,8 +4,9 @@ import jax
 import jax.numpy as jnp
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Network, Policy
+from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.simulator import Schedule, Simulator, probe
+from snapo.problem.smooth import EXACT
 
 from ..records.case import PensionCase
 from .limits import Limits, present
@@ -29,7 +30,8 @@ class PensionPolicy(Policy):
         self.network = Network(widths, key=key, activation=jax.nn.tanh)
         self.limits, self.start = Limits(case), Frozen(start)
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         start = jnp.asarray(self.start.array, observation.dtype)
         return self.limits(start + self.network(observation), smooth)
 

@@ -5,8 +5,8 @@ a margin). Payments, and so mortality, are the same on every basis: a case has o
 """
 
 import datetime
-from dataclasses import replace
-from typing import Any, NamedTuple
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +21,8 @@ OWN = {"uk": "uk_funding.toml"}  # rules that come with the package
 PROVISIONS, LOW, BUY_OUT = "Technical provisions", "Low dependency", "Buy-out"
 
 
-class Basis(NamedTuple):
+@dataclass(frozen=True)
+class Basis:
     """One basis: `margin` over the curve; `liability` and `surplus` (assets less it), money;
     `ratio` assets over it; `duration` years."""
 
@@ -29,11 +30,12 @@ class Basis(NamedTuple):
     margin: float
     liability: float
     surplus: float
-    ratio: float
+    ratio: float | None
     duration: float
 
 
-class Recovery(NamedTuple):
+@dataclass(frozen=True)
+class Recovery:
     """Level payments `each` year, money, at the end of each of `years` years, which are worth the
     deficit on technical provisions; their `total`; all 0 without a deficit."""
 
@@ -43,12 +45,16 @@ class Recovery(NamedTuple):
     total: float
 
 
-class Bases(NamedTuple):
-    """All bases, the recovery plan, and whether the scheme is at significant maturity."""
+@dataclass(frozen=True)
+class Bases:
+    """All bases, the recovery plan, whether the scheme is at significant maturity, and the date and
+    the source of the rules."""
 
-    bases: list[Basis]
+    bases: tuple[Basis, ...]
     recovery: Recovery
     mature: bool
+    since: str
+    source: str
 
 
 def read_funding(section: Place, table: FundingTable | None, day: datetime.date) -> Funding | None:
@@ -83,13 +89,15 @@ def side_by_side(case: PensionCase, paid: Due) -> Bases:
     """The same from expected payments, discounted on the curve alone."""
     assert case.funding is not None
     assets = float(case.assets.amount.used())
-    found = [_basis(name, margin, paid, assets) for name, margin in case.funding.margins.items()]
+    funding = case.funding
+    found = tuple(_basis(name, margin, paid, assets) for name, margin in funding.margins.items())
     mature = next(each for each in found if each.name == LOW).duration
-    old = mature <= case.funding.significant_maturity
-    years = case.funding.recovery_years
+    old = mature <= funding.significant_maturity
+    years = funding.recovery_years
     if years is None:
-        years = case.funding.mature if old else case.funding.longest
-    return Bases(found, _recovery(found[0], paid, years), old)
+        years = funding.mature if old else funding.longest
+    recovery = _recovery(found[0], paid, years)
+    return Bases(found, recovery, old, funding.since, funding.source)
 
 
 def discounted(paid: Due, margin: float) -> np.ndarray:

@@ -5,14 +5,15 @@ management; S7 to S9 are zero by law. Annex 3 of the Regeling Pensioenwet, artic
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import astuple, dataclass
 
 import numpy as np
 
 from ..records.regulation import MARKETS, Rules
 
 
-class Losses(NamedTuple):
+@dataclass(frozen=True)
+class Losses:
     """Losses of own funds by risk, money; `falling`: whether falling rates are the worse ones."""
 
     rates: float
@@ -30,7 +31,7 @@ def total(rules: Rules, losses: Losses) -> float:
     known = rules.correlations
     falling = 1.0 if losses.falling else 0.0
     s1, s2, s5 = losses.rates, losses.equity, losses.credit
-    squares = sum(each**2 for each in losses[:7])
+    squares = sum(each**2 for each in astuple(losses)[:7])
     crossed = falling * (known["rates_equity"] * s1 * s2 + known["rates_credit"] * s1 * s5)
     return float(np.sqrt(squares + 2 * (crossed + known["equity_credit"] * s2 * s5)))
 

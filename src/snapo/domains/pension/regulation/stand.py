@@ -1,6 +1,6 @@
 """A fund's stand before its regulator: required own funds, policy ratio, and the way to recover."""
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
 import jax
@@ -20,9 +20,11 @@ ROUNDS = 200  # of the standard model on the assets that its last result asks fo
 CLOSE = 1e-12  # of the liability
 
 
-class Stand(NamedTuple):
+@dataclass(frozen=True)
+class Stand:
     """`losses` on the assets that are required; `required` own funds, money, `minimum` own funds;
-    `required_ratio`, `minimum_ratio`, and `policy_ratio`, over the liability."""
+    `required_ratio`, `minimum_ratio`, and `policy_ratio`, over the liability; the date and the
+    source of the rules."""
 
     losses: Losses
     required: float
@@ -30,6 +32,19 @@ class Stand(NamedTuple):
     required_ratio: float
     minimum_ratio: float
     policy_ratio: float
+    since: str
+    source: str
+
+
+@dataclass(frozen=True)
+class RecoveryCourse:
+    """By year, up to the end of the recovery period or of the horizon: the `share` of paths whose
+    policy ratio is at least the required one of today, and its `median`; `allowed` years."""
+
+    years: tuple[int, ...] = ()
+    share: tuple[float | None, ...] = ()
+    median: tuple[float | None, ...] = ()
+    allowed: float = 0.0
 
 
 class Shocked(NamedTuple):
@@ -64,6 +79,8 @@ def stand(case: PensionCase, inputs: dict[str, Any]) -> Stand:
         required_ratio=1 + required / liability,
         minimum_ratio=1 + regulation.rules.minimum,
         policy_ratio=float(np.mean(ratios)),
+        since=regulation.rules.since,
+        source=regulation.rules.source,
     )
 
 
@@ -146,9 +163,8 @@ def _credit(case: PensionCase, held: np.ndarray) -> float:
     return max(lost, 0.0)
 
 
-def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> dict[str, Any]:
-    """ "years" up to the end of the recovery period or of the horizon, and at each the `share` of
-    paths whose policy ratio is at least the required one of today, and its `median`.
+def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> RecoveryCourse:
+    """How the policy ratio recovers.
 
     **Arguments:**
 
@@ -163,9 +179,9 @@ def recovery(case: PensionCase, funding: np.ndarray, required_ratio: float) -> d
     whole = np.concatenate([past[:-1], funding])
     ends = (np.arange(last + 1) * each) + len(past) - 1
     policy = np.array([whole[max(end - months + 1, 0) : end + 1].mean(0) for end in ends])
-    return {
-        "years": list(range(last + 1)),
-        "share": (policy >= required_ratio).mean(1),
-        "median": np.median(policy, 1),
-        "allowed": regulation.rules.recovery_years,
-    }
+    return RecoveryCourse(
+        tuple(range(last + 1)),
+        tuple((policy >= required_ratio).mean(1).tolist()),
+        tuple(np.median(policy, 1).tolist()),
+        regulation.rules.recovery_years,
+    )

@@ -4,12 +4,15 @@ All of it is closed form on today's curve; no path is simulated.
 """
 
 from collections.abc import Callable
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import jax
 import numpy as np
 from jaxtyping import Array
 from scipy.optimize import toms748
+
+from snapo.study.chapter import Floats, Number
 
 from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
@@ -21,6 +24,77 @@ from .figures.reconcile import Figures
 
 BASIS_POINT = 1e-4
 FARTHEST = 2000  # basis points up to which the headroom of collateral is looked for
+
+EMPTY = np.zeros(0)
+
+
+@dataclass(frozen=True)
+class CurveLadder:
+    """Change of value for +1 bp at each node of a curve [nodes], money: assets, swaps, liability.
+
+    - `tenor` [nodes], years; `quote`: the kind of its rates.
+    - `real_assets`, `real_liability`: the part that follows the price index, so real rates;
+      empty for break-evens.
+    """
+
+    label: tuple[str, ...] = ()
+    tenor: Floats = field(default_factory=lambda: EMPTY)
+    quote: str = ""
+    assets: Floats = field(default_factory=lambda: EMPTY)
+    swaps: Floats = field(default_factory=lambda: EMPTY)
+    liability: Floats = field(default_factory=lambda: EMPTY)
+    real_assets: Floats = field(default_factory=lambda: EMPTY)
+    real_liability: Floats = field(default_factory=lambda: EMPTY)
+
+
+@dataclass(frozen=True)
+class ClassTrade:
+    """Weights of a class now, of the policy and their bounds; the trade and its cost, money."""
+
+    name: str
+    now: Number
+    target: Number
+    low: Number
+    high: Number
+    trade: Number
+    cost: Number
+
+
+@dataclass(frozen=True)
+class SwapTrade:
+    """Notionals of a swap now and of the policy, and their difference, money."""
+
+    tenor: str
+    now: Number
+    target: Number
+    trade: Number
+
+
+@dataclass(frozen=True)
+class TradeList:
+    """Today's list of trades from the present weights to the policy's."""
+
+    classes: tuple[ClassTrade, ...]
+    swaps: tuple[SwapTrade, ...]
+
+
+@dataclass(frozen=True)
+class Headroom:
+    """How far rates may move until eligible assets are used up as collateral, in basis points.
+
+    - `eligible`: before the move. `pv01`: gain of the swaps of rates for a fall by 1 bp.
+    - `headroom`: None where swaps do not move with rates at all, and where no move up to `FARTHEST`
+      uses the assets up: then `enough` is true.
+    - `direction`: "rise", or "fall" where swaps in sum pay the fixed rate.
+    - `required`: by the case.
+    """
+
+    eligible: Number = np.nan
+    pv01: Number = np.nan
+    headroom: float | None = None
+    enough: bool = False
+    direction: str = "rise"
+    required: Number = np.nan
 
 
 def held_now(case: PensionCase) -> np.ndarray:
@@ -40,24 +114,24 @@ def slopes(curve: Curve, inputs: dict[str, Any], worth: Callable[[dict], Array])
 
 def ladder(
     case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
-) -> dict[str, Any]:
-    """Change of value for +1 bp at each node of the curve: assets, swaps, liabilities [nodes].
+) -> CurveLadder:
+    """That of nominal rates, break-evens held.
 
-    Classes with a shock of their own count as insensitive to the curve; break-evens are held.
-    `real_assets`, `real_liability`: the part of what pays the price index, so of real rates.
+    Classes with a shock of their own count as insensitive to the curve.
     """
     linked = np.array([each.linked for each in case.assets.classes])
     prices = case.liability.future_indexation == "full"
     liability = np.asarray(figure.key_rate)
-    return _ladder(case, case.curve, given, notional, liability) | {
-        "real_assets": _by_node(case, case.curve, given, linked),
-        "real_liability": liability * prices,
-    }
+    return replace(
+        _ladder(case, case.curve, given, notional, liability),
+        real_assets=_by_node(case, case.curve, given, linked),
+        real_liability=liability * prices,
+    )
 
 
 def inflation_ladder(
     case: PensionCase, given: dict[str, Any], figure: Figures, notional: np.ndarray
-) -> dict[str, Any]:
+) -> CurveLadder:
     """IE01: the same for +1 bp at each node of the break-evens, nominal rates held."""
     liability = np.asarray(figure.key_inflation)
     return _ladder(case, case.inflation.break_even, given, notional, liability)
@@ -69,19 +143,14 @@ def _ladder(
     given: dict[str, Any],
     notional: np.ndarray,
     liability: np.ndarray,
-) -> dict[str, Any]:
+) -> CurveLadder:
     swaps = np.zeros(len(curve.tenor))
     if case.overlay is not None:
         worth = slopes(curve, given, lambda moved: swap_values(case, moved))
         swaps = BASIS_POINT * notional @ worth
-    return {
-        "label": list(curve.rate.labels),
-        "tenor": curve.tenor,
-        "quote": curve.quote,
-        "assets": _by_node(case, curve, given, np.ones(len(case.assets.classes))),
-        "swaps": swaps,
-        "liability": liability,
-    }
+    assets = _by_node(case, curve, given, np.ones(len(case.assets.classes)))
+    labels = tuple(curve.rate.labels)
+    return CurveLadder(labels, curve.tenor, curve.quote, assets, swaps, liability)
 
 
 def _by_node(case: PensionCase, curve: Curve, given: dict, counted: np.ndarray) -> np.ndarray:
@@ -90,40 +159,36 @@ def _by_node(case: PensionCase, curve: Curve, given: dict, counted: np.ndarray) 
     return BASIS_POINT * (counted * held_now(case)) @ held
 
 
-def trades(case: PensionCase, weights: np.ndarray, places: np.ndarray, values: np.ndarray) -> Any:
-    """Today's list of trades from the present weights to the policy's."""
+def trades(
+    case: PensionCase, weights: np.ndarray, places: np.ndarray, values: np.ndarray
+) -> TradeList:
+    """The trades of the classes, and of the swaps to their `places` between limits [b]."""
     amount, now = float(case.assets.amount.used()), case.assets.weight.used()
     cost = case.assets.cost.used() if case.assets.cost.values.size else np.zeros(len(now))
-    rows = [
-        {
-            "name": each.name,
-            "now": now[i],
-            "target": weights[i],
-            "low": case.assets.low[i],
-            "high": case.assets.high[i],
-            "trade": (weights[i] - now[i]) * amount,
-            "cost": abs(weights[i] - now[i]) * amount * cost[i],
-        }
+    classes = tuple(
+        ClassTrade(
+            each.name,
+            now=now[i],
+            target=weights[i],
+            low=case.assets.low[i],
+            high=case.assets.high[i],
+            trade=(weights[i] - now[i]) * amount,
+            cost=abs(weights[i] - now[i]) * amount * cost[i],
+        )
         for i, each in enumerate(case.assets.classes)
-    ]
-    swaps = []
-    if case.overlay is not None:
-        wanted = notionals(case, places, values)
-        for i, label in enumerate(case.overlay.notional.labels):
-            before = float(case.overlay.notional.values[i])
-            swaps.append({"tenor": label, "now": before, "target": wanted[i]})
-            swaps[-1]["trade"] = wanted[i] - before
-    return {"classes": rows, "swaps": swaps}
+    )
+    if case.overlay is None:
+        return TradeList(classes, ())
+    before, after = case.overlay.notional.values, notionals(case, places, values)
+    swaps = tuple(
+        SwapTrade(label, float(before[i]), after[i], after[i] - before[i])
+        for i, label in enumerate(case.overlay.notional.labels)
+    )
+    return TradeList(classes, swaps)
 
 
-def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> dict[str, Any] | None:
-    """How far rates may move until eligible assets are used up as collateral, in basis points.
-
-    Both sides are revalued (see `fund.collateral`). `eligible`: before the move. `pv01`: gain of
-    the swaps of rates for a fall by 1 bp. `direction` is "rise", or "fall" where swaps in sum pay
-    the fixed rate. `headroom` is None where swaps do not move with rates at all, and where no move
-    up to `FARTHEST` uses the assets up: then `enough` is true.
-    """
+def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> Headroom | None:
+    """How far rates may move, both sides revalued (see `fund.collateral`); None without swaps."""
     if case.overlay is None:
         return None
     held = float(case.assets.amount.used()) * weights
@@ -135,15 +200,15 @@ def headroom(case: PensionCase, weights: np.ndarray, notional: np.ndarray) -> di
         with jax.enable_x64(True):
             return np.asarray(stressed(case, sign * BASIS_POINT * moves).gap(held, notional))
 
-    found = _first(missing) if owed.any() else None
-    return {
-        "eligible": max(float(stressed(case, 0.0).cover @ held), 0.0),
-        "pv01": BASIS_POINT * float(owed[:rates].sum()),
-        "headroom": found,
-        "enough": bool(owed.any()) and found is None,
-        "direction": "fall" if sign < 0 else "rise",
-        "required": float(case.overlay.collateral_stress.used()) / BASIS_POINT,
-    }
+    room = _first(missing) if owed.any() else None
+    return Headroom(
+        eligible=max(float(stressed(case, 0.0).cover @ held), 0.0),
+        pv01=BASIS_POINT * float(owed[:rates].sum()),
+        headroom=room,
+        enough=bool(owed.any()) and room is None,
+        direction="fall" if sign < 0 else "rise",
+        required=float(case.overlay.collateral_stress.used()) / BASIS_POINT,
+    )
 
 
 def _first(missing: Callable[[np.ndarray], np.ndarray]) -> float | None:

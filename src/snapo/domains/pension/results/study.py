@@ -12,45 +12,35 @@ from snapo.study.training import TRAINING, trained
 
 from ..bounds.conjugate import conjugate
 from ..bounds.relaxation import FundRelaxation
-from ..pots import outcome
+from ..chapters.attribution import ATTRIBUTION, VARIANCE
+from ..chapters.evidence import CERTIFICATE, CONSISTENCY
+from ..chapters.frontier import FRONTIER
+from ..chapters.objective import OBJECTIVE
+from ..chapters.outputs import OUTPUTS
+from ..chapters.paths import PATHS
+from ..chapters.policies import LEARNED, POLICIES
+from ..chapters.pots import POTS
+from ..chapters.reconciliation import RECONCILIATION
+from ..chapters.sensitivities import SENSITIVITIES
+from ..chapters.stress import STRESS
+from ..chapters.today import TODAY
 from ..records.case import PensionCase
 from ..records.parts import OF_RIGHTS
-from ..sections.evidence import CERTIFICATE
-from . import (
-    attribution,
-    compare,
-    consistency,
-    effects,
-    frontier,
-    objective,
-    outputs,
-    paths,
-    stress,
-    today,
-    variance,
-)
-from .figures import table as reconciliation
 from .figures.lines import examine
 from .setup import make_setup, moved_setup, objective_of
 
-TRAINED, OBJECTIVE = (TRAINING.name,), "objective"
 PARTS = (
-    Part("reconciliation", reconciliation.work),
-    Part("stress", stress.work, ("reconciliation",)),
+    RECONCILIATION.part,
+    STRESS.part,
     TRAINING,
-    Part(OBJECTIVE, objective.work, TRAINED),
-    Part("paths", paths.work, TRAINED),
-    Part("today", today.work, ("paths",)),
-    Part("sensitivities", effects.work, TRAINED),
-    Part("outputs", outputs.work, (*TRAINED, "reconciliation")),
-    CERTIFICATE.part,
-    Part("attribution", attribution.work, TRAINED),
-    Part("variance by source", variance.work, TRAINED),
-    Part("market consistency", consistency.work, (*TRAINED, "reconciliation")),
-    Part("classical policies", compare.work, TRAINED),
-    Part("frontier", frontier.work, TRAINED),
-)
-POTS = Part("pots", outcome.work, TRAINED)
+    *(
+        chapter.part
+        for chapter in (
+            OBJECTIVE, PATHS, TODAY, SENSITIVITIES, OUTPUTS, CERTIFICATE, ATTRIBUTION, VARIANCE,
+            CONSISTENCY, POLICIES, FRONTIER,
+        )
+    ),
+)  # fmt: skip
 MEASURES = {"P": "real-world (P)", "Q": "risk-neutral (Q)"}
 
 
@@ -86,7 +76,7 @@ def parts(case: PensionCase) -> tuple[Part, ...]:
     """The parts of a run: those of promised rights, or of personal pots."""
     if case.pots is None:
         return PARTS
-    return (*(each for each in PARTS if each.name not in OF_RIGHTS), POTS)
+    return (*(each for each in PARTS if each.name not in OF_RIGHTS), POTS.part)
 
 
 def wanted(case: PensionCase) -> list[Part]:
@@ -95,7 +85,7 @@ def wanted(case: PensionCase) -> list[Part]:
     every = parts(case)
     kept = choice.chosen(every, case.parts)
     if case.parts and TRAINING in kept:
-        kept = choice.chosen(every, (*case.parts, OBJECTIVE))
+        kept = choice.chosen(every, (*case.parts, OBJECTIVE.name))
     return kept
 
 
@@ -121,9 +111,9 @@ def about(case: PensionCase) -> dict[str, Any]:
 
 def result(run: StudyRun) -> Mapping[str, Any]:
     """The headline: the trained policy's value, and those of the classical policies."""
-    rows = [each for each in run.get("policies", []) if each["key"] != compare.LEARNED]
-    leads = [(each["name"], each["difference"], each["difference_error"]) for each in rows]
-    return trained(run, {each["key"]: each["value"] for each in rows}, leads)
+    others = [policy for policy in POLICIES.of(run) or () if policy.key != LEARNED]
+    leads = [(policy.name, policy.difference, policy.difference_error) for policy in others]
+    return trained(run, {policy.key: policy.value for policy in others}, leads)
 
 
 def _unbounded(case: PensionCase) -> str:

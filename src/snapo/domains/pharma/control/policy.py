@@ -7,7 +7,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.problem.inputs import Frozen
-from snapo.problem.policy import Network, Policy
+from snapo.problem.policy import Network, Policy, as_observation
+from snapo.problem.smooth import EXACT
 
 EDGE = 1e-4  # actions at a bound begin this far inside, where a logit is finite
 
@@ -32,7 +33,8 @@ class Feedback(Policy):
         self.network = Network((features, *hidden, recipe.shape[1]), key=key)
         self.gain = Frozen(np.zeros((), np.float32))
 
-    def __call__(self, observation, smooth):
+    def __call__(self, observation, smooth=EXACT):
+        observation = as_observation(observation)
         steps = self.table.shape[0]
         distance = jnp.abs(observation[0] * steps - jnp.arange(steps))
         weights = jnp.maximum(1 - distance, 0).astype(observation.dtype)

@@ -102,7 +102,7 @@ class Loops(Memory):
                 after = pace * (error + held - moved)
                 wanted = wanted.at[wire.inner].set(jnp.where(now, held, wanted[wire.inner]))
             kept.append(jnp.where(now, integral + after, 0.0))
-        action = Box(size, 0.0, 1.0).near(planned, correction, smooth)
+        action = Box(0.0, 1.0, size).near(planned, correction, smooth)
         return action, jnp.stack(kept).astype(kind)
 
     def on(self, recipe: np.ndarray) -> "Loops":

@@ -73,7 +73,7 @@ class Stage(Simulator):
 
     @property
     def action(self) -> Box:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return Box(max(1, len(self.decided)), 0.0, 1.0)
+        return Box(0.0, 1.0, max(1, len(self.decided)))
 
     @property
     def decided(self) -> tuple[int, ...]:

@@ -43,7 +43,7 @@ class March(Simulator):
     horizon: int = eqx.field(static=True)
     advance: Callable = eqx.field(static=True)
     kinds: tuple[Kind, ...] = eqx.field(static=True)
-    action = Box(1)
+    action = Box(-np.inf, np.inf)
     noise_size = 0
 
     def prepare(self, inputs) -> Schedule:

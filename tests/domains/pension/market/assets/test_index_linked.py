@@ -249,11 +249,11 @@ def test_the_ladders_of_a_matched_index_linked_fund_cancel_at_every_node():
     none = np.zeros(0)
     for made in (ladder, inflation_ladder):
         rows = made(scaled, inputs, found, none)
-        assert rows["assets"] - rows["liability"] == pytest.approx(0.0, abs=1e-9)
-        assert np.abs(rows["assets"]).max() > 0.01
+        assert rows.assets - rows.liability == pytest.approx(0.0, abs=1e-9)
+        assert np.abs(rows.assets).max() > 0.01
     rates = ladder(scaled, inputs, found, none)
-    assert rates["real_assets"] == pytest.approx(rates["assets"])
-    assert rates["real_liability"] == pytest.approx(rates["liability"])
+    assert rates.real_assets == pytest.approx(rates.assets)
+    assert rates.real_liability == pytest.approx(rates.liability)
     seen = human(scaled, inputs, found)
     assert seen.hedge_ratio == pytest.approx(1.0, abs=1e-9)
     assert seen.inflation_hedge_ratio == pytest.approx(1.0, abs=1e-9)

@@ -11,6 +11,7 @@ from hypothesis.extra.numpy import arrays
 from hypothesis.strategies import floats
 from tests.domains.pension.market_cases import CASH, assets, case, cash_flows, curve, given, rates
 
+from snapo.domains.pension.chapters.stress import Stressed, stressed
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.market.assets.asset_class import log_prices
 from snapo.domains.pension.market.assets.bond import Bond
@@ -24,7 +25,6 @@ from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.results.balance import BASIS_POINT, ladder, slopes
 from snapo.domains.pension.results.figures.human import human
 from snapo.domains.pension.results.figures.reconcile import figures
-from snapo.domains.pension.results.stress import Stressed, stressed
 from snapo.problem.inputs import plain
 
 A, S, D = 0.05, 0.011, 1 / 12
@@ -161,12 +161,12 @@ def test_key_rates_and_durations_are_those_of_bumped_curves():
     h = 1e-6
     for place, node in enumerate(np.eye(len(TENOR))):
         slope = (worth(h * node) - worth(-h * node)) / (2 * h) * BASIS_POINT
-        assert found["assets"][place] == pytest.approx(slope[0], abs=1e-9)
-        assert found["swaps"][place] == pytest.approx(slope[1], abs=1e-9)
+        assert found.assets[place] == pytest.approx(slope[0], abs=1e-9)
+        assert found.swaps[place] == pytest.approx(slope[1], abs=1e-9)
     parallel = (worth(h) - worth(-h)).sum() / (2 * h)
     assert human(one, inputs, known).asset_duration == pytest.approx(-parallel / 100, rel=1e-7)
     risen = Stressed("rise", {"zero_rate": ZERO + 0.01}, np.ones(4))
-    assert stressed(one, inputs, risen, notional)["assets"] == pytest.approx(
+    assert stressed(one, inputs, risen, notional).assets == pytest.approx(
         10 + worth(0.01).sum(), rel=1e-12
     )
     with jax.enable_x64(True):

@@ -1,7 +1,7 @@
 """The actuary's figures from the model's own cash flows and curve, before any simulation."""
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, NamedTuple
 
@@ -40,15 +40,16 @@ class Figures(NamedTuple):
     cash_flow: np.ndarray
 
 
-class Line(NamedTuple):
+@dataclass(frozen=True)
+class Line:
     """One check: the model's `own` figure, the one `given` (None: nothing to meet), the relative
     `error` and whether that is within the tolerance."""
 
     name: str
     own: float
     given: float | None
-    error: float
-    ok: bool
+    error: float | None
+    ok: bool | None
 
 
 def figures(case: PensionCase, inputs: dict[str, Any]) -> Figures:

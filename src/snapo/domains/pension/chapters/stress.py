@@ -1,5 +1,6 @@
 """The fund after each scenario of its file of shocks: which inputs and prices move, and how."""
 
+import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -11,6 +12,9 @@ import numpy as np
 from jaxtyping import Array
 
 from snapo.problem.inputs import plain
+from snapo.report.page import Block, Missing, Table, Text
+from snapo.report.quantity import MINUS, decimals, number
+from snapo.study.chapter import Chapter, Number
 from snapo.study.study import StudyRun
 
 from ..market.assets.asset_class import log_prices
@@ -20,9 +24,11 @@ from ..read.stress import CURVES, PRICE, Shock, read_shocks
 from ..records.case import PensionCase
 from ..records.inputs import every_given
 from ..records.market import Curve
-from .balance import held_now
-from .figures.reconcile import figures
-from .setup import case_of
+from ..results.balance import held_now
+from ..results.figures.reconcile import figures
+from ..results.setup import case_of
+from ..run import PensionRun, points
+from .reconciliation import RECONCILIATION
 
 ROUNDS = 8  # of Newton's method; the zero rates of swaps are nearly linear in their rates
 
@@ -66,12 +72,23 @@ def _to_swaps(curve: Curve, zero: np.ndarray) -> np.ndarray:
         return np.asarray(rate)
 
 
-def work(run: StudyRun) -> dict[str, Any]:
-    """ "stresses": the balance sheet at once after each scenario of the file; none without it."""
+@dataclass(frozen=True)
+class StressedBalance:
+    """Assets, liability, their ratio and difference at once after a scenario."""
+
+    scenario: str = ""
+    assets: Number = np.nan
+    liability: Number = np.nan
+    funding: Number = np.nan
+    surplus: Number = np.nan
+
+
+def measure(run: StudyRun) -> tuple[StressedBalance, ...]:
+    """The balance sheet at once after each scenario of the file; none without it."""
     case, inputs = case_of(run), plain(run.setup.problem.inputs)
     now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
-    every = scenarios(case, read_shocks(case))
-    return {"stresses": [stressed(case, inputs, each, now) for each in every]}
+    shocks = scenarios(case, read_shocks(case))
+    return tuple(stressed(case, inputs, scenario, now) for scenario in shocks)
 
 
 @dataclass(frozen=True)
@@ -142,7 +159,7 @@ def _by_tenor(curve: Curve, lines: Sequence[Shock], rates: np.ndarray) -> np.nda
 
 def stressed(
     case: PensionCase, before: dict[str, Any], scenario: Stressed, notional: np.ndarray
-) -> dict[str, Any]:
+) -> StressedBalance:
     """Assets, liabilities and funding ratio at once after a shock, present holdings kept."""
     after = before | {
         name: np.asarray(values, np.float64) for name, values in scenario.values.items()
@@ -152,16 +169,50 @@ def stressed(
     if case.overlay is not None:
         assets += float(notional @ _change(swap_values, case, before, after))
     liability = float(figures(case, after).liability)
-    return {
-        "scenario": scenario.scenario,
-        "assets": assets,
-        "liability": liability,
-        "funding": assets / liability,
-        "surplus": assets - liability,
-    }
+    surplus = assets - liability
+    return StressedBalance(scenario.scenario, assets, liability, assets / liability, surplus)
 
 
 def _change(worth: Callable, case: PensionCase, before: dict, after: dict) -> np.ndarray:
     """Changes of `worth` from one set of inputs to another."""
     with jax.enable_x64(True):
         return np.asarray(worth(case, after)) - np.asarray(worth(case, before))
+
+
+def show(run: PensionRun, result: tuple[StressedBalance, ...]) -> Sequence[Block]:
+    """The balance sheet of today and after each scenario."""
+    if not result:
+        return [Missing("The case names no file of shocks (`[stress] file`).")]
+    today = RECONCILIATION.of(run)
+    liability, now = (today.liability, today.funding or 0.0) if today else (0.0, 0.0)
+    scale, unit = run.size(run.assets, liability)
+    body = [("Today", *_balance(run.assets, liability, scale), points(now, 1), "")]
+    for row in result:
+        amounts = _balance(row.assets, row.liability, scale)
+        change = points(row.funding - now, 1, True)
+        body.append((_signed(row.scenario), *amounts, points(row.funding, 1), change))
+    head = [("Scenario", ""), ("Assets", unit), ("Liability", unit), ("Surplus", unit)]
+    head += [("Funding ratio", "%"), ("Change", "points")]
+    caption = (
+        "Instantaneous and fully revalued, present holdings and swaps kept. Classes with a shock of"
+        " their own do not react to rates."
+    )
+    return [Table(head, body, "", 1, strong=frozenset([0])), Text(caption, caveat=True)]
+
+
+def _signed(scenario: str) -> str:
+    """The name of a scenario with a true minus before its numbers, and a true sign of times."""
+    text = re.sub(r"(?<![\w.])-(?=\d)", MINUS, scenario)
+    return re.sub(r"(?<= )x(?= \d)", "×", text)
+
+
+def _balance(assets: float, liability: float, scale: float) -> tuple[str, ...]:
+    amounts = assets / scale, liability / scale
+    places = decimals(amounts, 4)  # a surplus is small beside what it is left of
+    return tuple(number(x, places) for x in (*amounts, amounts[0] - amounts[1]))
+
+
+STRESS = Chapter(
+    "stress", "Stress table", tuple[StressedBalance, ...], measure, show,
+    needs=("reconciliation",), key="stresses",
+)  # fmt: skip

@@ -1,5 +1,6 @@
 """The files of a pension run as its report reads them, with money in the size that reads best."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -8,6 +9,9 @@ import numpy as np
 from snapo.report.folder import Folder
 from snapo.report.quantity import NONE, SPACE, decimals, finite, money, number, percent
 
+from .records.parts import OF_RIGHTS
+
+OF_POTS = ("pots",)  # the parts that a fund of promised rights has not
 SIZES = ((1e9, "bn"), (1e6, "m"), (1e3, "k"))
 
 
@@ -21,9 +25,48 @@ class PensionRun(Folder):
         return str(self.get("measure", "P"))
 
     @property
+    def personal(self) -> bool:
+        """Whether it is a fund of personal pots."""
+        return bool(self.get("personal"))
+
+    @property
+    def assets(self) -> float:
+        """Market value today."""
+        return float(self.get("assets", np.nan))
+
+    @property
+    def model(self) -> str:
+        """The model of the scenarios in a sentence."""
+        return str(self.get("model", ""))
+
+    @property
+    def kinds(self) -> dict[str, str]:
+        """{kind of asset: its meaning}."""
+        return self.get("kinds", {})
+
+    @property
+    def held(self) -> list[str]:
+        """Names of inputs that are held fixed."""
+        return self.get("held", [])
+
+    def left_out(self, *parts: str) -> bool:
+        """Whether none of these parts was asked for, or is of this kind of fund."""
+        others = OF_RIGHTS if self.personal else OF_POTS
+        return super().left_out(*(part for part in parts if part not in others))
+
+    @property
     def horizon(self) -> str:
         """The horizon in words, "after 10 years"."""
-        return f"after {number(self.get('years'), 0)} years"
+        return f"after {number(self.years, 0)} years"
+
+    @property
+    def years(self) -> float | None:
+        return self.get("years")
+
+    @property
+    def step(self) -> float:
+        """The length of a step in years."""
+        return float(self.get("step") or 1.0)
 
     def size(self, *values: Any) -> tuple[float, str]:
         """The divisor of money with which the largest of `values` reads well, and the unit."""
@@ -47,6 +90,11 @@ def _each(value: Any) -> list[float]:
     return [float(v) for v in values if np.isfinite(v)]
 
 
+def with_measure(title: str) -> Callable[[PensionRun], str]:
+    """The title of a section whose numbers carry a label: "Efficient frontier (P)"."""
+    return lambda run: f"{title} ({run.measure})"
+
+
 def points(value: Any, places: int = 2, sign: bool = False) -> str:
     """A share as percentage points: 0.0123 as "1.23"."""
     known = finite(value)
@@ -56,3 +104,10 @@ def points(value: Any, places: int = 2, sign: bool = False) -> str:
 def share(value: Any, places: int = 1) -> str:
     """A share in per cent."""
     return percent(value, places)
+
+
+def name_of(name: str, label: str = "") -> str:
+    """An input in words: "Zero rate, 10y"."""
+    words = name.replace("plan_", "").replace("_", " ").replace("lee carter", "Lee-Carter")
+    words = words[:1].upper() + words[1:]
+    return f"{words}, {label}" if label else words

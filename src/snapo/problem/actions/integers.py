@@ -1,52 +1,46 @@
 """Whole numbers."""
 
-import math
-from collections.abc import Sequence
-
 import equinox as eqx
 import numpy as np
 from jaxtyping import Array, Float
 
-from .base import ROUNDING, Actions, count
-from .box import Bound, Box
+from .base import ROUNDING, Actions
+from .box import Bound, Bounds, Box, components
 
 
-class Whole(Actions):
+class Integers(Actions):
     """Actions that are whole numbers: `size` of them, each between its `low` and its `high`.
 
     In training an action may lie anywhere between its bounds; in the value it is rounded to the
-    nearest whole number (a half to the even one). A finite bound is a whole number; each may be
-    one number or a sequence of one per component. `Whole(2, low=0, high=[10, math.inf])`
+    nearest whole number (a half to the even one).
 
-    >>> lots = snapo.Whole(1, low=0, high=10)
+    **Arguments:** as those of `Box`; a finite bound is a whole number.
+
+    **Raises:** `ValueError` as `Box`, and for a finite bound that is no whole number.
+
+    >>> lots = snapo.Integers(0, 10)
     >>> lots.settle(np.array([3.4]), snapo.Exact()).tolist()  # in the value
     [3.0]
     >>> round(float(snapo.Smooth(0.1).round(3.4)), 6)  # in training
     3.4
     """
 
-    size: int = eqx.field(static=True)
     low: Bound = eqx.field(static=True)
     high: Bound = eqx.field(static=True)
+    size: int = eqx.field(static=True)
 
-    def __init__(
-        self,
-        size: int = 1,
-        low: float | Sequence[float] | np.ndarray = 0.0,
-        high: float | Sequence[float] | np.ndarray = math.inf,
-    ):
-        more = ", and bounds come after it: Whole(2, low=0, high=9)"
-        box = Box(count("Whole: size", size, 1, more), low, high)
+    def __init__(self, low: Bounds, high: Bounds, size: int | None = None):
+        box = Box(low, high, components("Integers", low, high, size))
         for name, bound in zip(("low", "high"), box.bounds()):
             broken = bound[np.isfinite(bound) & (bound != np.round(bound))]
             if broken.size:
-                raise ValueError(f"Whole: {name} is {broken[0]:g}; allowed is a whole number.")
-        self.size, self.low, self.high = box.size, box.low, box.high
+                raise ValueError(f"Integers: {name} is {broken[0]:g}; allowed is a whole number.")
+        self.low, self.high, self.size = box.low, box.high, box.size
 
     @property
     def box(self) -> Box:
         """All numbers between the bounds."""
-        return Box(self.size, self.low, self.high)
+        return Box(self.low, self.high, self.size)
 
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
         """[size] low and [size] high, in float64."""

@@ -1,0 +1,243 @@
+"""The efficient frontier: contributions against the shortfall, from a sweep of a mixture's weight.
+
+For shares s from 0 to 1 the aim is (1 - s) CVaR of min(F - 1, 0) at the horizon less s times the
+present value of contributions over the liability of today. The sweep goes up and then down again;
+each time a policy is trained from the best one for its aim so far, wherever that one was trained,
+and in the end each share takes the best of all. Were aims and points measured on the same paths,
+points would be in order for that reason alone: of two policies that each serve their own aim best,
+the one for the larger s asks for less. They are chosen on the validation paths and measured on
+fresh ones, so that they are in order within their errors.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
+
+import numpy as np
+from matplotlib.axes import Axes
+
+from snapo.problem.objective import CVaR, Mean, Objective, Totals
+from snapo.problem.policy import Policy
+from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Scenarios
+from snapo.report.axes import number_axis
+from snapo.report.drawing import draw, unit_above
+from snapo.report.page import Block, Chart, Missing, Table, Text
+from snapo.report.quantity import number, plus_minus
+from snapo.report.theme import LIGHT
+from snapo.solver.evaluate import estimate, path_totals, worth
+from snapo.solver.train import begin, train
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..records.case import Frontier
+from ..results.setup import case_of
+from ..run import PensionRun, points, share, with_measure
+
+TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is biased
+CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
+CAPTION = (
+    "Every point is the best policy for its mixture of both aims on the validation paths, of all"
+    " that were trained on the way up and down, and measured on the same fresh paths; bars are one"
+    " standard error. Up and left is better. CVaR: mean of min(F − 1, 0) over the worst paths at"
+    " the horizon. Efficient: no other point asks for less and leaves less of a shortfall."
+)
+
+
+class Candidate(NamedTuple):
+    """A policy, and its totals on the validation paths."""
+
+    policy: Policy
+    totals: Totals
+
+
+@dataclass(frozen=True)
+class FrontierPoint:
+    """A policy: the mean present value of contributions (money) and the CVaR of the shortfall (a
+    ratio, at most 0) with standard errors, the median funding ratio and the share of paths below 1.
+
+    - `share`: the weight of contributions, NaN for the policy of the run.
+    - `efficient`: whether no other point has less of both; None for the policy of the run.
+    """
+
+    share: Number = np.nan
+    contributions: Number = np.nan
+    contributions_error: Number = np.nan
+    cvar: Number = np.nan
+    cvar_error: Number = np.nan
+    median: Number = np.nan
+    underfunded: Number = np.nan
+    efficient: bool | None = None
+
+
+@dataclass(frozen=True)
+class FrontierSweep:
+    """Points of the sweep, none without `[frontier]`; and the policy of the run."""
+
+    level: Number = np.nan
+    points: tuple[FrontierPoint, ...] = ()
+    learned: FrontierPoint = field(default_factory=FrontierPoint)
+
+
+def measure(run: StudyRun) -> FrontierSweep:
+    """The sweep of the weights that the case asks for."""
+    asked, setup = case_of(run).frontier, run.setup
+    if asked is None:
+        return FrontierSweep()
+    assert run.solution.policy is not None
+    problem, source = setup.problem, setup.problem.sources.evaluation
+    weights = np.linspace(0.0, 1.0, asked.points)
+    goals = [_mixture(problem, asked, weight) for weight in weights]
+    sweep = []
+    for weight, candidate in zip(weights, _swept(run, goals, asked)):
+        paths, engine = setup.evaluation.paths, setup.engines.evaluate
+        totals = path_totals(problem, candidate.policy, paths, engine=engine)
+        sweep.append(_measured(totals, source, asked.level, weight))
+    sweep = [replace(x, efficient=not any(_better(other, x) for other in sweep)) for x in sweep]
+    own = {name: np.asarray(total) for name, total in run.solution.totals.items()}
+    return FrontierSweep(asked.level, tuple(sweep), _measured(own, source, asked.level))
+
+
+def _swept(run: StudyRun, goals: Sequence[Objective], asked: Frontier) -> list[Candidate]:
+    """The best policy for each goal, after the goals were trained for in order and back again."""
+    setup, policy = run.setup, run.solution.policy
+    assert policy is not None
+    known = [_candidate(setup, policy)]
+    upward = list(range(len(goals)))
+    for goal in (*upward, *upward[-2::-1]):
+        run.tell(f"frontier: point {goal + 1} of {len(goals)}")
+        start = best(known, goals[goal])
+        found = _trained(setup, start.policy, goals[goal], asked)
+        known.append(_candidate(setup, found))
+    return [best(known, goal) for goal in goals]
+
+
+def best(known: Sequence[Candidate], goal: Objective) -> Candidate:
+    """The candidate that is worth most; the first of equals."""
+    values = np.array([worth(goal, each.totals) for each in known])
+    return known[int(np.argmax(np.where(np.isfinite(values), values, -np.inf)))]
+
+
+def _candidate(setup: Setup, policy: Policy) -> Candidate:
+    source = setup.problem.sources.validation
+    paths = source.available(setup.training.validation_paths)
+    engine = setup.engines.evaluate
+    totals = path_totals(setup.problem, policy, paths, engine=engine, source=source)
+    return Candidate(policy, totals)
+
+
+def _mixture(problem: Problem, asked: Frontier, share: float) -> Objective:
+    scale = float(problem.schedule.constants.liability)
+    tail = (1 - share) * CVaR("surplus_ratio", asked.level)
+    return tail - share / scale * Mean("pv_contribution")
+
+
+def _trained(setup: Setup, start: Policy, goal: Objective, asked: Frontier) -> Policy:
+    """The best policy along a training that begins where another one ended: at its last
+    temperature, and with hardly any warm-up."""
+    given = setup.training
+    training = replace(
+        given,
+        steps=asked.steps,
+        paths=max(given.paths, 2 * round(TAIL / (1 - asked.level) / 2)),
+        warmup=min(given.warmup, asked.steps // 8),
+        temperature_start=given.temperature_end,
+        exploration=0.0,  # the policy has explored already
+        validation_every=max(1, asked.steps // CHECKS),
+    )
+    problem = replace(setup.problem, objective=goal)
+    return train(problem, begin(start, training), training, setup.engines.train).best
+
+
+def _measured(
+    totals: dict[str, np.ndarray], source: Scenarios, level: float, weight: float = np.nan
+) -> FrontierPoint:
+    paid = estimate(Mean("pv_contribution"), totals, source)
+    short = estimate(CVaR("surplus_ratio", level), totals, source)
+    final = totals["funding_ratio"]
+    return FrontierPoint(
+        weight,
+        paid.value,
+        paid.standard_error,
+        short.value,
+        short.standard_error,
+        float(np.median(final)),
+        float((final < 1).mean()),
+    )
+
+
+def _better(one: FrontierPoint, other: FrontierPoint) -> bool:
+    """Whether `one` asks for less and leaves less of a shortfall."""
+    return one.contributions < other.contributions and one.cvar > other.cvar
+
+
+def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
+    """The sweep as a picture and a table."""
+    if not result.points:
+        return [Missing("The case asks for no efficient frontier (`[frontier]`).")]
+    policies = [*result.points, result.learned]
+    scale, unit = run.size([x.contributions for x in policies])
+    level = share(result.level, 0)
+    units = (f"Mean present value of contributions, {unit}", f"CVaR {level} of F − 1, points")
+    first, last = result.points[0], result.points[-1]
+    alt = (
+        f"CVaR over contributions: from {points(first.cvar)} points at"
+        f" {run.large(first.contributions)} to {points(last.cvar)} at"
+        f" {run.large(last.contributions)}."
+    )
+    svg = draw("sweep", alt, lambda axes: _paint(axes, result, scale, units), 250)
+    chart = Chart(svg, "The number at a point is the weight of contributions in its mixture.")
+    body = [_row(x, share(x.share, 0), scale) for x in result.points]
+    body.append(_row(result.learned, "Learned policy", scale))
+    head = [("Weight of contributions", ""), ("PV contributions", unit), ("Error", unit)]
+    head += [(f"CVaR {level}", "points"), ("Error", "points"), ("Median F", "%")]
+    head += [("P(F < 1)", "%"), ("Efficient", "")]
+    return [chart, Table(head, body), Text(CAPTION, True)]
+
+
+def _paint(axes: Axes, result: FrontierSweep, scale: float, units: tuple[str, str]) -> None:
+    """The sweep with its efficient points joined, and the learned policy."""
+    best = sorted((x for x in result.points if x.efficient), key=lambda x: x.contributions)
+    axes.plot(*_places(best, scale), color=LIGHT["main"], linewidth=1.2)
+    _dots(axes, result.points, scale, "main", [share(x.share, 0) for x in result.points])
+    _dots(axes, [result.learned], scale, "withdraw", ["Learned policy"], below=True)
+    axes.margins(x=0.15, y=0.2)
+    number_axis(axes.xaxis)
+    number_axis(axes.yaxis)
+    axes.set_xlabel(units[0])
+    unit_above(axes, units[1])
+
+
+def _row(point: FrontierPoint, name: str, scale: float) -> tuple[str, ...]:
+    return (
+        name,
+        number(point.contributions / scale, 2),
+        plus_minus(point.contributions_error / scale, 2),
+        points(point.cvar),
+        plus_minus(100 * point.cvar_error, 2),
+        points(point.median, 1),
+        points(point.underfunded, 1),
+        {None: "", True: "yes", False: "no"}[point.efficient],
+    )
+
+
+def _places(dots: Sequence[FrontierPoint], scale: float) -> tuple[np.ndarray, np.ndarray]:
+    x = np.array([dot.contributions for dot in dots]) / scale
+    return x, 100 * np.array([dot.cvar for dot in dots])
+
+
+def _dots(
+    axes: Axes, dots: Sequence[FrontierPoint], scale: float, colour: str, names, below=False
+) -> None:
+    x, y = _places(dots, scale)
+    across = np.nan_to_num([dot.contributions_error for dot in dots]) / scale
+    up = 100 * np.nan_to_num([dot.cvar_error for dot in dots])
+    style = {"color": LIGHT[colour], "markersize": 6, "elinewidth": 1.0, "capsize": 2.5}
+    axes.errorbar(x, y, xerr=across, yerr=up, fmt="o", **style)
+    for name, right, high in zip(names, x, y):
+        place = (6, -13 if below else 5)
+        axes.annotate(name, (right, high), place, textcoords="offset points")
+
+
+TITLE = with_measure("Efficient frontier")
+FRONTIER = Chapter("frontier", TITLE, FrontierSweep, measure, show, key="frontier")

@@ -1,0 +1,82 @@
+"""The value of the objective: its terms, and the sure ratio that is worth as much."""
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.objective import CRRA, ExpectedUtility, Objective
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..results.setup import FUNDING, PENSION, case_of
+
+
+class Equivalent(NamedTuple):
+    """A utility of the final funding ratio, or of the mean pension over today's, as a sure ratio:
+    `slope` is d ratio / d utility."""
+
+    ratio: float
+    slope: float
+
+
+def equivalent(objective: Objective, utility: float) -> Equivalent | None:
+    """The sure final ratio that is worth as much; None for other objectives."""
+    ratios = FUNDING.output, PENSION.output
+    if not (isinstance(objective, ExpectedUtility) and objective.output in ratios):
+        return None
+    crra: CRRA = objective.utility
+    ratio = crra.certainty_equivalent(utility)
+    if not math.isfinite(ratio):
+        return None
+    return Equivalent(ratio, 1 / float(crra.slope(np.array(ratio))))
+
+
+@dataclass(frozen=True)
+class WeightedTerm:
+    """A term of the objective: the weight, the output, and the kind of its measure."""
+
+    weight: Number = np.nan
+    output: str = ""
+    kind: str = ""
+
+
+@dataclass(frozen=True)
+class ObjectiveValue:
+    """The terms and the value.
+
+    `equivalent`, `equivalent_error`: under a utility of the funding ratio, or of pensions over
+    today's, the certainty equivalent of this `output` with its standard error; `slope`: of the
+    equivalent by the utility, whose relative risk `aversion` it is.
+    """
+
+    terms: tuple[WeightedTerm, ...] = ()
+    value: Number = np.nan
+    equivalent: Number = np.nan
+    slope: Number = np.nan
+    output: str | None = None
+    equivalent_error: Number = np.nan
+    aversion: Number = np.nan
+
+
+def measure(run: StudyRun) -> ObjectiveValue:
+    """The objective of the case at the value of the run."""
+    solution, objective = run.solution, run.setup.problem.objective
+    terms = tuple(
+        WeightedTerm(term.weight, term.output, term.objective.kind)
+        for term in case_of(run).objective
+    )
+    sure = equivalent(objective, solution.value)
+    if sure is None or not isinstance(objective, ExpectedUtility):
+        return ObjectiveValue(terms, solution.value)
+    error = sure.slope * solution.standard_error
+    aversion = objective.utility.risk_aversion  # pyright: ignore
+    return ObjectiveValue(
+        terms, solution.value, sure.ratio, sure.slope, objective.output, error, aversion
+    )
+
+
+OBJECTIVE = Chapter(
+    "objective", "Objective", ObjectiveValue, measure, lambda run, value: [], key="objective"
+)

@@ -1,0 +1,283 @@
+"""Sensitivities of several outputs in one run: the objective, and what a board asks for beside it.
+
+Decisions are recorded once, and one adjoint pass with a cotangent for each output goes back over
+the same paths. A share (of the funding ratio, of probability) is told in points and basis points,
+and in money as that share of today's liability; money also as a share of it. A fund of personal
+pots is told by its pensions over those of today, which have no such worth in money.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from snapo.problem.inputs import plain
+from snapo.problem.objective import CVaR, Mean, Objective, Probability
+from snapo.report.page import Block, Facts, Table, Text
+from snapo.report.quantity import SPACE, decimals, measured, number, plus_minus
+from snapo.report.sections.lacking import lacking
+from snapo.solver.evaluate import estimate
+from snapo.solver.sensitivity import held_of_several
+from snapo.solver.statistics import Estimate
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+from snapo.study.training import TRAINING
+
+from ..people.longer_life import longer_life
+from ..results.setup import Yardstick, case_of, yardstick
+from ..run import PensionRun, share, with_measure
+from .objective import equivalent
+from .reconciliation import RECONCILIATION
+from .sensitivities import LIFE, rise, usual_move
+
+LEVEL = 0.95
+WIDTH = 0.02  # of the ratio, over which a path counts as about to fall below the mark
+PATHS = 4096
+CSV = "outputs.csv"
+SHOWN = 12
+OBJECTIVE = "Objective"  # its name where it is a utility, which has no unit
+CAVEAT = (
+    "First-order effects of the usual moves, decisions held, one adjoint pass for each output over"
+    " the same paths. Points are hundredths of the funding ratio or of probability; money is that"
+    " share of today's liability, and for contributions their present value itself. The probability"
+    " is the exact share of paths; its effects are those of a logistic step of width 2 points, the"
+    " mean of 1 / (1 + exp((F − 1) / 0.02)). A utility as objective is in units of its own. Every"
+    " number: outputs.csv."
+)
+OF_POTS = (
+    ("hundredths of the funding ratio", "hundredths of today's pension"),
+    ("money is that share of today's liability, and for contributions their present value itself",
+     "for contributions money is their present value"),
+    ("exp((F − 1) / 0.02))", "exp((P − 1) / 0.02)), P being the pension over today's"),
+)  # fmt: skip
+
+
+@dataclass(frozen=True)
+class OutputValue:
+    """A figure of the final ratio or of contributions, with its standard error; `money`: whether it
+    is money, else it is a share."""
+
+    key: str = ""
+    name: str = ""
+    money: bool = False
+    value: Number = np.nan
+    error: Number = np.nan
+
+
+@dataclass(frozen=True)
+class OnOutputs:
+    """The effect of a usual move: {output: (effect, standard error)} in the output's own unit
+    (money, or 1)."""
+
+    input: str
+    move: str
+    group: str
+    effects: dict[str, tuple[Number, Number]]
+
+
+@dataclass(frozen=True)
+class InputOnOutputs(OnOutputs):
+    """Of all numbers of an input."""
+
+    count: int
+    words: str
+
+
+@dataclass(frozen=True)
+class NumberOnOutputs(OnOutputs):
+    """Of a single number."""
+
+    label: str
+
+
+@dataclass(frozen=True)
+class OutputTable:
+    """The values of all outputs, and the effects on them."""
+
+    outputs: tuple[OutputValue, ...] = ()
+    families: tuple[InputOnOutputs, ...] = ()
+    rows: tuple[NumberOnOutputs, ...] = ()
+
+
+class Derived(NamedTuple):
+    """An output; `held` {input: derivatives}, decisions held, to be multiplied by `scale`."""
+
+    output: OutputValue
+    held: dict[str, Estimate]
+    scale: float = 1.0
+
+
+def asked(by: Yardstick) -> tuple[tuple[str, str, bool, Objective], ...]:
+    """Key, name, whether it is money, the objective; underfunding is told as 1 less its
+    complement."""
+    return (
+        ("funding", by.mean, False, Mean(by.output)),
+        ("tail", by.tail, False, CVaR(by.output, LEVEL)),
+        ("underfunded", by.below, False, -1.0 * Probability(by.output, 1.0, WIDTH)),
+        ("contributions", "PV of contributions", True, Mean("pv_contribution")),
+    )
+
+
+def measure(run: StudyRun) -> OutputTable:
+    """Values of all outputs, and by input the effect of its usual move on each.
+
+    Writes outputs.csv.
+    """
+    setup, table = run.setup, run.solution.sensitivities
+    if table is None:
+        return OutputTable()
+    derived = list(_outputs(run))
+    families, rows = [], []
+    for name, entry in table.inputs.items():
+        usual = usual_move(entry)
+        about, numbers = (name, usual.words, entry.group), entry.value.size
+        effects = _effects(derived, name, usual.size)
+        families.append(InputOnOutputs(*about, effects, numbers, entry.words))
+        for i, label in enumerate(entry.names()):
+            alone = np.where(np.arange(numbers) == i, usual.size, 0.0)
+            rows.append(NumberOnOutputs(*about, _effects(derived, name, alone), label))
+    if (life := longer_life(case_of(run), plain(setup.problem.inputs))) is not None:
+        about, numbers = ("year_of_life", "1 year", "people"), len(life.change)
+        effects = _effects(derived, life.input, life.change)
+        families.append(InputOnOutputs(*about, effects, numbers, LIFE))
+    outputs = tuple(x.output for x in derived)
+    _write(run, outputs, rows)
+    return OutputTable(outputs, tuple(families), tuple(rows))
+
+
+def _outputs(run: StudyRun) -> Iterator[Derived]:
+    """The objective first, whose derivatives the training left, then those of `asked`."""
+    goals = asked(yardstick(case_of(run)))
+    setup, solution, problem = run.setup, run.solution, run.setup.problem
+    policy, table = solution.policy, solution.sensitivities
+    assert policy is not None
+    assert table is not None
+    sure = equivalent(problem.objective, solution.value)
+    value, slope = (solution.value, 1.0) if sure is None else (sure.ratio, sure.slope)
+    name = "Objective" if sure is None else "Certainty equivalent"
+    error = slope * solution.standard_error
+    yield Derived(OutputValue("objective", name, False, value, error), table.held, slope)
+    totals = {name: np.asarray(total) for name, total in solution.totals.items()}
+    paths = min(PATHS, setup.evaluation.sensitivity_paths, setup.evaluation.paths)
+    run.tell(f"sensitivities of {len(goals)} more outputs at once")
+    objectives = [goal for *_, goal in goals]
+    table = held_of_several(problem, policy, objectives, paths=paths, engine=setup.engines.evaluate)
+    for (key, name, money, goal), held in zip(goals, table):
+        estimated = estimate(goal, totals, problem.sources.evaluation)
+        value = estimated.value + (key == "underfunded")
+        yield Derived(OutputValue(key, name, money, value, estimated.standard_error), held)
+
+
+def _effects(
+    derived: Sequence[Derived], name: str, size: np.ndarray
+) -> dict[str, tuple[float, float]]:
+    """{output: (effect, standard error)} of a move [n] of an input's numbers."""
+    effects = {}
+    for output, held, scale in derived:
+        effect, error = held[name].along(size.reshape(held[name].value.shape))
+        effects[output.key] = scale * effect, scale * error
+    return effects
+
+
+def _write(run: StudyRun, outputs: Sequence[OutputValue], rows: Sequence[NumberOnOutputs]) -> None:
+    """Every number with its effect on every output, in points, basis points and money."""
+    head = ("input", "label", "move", "output", "points", "points_error", "basis_points", "money")
+    today, valued = RECONCILIATION.of(run), case_of(run).pots is None
+    liability = (today.liability if today else 0.0) or np.nan
+
+    def lines() -> Iterator[tuple]:
+        for row in rows:
+            for output in outputs:
+                effect, error = row.effects[output.key]
+                share = 1 / liability if output.money else 1.0
+                # A utility, unlike a certainty equivalent, is no share of anything.
+                is_share = output.money or (valued and output.name != OBJECTIVE)
+                money = share * effect * liability if is_share else np.nan
+                points = 100 * share * effect, 100 * share * error, 1e4 * share * effect
+                yield row.input, row.label, row.move, output.name, *points, money
+
+    run.write_csv(CSV, head, lines())
+
+
+def show(run: PensionRun, result: OutputTable) -> Sequence[Block]:
+    """The largest effects on all outputs, and every one with its error."""
+    if not result.outputs or not result.families:
+        return [lacking(run, OUTPUTS.name)]
+    today = RECONCILIATION.of(run)
+    liability = (today.liability if today else 0.0) or 1.0
+    with_unit = [output for output in result.outputs if output.name != OBJECTIVE]
+
+    def largest(family: InputOnOutputs) -> float:
+        return max(abs(_as_share(x, family.effects[x.key][0], liability)) for x in with_unit)
+
+    order = sorted(result.families, key=lambda family: -largest(family))
+    facts = [(output.name, *_value(run, output)) for output in with_unit]
+    caveat = CAVEAT
+    for old, new in OF_POTS if run.personal else ():
+        caveat = caveat.replace(old, new)
+    return [
+        Facts(facts),
+        _summary(run, result.outputs, order[:SHOWN]),
+        *(_detail(run, output, order, liability) for output in result.outputs),
+        Text(caveat, caveat=True),
+    ]
+
+
+def _value(run: PensionRun, output: OutputValue) -> tuple[str, str]:
+    if output.money:
+        return run.large(output.value), f"±{SPACE}{run.large(output.error)}"
+    return share(output.value), f"{plus_minus(100 * output.error, 2)} points"
+
+
+def _as_share(output: OutputValue, effect: float, liability: float) -> float:
+    """An effect as a share: of the ratio, of probability, or money over today's liability."""
+    return effect / liability if output.money else effect
+
+
+def _summary(
+    run: PensionRun, outputs: Sequence[OutputValue], families: Sequence[InputOnOutputs]
+) -> Table:
+    """One line for each input, one column for each output: points, contributions in money."""
+    columns, head = [], [("Move", "")]
+    for output in outputs:
+        effects = [family.effects[output.key][0] for family in families]
+        scale, unit = 0.01, "points"
+        if output.name == OBJECTIVE:
+            scale, unit = 1.0, ""
+        elif output.money:
+            scale, unit = run.size(effects)
+        places = decimals([effect / scale for effect in effects], 3)
+        columns.append([number(effect / scale, places, True) for effect in effects])
+        head.append((output.name, unit))
+    rows = [(rise(family), *cells) for family, *cells in zip(families, *columns)]
+    return Table(head, rows, "The largest effects of the usual moves on each output", 1)
+
+
+def _detail(
+    run: PensionRun, output: OutputValue, families: Sequence[InputOnOutputs], liability: float
+) -> Table:
+    """All inputs for one output, in points, basis points and money, with the error."""
+    unitless = output.name == OBJECTIVE
+    valued = output.money or not run.personal  # a share of a pension is no sum of money
+    rows = []
+    for family in families:
+        effect, error = family.effects[output.key]
+        if unitless:
+            rows.append((rise(family), number(effect, None, True), plus_minus(error, 6)))
+            continue
+        part, spread = (_as_share(output, x, liability) for x in (effect, error))
+        cells = [*measured(100 * part, 100 * spread, 3, True), number(1e4 * part, 1, True)]
+        money = [run.large(part * liability, 2, True)] if valued else []
+        rows.append((rise(family), *cells, *money))
+    head = [("Move", ""), ("Effect", "" if unitless else "points"), ("Std. error", "")]
+    if not unitless:
+        head += [("Effect", "bp"), *([("In money", run.currency)] if valued else [])]
+    caption = f"Effects on: {output.name}"
+    return Table(head, rows, caption, 1, folded=f"{output.name}: every input")
+
+
+OUTPUTS = Chapter(
+    "outputs", with_measure("Several outputs at once"), OutputTable, measure, show,
+    needs=(TRAINING.name, "reconciliation"), key="outputs",
+)  # fmt: skip

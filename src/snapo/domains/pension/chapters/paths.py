@@ -1,0 +1,348 @@
+"""Paths under the policy: distributions by year, weights, limits by month."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import jax
+import numpy as np
+
+from snapo.engine import COURSE
+from snapo.problem.inputs import plain
+from snapo.problem.smooth import Exact
+from snapo.report.bands import Layer, heat, stack
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart
+from snapo.report.quantity import number
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import StudyRun
+
+from ..fund.dealing import dealt
+from ..records.case import PensionCase
+from ..regulation.stand import RecoveryCourse, recovery, stand
+from ..results.setup import case_of
+from ..run import PensionRun, with_measure
+
+MOST = 4096  # paths that are recorded
+SLACK = 1e-9  # below a limit, of the assets: round-off
+QUANTILES = (1, 5, 25, 50, 75, 95, 99)
+TAIL = 0.95  # level of the mean of the worst paths
+RATIOS = np.array([0.0, 0.8, 0.9, 1.0, 1.1, 1.2, 1.35, 1.5, np.inf])  # columns of the policy map
+FEW = 20  # paths in a cell of the map below which nothing is said
+EMPTY = np.zeros(0)
+LAYERS = ("main", "inject", "withdraw", "limit", "good", "other")  # colours of the mean mix
+Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
+
+
+@dataclass(frozen=True)
+class YearlyFans:
+    """Quantiles by year. `funding` ratio, the share of paths with one below 1 (`underfunded`), and
+    the mean of min(F - 1, 0) over the worst 5 % (`shortfall`), at `years` from now.
+
+    Within each year: contributions, benefits, increases less cuts; and these `cumulated`.
+    """
+
+    years: Floats
+    funding: Fan
+    underfunded: Floats
+    shortfall: Floats
+    contribution: Fan
+    benefit: Fan
+    indexation: Fan
+    cumulated: Fan
+
+
+@dataclass(frozen=True)
+class PolicyMap:
+    """Weights over funding ratio and time: means over the paths that are there.
+
+    - `years` [Y]: starts of years; `ratios` [R + 1]: edges of the columns.
+    - `growth` [Y, R]: of the classes with a shock of their own; `hedge` [Y, R]: of the mean place
+      of the swap notionals in their ranges, empty without swaps; NaN where fewer than FEW paths
+      are.
+    """
+
+    years: Floats
+    ratios: Floats
+    growth: Floats
+    hedge: Floats = field(default_factory=lambda: EMPTY)
+
+
+@dataclass(frozen=True)
+class MeanMix:
+    """Mean weights [classes, Y] at the start of each year, and places of the swaps [b, Y]."""
+
+    years: Floats
+    classes: tuple[str, ...]
+    weights: Floats
+    overlay: Floats
+
+
+@dataclass(frozen=True)
+class LimitBreaches:
+    """The share of the paths that break a limit: in each step [T], and `ever`."""
+
+    share: Floats
+    ever: Number
+
+
+@dataclass(frozen=True)
+class FirstDecision:
+    """Today's weights [n] and places of the notionals in their ranges [b]: alike on all paths."""
+
+    weights: Floats
+    overlay: Floats
+
+
+@dataclass(frozen=True)
+class PathTables:
+    """What the recorded paths say; `recovery`: before the regulator, where the case has one."""
+
+    by_year: YearlyFans
+    policy_map: PolicyMap
+    mix: MeanMix
+    limits: dict[str, LimitBreaches]
+    first_decision: FirstDecision
+    recorded_paths: int
+    recovery: RecoveryCourse | None = None
+
+
+def measure(run: StudyRun) -> PathTables:
+    """The trained policy on recorded paths; writes profile.csv."""
+    record, recovered = RecordedPaths.of(run), None
+    if record.case.regulation is not None:
+        required = stand(record.case, plain(run.setup.problem.inputs)).required_ratio
+        recovered = recovery(record.case, record.funding, required)
+    years = by_year(record)
+    columns = {"year": years.years, "underfunded": years.underfunded}
+    columns |= {f"funding_{name}": values for name, values in years.funding.items()}
+    run.write_csv("profile.csv", tuple(columns), zip(*columns.values()))
+    return PathTables(
+        years,
+        policy_map(record),
+        mean_mix(record),
+        limits_by_step(record, SLACK),
+        FirstDecision(record.weights[0, 0], record.overlay[0, 0]),
+        record.action.shape[1],
+        recovered,
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedPaths:
+    """Recorded paths: `action` [T, N, A] with the weights that limits of trading allowed, `funding`
+    [T + 1, N], outputs {name: [T, N]}."""
+
+    case: PensionCase
+    action: np.ndarray
+    outputs: dict[str, np.ndarray]
+    funding: np.ndarray
+
+    @classmethod
+    def of(cls, run: StudyRun) -> "RecordedPaths":
+        """The trained policy on the first paths of the evaluation."""
+        setup, policy = run.setup, run.solution.policy
+        problem, bound = setup.problem, setup.engines.evaluate.bind(setup.problem)
+        source, actions, outputs, last = problem.sources.evaluation, [], [], []
+        paths = source.available(min(MOST, setup.evaluation.paths))
+        limited = case_of(run).assets.dealing
+        for block in source.blocks(paths, max(8, paths // 1024)):
+            draws = source.draws(block, problem.simulator)
+            # All of the course, whose program the certificate uses too.
+            rolled = bound.values(policy, draws, Exact(), record=COURSE)
+            action = np.asarray(rolled.record["action"])
+            if limited:
+                action = _traded(case_of(run), action, rolled.record["state"].weights)
+            actions.append(action)
+            outputs.append({k: np.asarray(v) for k, v in rolled.record["outputs"].items()})
+            last.append(np.asarray(rolled.totals["funding_ratio"]))
+        found = {k: np.concatenate([each[k] for each in outputs], 1) for k in outputs[0]}
+        funding = np.concatenate([found["funding"], np.concatenate(last)[None]])
+        return cls(case_of(run), np.concatenate(actions, 1), found, funding)
+
+    @property
+    def weights(self) -> np.ndarray:
+        """[T, N, n] weights after trading; cash is the remainder."""
+        count, cash = len(self.case.assets.classes), self.case.assets.cash
+        weights = self.action[:, :, :count].astype(np.float64)
+        weights[:, :, cash] += 1 - weights.sum(2)
+        return weights
+
+    @property
+    def overlay(self) -> np.ndarray:
+        """[T, N, b] where in its range each notional was set, from 0 to 1."""
+        return self.action[:, :, len(self.case.assets.classes) :]
+
+
+def _traded(case: PensionCase, action: np.ndarray, held: Any) -> np.ndarray:
+    """The actions [T, N, A] with weights as traded, from those `held` [T, N, n] before."""
+    count = len(case.assets.classes)
+    wanted = action[:, :, :count].astype(np.float64)
+    wanted[:, :, case.assets.cash] += 1 - wanted.sum(2)
+    with jax.enable_x64(True):
+
+        def one(wanted, held):
+            return dealt(case.assets, case.step, wanted, held, Exact())
+
+        weights = jax.jit(jax.vmap(jax.vmap(one)))(wanted, np.asarray(held, np.float64))
+    return np.concatenate([np.asarray(weights), action[:, :, count:]], 2)
+
+
+def by_year(record: RecordedPaths) -> YearlyFans:
+    """Fans at the ends of years: funding ratio, contributions, indexation; and probabilities."""
+    case, outputs = record.case, record.outputs
+    steps = round(1 / case.step)
+    ends = np.arange(0, case.steps + 1, steps)
+    funding = record.funding[ends]
+    granted = _yearly(outputs["granted"] - outputs["cut"], steps)
+    if case.plan.indexation.rate is not None:
+        # Fixed increases are part of the payments, and are not granted on top.
+        granted = granted + float(case.plan.indexation.rate.used())
+    return YearlyFans(
+        years=ends * case.step,
+        funding=_fan(funding),
+        underfunded=(funding < 1).mean(1),
+        shortfall=np.array([_tail(np.minimum(row - 1, 0)) for row in funding]),
+        contribution=_fan(_yearly(outputs["contribution"], steps)),
+        benefit=_fan(_yearly(outputs["benefit"], steps)),
+        indexation=_fan(granted),
+        cumulated=_fan(np.cumprod(1 + granted, 0)),
+    )
+
+
+def _yearly(values: np.ndarray, each: int) -> np.ndarray:
+    """[years, N] sums over the steps of a year; steps beyond the last whole year are left out."""
+    whole = len(values) // each * each
+    return values[:whole].reshape(-1, each, values.shape[1]).sum(1)
+
+
+def _fan(values: np.ndarray) -> Fan:
+    """{quantile: [times]} of [times, N], and the mean."""
+    quantiles = np.quantile(values, [q / 100 for q in QUANTILES], axis=1)
+    named = {f"p{q:02d}": row for q, row in zip(QUANTILES, quantiles)}
+    return {"mean": values.mean(1)} | named
+
+
+def _tail(values: np.ndarray) -> float:
+    """The mean of the worst paths, those that hold 1 - TAIL of them."""
+    count = max(1, round((1 - TAIL) * len(values)))
+    return float(np.sort(values)[:count].mean())
+
+
+def policy_map(record: RecordedPaths) -> PolicyMap:
+    """Means of weights and places over the paths in each cell of years and funding ratios."""
+    case = record.case
+    steps = round(1 / case.step)
+    starts = np.arange(0, case.steps, steps)
+    growth = record.weights[:, :, list(case.assets.shocks)].sum(2)
+
+    def mapped(values: np.ndarray) -> np.ndarray:
+        cells = np.full((len(starts), len(RATIOS) - 1), np.nan)
+        for row, start in enumerate(starts):
+            year = slice(start, min(start + steps, case.steps))
+            column = np.digitize(record.funding[:-1][year].ravel(), RATIOS) - 1
+            flat = values[year].ravel()
+            for k in range(len(RATIOS) - 1):
+                chosen = column == k
+                if chosen.sum() >= FEW:
+                    cells[row, k] = flat[chosen].mean()
+        return cells
+
+    hedge = mapped(record.overlay.mean(2)) if case.buckets else EMPTY
+    return PolicyMap(starts * case.step, RATIOS, mapped(growth), hedge)
+
+
+def mean_mix(record: RecordedPaths) -> MeanMix:
+    """Means over the paths at the starts of years."""
+    case = record.case
+    steps = round(1 / case.step)
+    weights, overlay = record.weights[::steps].mean(1), record.overlay[::steps].mean(1)
+    years = np.arange(0, case.steps, steps) * case.step
+    names = tuple(each.name for each in case.assets.classes)
+    return MeanMix(years, names, weights.T, overlay.T)
+
+
+def limits_by_step(record: RecordedPaths, round_off: float) -> dict[str, LimitBreaches]:
+    """Shares of the paths that break a limit.
+
+    "weights": a weight or a group leaves its bounds; with swaps, "collateral": eligible assets do
+    not cover the need under stress. Less than `round_off` is no breach: the learned policy often
+    holds exactly as many swaps as its assets back, and the last bit may lie on either side.
+
+    **Arguments:**
+
+    - `round_off`: of a weight; of the assets now, per step, for collateral.
+    """
+    broken = {"weights": record.outputs["bound_excess"] > round_off}
+    if record.case.buckets:
+        broken["collateral"] = record.outputs["collateral_shortfall"] > round_off
+    return {
+        name: LimitBreaches(paths.mean(1), float(paths.any(0).mean()))
+        for name, paths in broken.items()
+    }
+
+
+def show(run: PensionRun, result: PathTables) -> Sequence[Block]:
+    """The policy drawn as weights over funding ratio and time, and its mean mix."""
+    table = result.policy_map
+    blocks: list[Block] = [
+        _map("growth", "share of equity, property and other risky classes", table, table.growth)
+    ]
+    if table.hedge.size:
+        words = "mean place of the swap notionals between their limits"
+        blocks.append(_map("hedge", words, table, table.hedge))
+    return [*blocks, _mix(result.mix)]
+
+
+def _map(name: str, words: str, table: PolicyMap, values: np.ndarray) -> Chart:
+    rows = range(0, len(table.years), max(1, -(-len(table.years) // 12)))
+    down = [f"year {number(table.years[i] + 1, 0)}" for i in rows]
+    across, grid = _columns(table.ratios), values[list(rows)]
+    alt = f"Map of the {words}, by funding ratio across and year upwards."
+    svg = draw(
+        f"map-{name}", alt, lambda axes: heat(axes, grid, across, down, "%"), 60.0 + 19 * len(rows)
+    )
+    caption = (
+        f"{words[:1].upper()}{words[1:]}, in per cent: means over the paths that are at that"
+        " funding ratio in that year; empty where hardly any is."
+    )
+    return Chart(svg, caption)
+
+
+def _columns(edges: np.ndarray) -> list[str]:
+    """["below 80 %", "80–90 %", …, "150 % up"]."""
+    texts = []
+    for low, high in pairwise(100 * edges):
+        if not low:
+            texts.append(f"below {number(high, 0)} %")
+        elif not np.isfinite(high):
+            texts.append(f"{number(low, 0)} % up")
+        else:
+            texts.append(f"{number(low, 0)}–{number(high, 0)} %")
+    return texts
+
+
+def _mix(mix: MeanMix) -> Chart:
+    mean = mix.weights
+    order = np.argsort(-np.abs(mean.mean(1)), kind="stable")
+    largest, rest = order[:5], order[5:]
+    layers = [
+        Layer(mix.classes[i], 100 * mean[i], colour, 0.8)
+        for i, colour in zip(largest, LAYERS, strict=False)
+    ]
+    if rest.size:
+        layers.append(Layer("All others", 100 * mean[rest].sum(0), LAYERS[5], 0.5))
+    alt = "Mean weights by class at the start of each year. " + "; ".join(
+        f"{layer.label} {number(layer.values[0], 0)} % now" for layer in layers
+    )
+    svg = draw("mix", alt, lambda axes: stack(axes, mix.years, layers, "%"), 240)
+    text = "Mean weights at the start of each year, over all paths."
+    if mean.min() < 0:
+        text += " Below zero: sold short, or borrowed."
+    return Chart(svg, text)
+
+
+PATHS = Chapter(
+    "paths", with_measure("The policy"), PathTables, measure, show, "Policy", anchor="policy"
+)

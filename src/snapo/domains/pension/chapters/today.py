@@ -1,0 +1,264 @@
+"""The balance sheet today and after the policy's first decision: trades, key rates, collateral."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from snapo.problem.inputs import plain
+from snapo.report.bands import Bars, Layer, grouped, stack
+from snapo.report.drawing import draw
+from snapo.report.page import Block, Chart, Facts, Table, Text
+from snapo.report.quantity import number
+from snapo.study.chapter import Chapter
+from snapo.study.study import StudyRun
+
+from ..fund.swap_limits import limit_unit, notionals
+from ..records.case import PensionCase
+from ..results import balance
+from ..results.balance import CurveLadder, Headroom, TradeList
+from ..results.figures.reconcile import figures
+from ..results.setup import case_of
+from ..run import PensionRun, points, share, with_measure
+from .paths import PATHS, LimitBreaches, PathTables
+
+BREACHES = (("collateral", "Collateral falls short"), ("weights", "Weights leave their bounds"))
+EDGES = (3.5, 7.5, 12.5, 17.5, 25.0, 35.0, 45.0)  # years: half-way between the tenors named
+BUCKET_NAMES = ("to 3y", "5y", "10y", "15y", "20y", "30y", "40y", "50y up")
+SIDES = ("assets", "swaps", "liability")
+RATES = (
+    "Change of value for +1 bp at the nodes nearest to each tenor. A liability that falls is a"
+    " gain: the hedge ratio is the assets' and swaps' change over the liability's."
+)
+PRICES = "IE01: the same for +1 bp of break-evens at each tenor, nominal rates held."
+RATES_TABLE = "Change for +1 bp, and hedge ratios: now, and after today's trades"
+PRICES_TABLE = "Inflation: change for +1 bp of break-evens, and inflation hedge ratios"
+REAL = (
+    "With break-evens held, a rise of nominal rates is one of real rates: the part of the rate"
+    " ladder that pays the price index follows. The rest follows nominal rates alone."
+)
+
+
+@dataclass(frozen=True)
+class Collateral:
+    """The headroom now and after today's trades; None without swaps."""
+
+    now: Headroom | None = None
+    after: Headroom | None = None
+
+
+@dataclass(frozen=True)
+class TodayTables:
+    """The trades; the ladders of rates and of break-evens, now and after the trades; collateral."""
+
+    trades: TradeList
+    ladder: CurveLadder
+    ladder_after: CurveLadder
+    inflation_ladder: CurveLadder
+    inflation_ladder_after: CurveLadder
+    collateral: Collateral
+
+
+def measure(run: StudyRun) -> TodayTables:
+    """All of it in closed form, from the first decision on the recorded paths."""
+    case, inputs, paths = case_of(run), plain(run.setup.problem.inputs), PATHS.of(run)
+    assert paths is not None
+    weights, places = paths.first_decision.weights, paths.first_decision.overlay
+    values, own = limit_unit(case), figures(case, inputs)
+    wanted = notionals(case, places, values)
+    now = np.zeros(0) if case.overlay is None else case.overlay.notional.used()
+    after = _rebalanced(case, weights)
+    return TodayTables(
+        balance.trades(case, weights, places, values),
+        balance.ladder(case, inputs, own, now),
+        balance.ladder(after, inputs, own, wanted),
+        balance.inflation_ladder(case, inputs, own, now),
+        balance.inflation_ladder(after, inputs, own, wanted),
+        Collateral(
+            balance.headroom(case, case.assets.weight.used(), now),
+            balance.headroom(case, weights, wanted),
+        ),
+    )
+
+
+def _rebalanced(case: PensionCase, weights: np.ndarray) -> PensionCase:
+    moved = replace(case.assets.weight, values=np.asarray(weights, np.float64))
+    return replace(case, assets=replace(case.assets, weight=moved))
+
+
+def show(run: PensionRun, result: TodayTables) -> Sequence[Block]:
+    """Today's list from the present weights to the policy's, and the swaps."""
+    classes, swaps = result.trades.classes, result.trades.swaps
+    scale, unit = run.size([x.trade for x in classes])
+    body = [
+        (
+            x.name,
+            _verb(x.trade, scale),
+            points(x.now, 1),
+            points(x.target, 1),
+            f"{points(x.low, 0)} – {points(x.high, 0)}",
+            number(x.trade / scale, 2, True),
+            number(x.cost / scale, 3),
+        )
+        for x in classes
+    ]
+    names = (("Class", ""), ("", ""), ("Now", "%"), ("Policy", "%"), ("Bounds", "%"))
+    head = [*names, ("Trade", unit), ("Cost", unit)]
+    blocks: list[Block] = [Table(head, body, "Classes", 2)]
+    if swaps:
+        scale, unit = run.size([amount for x in swaps for amount in (x.now, x.target)])
+        lines = [
+            (
+                x.tenor,
+                _verb(x.trade, scale),
+                number(x.now / scale, 2),
+                number(x.target / scale, 2),
+                number(x.trade / scale, 2, True),
+            )
+            for x in swaps
+        ]
+        head = [("Swap", ""), ("", ""), ("Now", unit), ("Policy", unit), ("Trade", unit)]
+        blocks.append(Table(head, lines, "Receiver swaps: notionals", 2))
+    return blocks
+
+
+def _verb(trade: float, scale: float) -> str:
+    if abs(trade) < 0.005 * scale:
+        return "keep"
+    return "buy" if trade > 0 else "sell"
+
+
+TODAY = Chapter(
+    "today", "Today's trades", TodayTables, measure, show, "Trades", ("paths",), anchor="trades"
+)
+
+
+def show_ladders(run: PensionRun, result: TodayTables) -> Sequence[Block]:
+    """Key-rate ladders of assets, swaps and liabilities today, with hedge ratios by bucket."""
+    rates = Buckets.of(run, result.ladder, result.ladder_after)
+    blocks: list[Block] = [rates.picture("ladder", RATES), rates.table(RATES_TABLE)]
+    prices = Buckets.of(run, result.inflation_ladder, result.inflation_ladder_after)
+    if prices.used.size:
+        blocks += [prices.picture("inflation-ladder", PRICES), prices.table(PRICES_TABLE)]
+        blocks += [Text(REAL, caveat=True), _real(run, result)]
+    return blocks
+
+
+@dataclass(frozen=True)
+class Buckets:
+    """Changes by bucket, money, `before` and `after` today's trades {side: [buckets]}; `used` are
+    the buckets where something moves."""
+
+    run: PensionRun
+    before: dict[str, np.ndarray]
+    after: dict[str, np.ndarray]
+
+    @classmethod
+    def of(cls, run: PensionRun, before: CurveLadder, after: CurveLadder) -> "Buckets":
+        place = np.digitize(before.tenor, EDGES)
+
+        def bucketed(values: np.ndarray) -> np.ndarray:
+            values = np.nan_to_num(values) if values.size else np.zeros(len(place))
+            return np.bincount(place, values, len(BUCKET_NAMES))
+
+        sides = [{side: bucketed(getattr(x, side)) for side in SIDES} for x in (before, after)]
+        return cls(run, *sides)
+
+    @property
+    def used(self) -> np.ndarray:
+        both = (*self.before.values(), *self.after.values())
+        return np.flatnonzero(sum(np.abs(each) for each in both) > 0)
+
+    def picture(self, name: str, caption: str) -> Chart:
+        used, (scale, unit) = self.used, self.run.size(*self.before.values())
+        series = [
+            Bars("Assets, policy", self.after["assets"][used] / scale, "inject"),
+            Bars("Swaps, policy", self.after["swaps"][used] / scale, "withdraw"),
+            Bars("Liability", self.before["liability"][used] / scale, "main"),
+        ]
+        labels = [BUCKET_NAMES[i] for i in used]
+        alt = "Change of value for a rise of 1 bp by tenor bucket, of assets, swaps and liability."
+        svg = draw(name, alt, lambda axes: grouped(axes, labels, series, f"{unit} per bp"), 230)
+        return Chart(svg, caption)
+
+    def table(self, caption: str) -> Table:
+        scale, unit = self.run.size(*self.before.values())
+        rows = [self._line(BUCKET_NAMES[i], [i], scale) for i in self.used]
+        rows.append(self._line("All", list(self.used), scale))
+        head = [("Tenor", ""), ("Liability", unit), ("Assets now", unit), ("Swaps now", unit)]
+        head += [("Hedge ratio", "%"), ("Assets, policy", unit), ("Swaps, policy", unit)]
+        head.append(("Hedge ratio", "%"))
+        return Table(head, rows, caption, 1, strong=frozenset([len(rows) - 1]))
+
+    def _line(self, name: str, places: list, scale: float) -> tuple[str, ...]:
+        liability = float(self.before["liability"][places].sum())
+        cells = [name, number(liability / scale, 3, True)]
+        for when in (self.before, self.after):
+            held = [float(when[side][places].sum()) for side in ("assets", "swaps")]
+            cells += [number(each / scale, 3, True) for each in held]
+            cells.append(number(100 * sum(held) / liability, 0) if abs(liability) > 0 else "")
+        return tuple(cells)
+
+
+def _real(run: PensionRun, result: TodayTables) -> Table:
+    """+1 bp of all rates: what pays prices, what pays money, and both."""
+    parts = []
+    for when, ladder in (("Now", result.ladder), ("After today's trades", result.ladder_after)):
+        for side in ("assets", "liability"):
+            names = (side, f"real_{side}")
+            whole, real = (float(np.nan_to_num(getattr(ladder, x)).sum()) for x in names)
+            parts.append((f"{when}: {side}", real, whole - real, whole))
+    scale, unit = run.size(*(np.array(numbers) for _, *numbers in parts))
+    rows = [(name, *(number(x / scale, 3, True) for x in numbers)) for name, *numbers in parts]
+    head = [("", ""), ("Real rates", unit), ("Nominal rates", unit), ("Both", unit)]
+    return Table(head, rows, "Change for +1 bp of all rates, break-evens held, without swaps", 1)
+
+
+LADDERS = TODAY.section(
+    "ladder", "Key-rate ladder and hedge ratios today", "Hedge ratios", show_ladders
+)
+
+
+def show_limits(run: PensionRun, result: PathTables) -> Sequence[Block]:
+    """Collateral: headroom today; and by month, paths that break a limit."""
+    today, facts = TODAY.of(run), []
+    collateral = Collateral() if today is None else today.collateral
+    if (now := collateral.now) is not None:
+        facts = [
+            _headroom(run, "Headroom now", now),
+            _headroom(run, "After today's trades", collateral.after),
+            ("Required", f"{number(now.required, 0)} bp", "rise in rates to be withstood"),
+        ]
+    broken = [(x, words, result.limits[x]) for x, words in BREACHES if x in result.limits]
+    note = f"probability in any month, {run.measure}"
+    facts += [(words, share(breaches.ever, 2), note) for _, words, breaches in broken]
+    blocks: list[Block] = [Facts(facts)]
+    if now is None and not run.left_out(TODAY.name):
+        blocks.append(Text("The case has no swaps, and needs no collateral."))
+    return [*blocks, *(_months(run, *breaches) for breaches in broken)]
+
+
+def _months(run: PensionRun, name: str, words: str, breaches: LimitBreaches) -> Chart | Text:
+    """Shares of the paths that break one limit, step by step."""
+    months = breaches.share
+    if not np.any(months > 0):
+        return Text(f"{words}: on no path in any month.")
+    worst = int(np.nanargmax(months))
+    layer = Layer(words, 100 * months, "limit", 0.8)
+    text = f"{words} most often in step {worst + 1}: on {share(months[worst], 2)} of the paths."
+    years, unit = np.arange(len(months)) * run.step, "% of paths"
+    svg = draw(f"breach-{name}", text, lambda axes: stack(axes, years, [layer], unit), 180)
+    return Chart(svg, f"{text} Shares of the paths by month.")
+
+
+def _headroom(run: PensionRun, name: str, room: Headroom | None) -> tuple[str, str, str]:
+    if room is None or (room.headroom is None and not room.enough):
+        return name, "no swaps", "nothing to be collateralised"
+    note = f"{run.large(room.eligible)} eligible, PV01 {run.large(room.pv01, 2)}"
+    if room.direction == "fall":
+        note = f"{note}; of a fall in rates"
+    enough = room.headroom is None
+    return name, "no limit" if enough else f"{number(room.headroom, 0)} bp", note
+
+
+LIMITS = PATHS.section("collateral", with_measure("Collateral and limits"), "Limits", show_limits)

@@ -1,1 +1,0 @@
-"""The sections of a pension report: each reads a `PensionRun` and gives one `Section`."""
