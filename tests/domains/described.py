@@ -15,6 +15,7 @@ from contextlib import contextmanager
 from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 from snapo.case import table as tables
+from snapo.case.quantity import quantity_of
 from snapo.case.table import Table, load
 from snapo.study import commands
 
@@ -65,9 +66,9 @@ def _listening() -> Iterator[list[tuple[type[Table], str]]]:
     """(table, name) of every call of `parse`, under whatever module it is known."""
     heard, true = [], tables.parse
 
-    def parse(table, data, file, name):
+    def parse(table, data, file, name, *more):
         heard.append((table, name))
-        return true(table, data, file, name)
+        return true(table, data, file, name, *more)
 
     users = [each for each in list(sys.modules.values()) if vars(each).get("parse") is true]
     for each in users:
@@ -125,7 +126,7 @@ def inside(data: Any, way: tuple[str | int, ...], other: Any = None) -> Any:
 
 def _values(field) -> Iterator[tuple[str, Any]]:
     """(mistake, value) of all that the annotation and the description of a key rule out."""
-    known, words = allowed_types(field.annotation), field.description or ""
+    known, words = types_of(field), field.description or ""
     open_ = Any in known
     number = bool({int, float} & known) or open_
     if bool not in known:
@@ -171,6 +172,14 @@ def _beyond(words: str) -> set[float]:
     for high in re.findall(r"at most (-?[\d.]+\d|\d)", words):
         found.add(float(high) + 1)
     return {int(each) if each == int(each) else each for each in found}
+
+
+def types_of(field) -> set[Any]:
+    """The plain types that a value of a key may have."""
+    quantity = quantity_of(field)
+    if quantity is None:
+        return allowed_types(field.annotation)
+    return {int, float, str} if quantity.by else {int, float}
 
 
 def allowed_types(annotation: Any) -> set[Any]:

@@ -132,7 +132,7 @@ def test_days_and_months_as_labels_are_those_of_the_calendar(name, tmp_path):
     section = Section(tmp_path / "case.toml", "season", [])
     assert read_season(section, {"file": "season.csv"}).labels == PERIODS
     table = {"file": "season.csv", "column": "factor", "label": "period"}
-    assert read_inputs({"factor": table}, section.file, [])["factor"].labels == PERIODS
+    assert read_inputs({"factor": table}, section.file, [])[0]["factor"].labels == PERIODS
 
 
 def test_a_label_that_could_be_two_days_stays_as_it_is(tmp_path):

@@ -6,7 +6,9 @@ import pytest
 from snapo.case.error import CaseError
 from snapo.live.case.files import read_files
 from snapo.live.case.places import Places
+from snapo.live.terms import usual
 from snapo.study import commands
+from snapo.study.domain import Options
 
 
 @pytest.fixture(scope="module")
@@ -20,11 +22,128 @@ def storage(tmp_path_factory):
     return Places(loaded.domain.read, files, storage_inputs(loaded.case))
 
 
+def counted(folder):
+    """The places of a storage case, and a list with an entry for each time that it is read."""
+    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+
+    loaded, readings = commands.load(commands.Asked(folder)), []
+
+    def read(file, data):
+        readings.append(file)
+        return loaded.domain.read(file, data)
+
+    inputs, files = storage_inputs(loaded.case), read_files(folder, loaded.data)
+    return Places(read, files, inputs, case=loaded.case), readings
+
+
+REFUSED = {  # by the contract: the template's others move with them, or not at all
+    "min_inventory": "the limits allow",
+    "max_inventory": "must reach max_inventory",
+    "ratchet_inventory": "must reach min_inventory",
+    "min_injection": "cannot be reached",
+}
+
+
+def test_every_input_of_a_store_is_written_and_read_once(tmp_path):
+    commands.new("gas-storage", tmp_path / "case")
+    places, readings = counted(tmp_path / "case")
+    for name, x in places.inputs.items():
+        wanted = x.value + usual(x)
+        wanted += 1e-3 * np.array_equal(wanted, x.value)
+        if name in REFUSED:
+            with pytest.raises(CaseError, match=REFUSED[name]):
+                places.moved({name: wanted})
+        else:
+            assert np.array_equal(storage_values(places.moved({name: wanted}), name), wanted)
+    assert len(readings) == len(places.inputs) == 21
+
+
+def storage_values(moved, name):
+    from snapo.domains.gas_storage.contract.inputs import storage_inputs
+
+    return storage_inputs(moved.case)[name].value
+
+
+@pytest.mark.parametrize(
+    ("kind", "size", "simulator"),
+    [("inventory", "spare-part", None), ("control", "pendulum", None), ("control", "measured", None),
+     ("control", "linear-quadratic", None), ("own", "reservoir", ("simulator", "Reservoir"))],
+)  # fmt: skip
+def test_every_input_of_an_item_a_plant_and_a_simulator_is_written_and_read_once(
+    kind, size, simulator, tmp_path
+):
+    commands.new(kind, tmp_path / "case", size)
+    loaded = commands.load(commands.Asked(tmp_path / "case", simulator=simulator))
+    inputs_of, readings = loaded.domain.study(loaded.case, Options("xla")).inputs, []
+    assert inputs_of is not None
+
+    def read(file, data):
+        readings.append(file)
+        return loaded.domain.read(file, data)
+
+    files = read_files(tmp_path / "case", loaded.data)
+    inputs = inputs_of(loaded.case)
+    places = Places(read, files, inputs, inputs_of, loaded.case)
+    for name, x in inputs.items():
+        wanted = x.value * (1 + 2.0**-20) + 1e-9 * (x.value == 0) * (name[:5] != "noise")
+        moved = inputs_of(places.moved({name: wanted}).case)
+        assert np.array_equal(moved[name].value, wanted)
+        assert all(
+            np.array_equal(moved[key].value, inputs[key].value) for key in moved if key != name
+        )
+    assert len(readings) == len(inputs)
+
+
+def test_a_curve_with_decimal_commas_is_written_where_it_was_read(tmp_path):
+    commands.new("gas-storage", tmp_path)
+    curve = tmp_path / "curve.csv"
+    lines = curve.read_text().replace(",", ";").replace(".", ",").splitlines()
+    curve.write_text("\n".join(["# of a spreadsheet", *lines, ""]))
+    places, _ = counted(tmp_path)
+    wanted = places.inputs["forward_curve"].value + 0.5
+    moved = places.moved({"forward_curve": wanted})
+    assert np.array_equal(storage_values(moved, "forward_curve"), wanted)
+    assert len(moved.files.sheets["curve.csv"].rows) == 13
+
+
+def test_numbers_of_a_table_that_is_no_csv_say_why_they_stay(tmp_path):
+    parquet = pytest.importorskip("pyarrow.parquet")
+    import pyarrow
+
+    commands.new("gas-storage", tmp_path)
+    lines = (tmp_path / "curve.csv").read_text().splitlines()
+    rows = [line.split(",") for line in lines if not line.startswith("#")][1:]
+    table = {"date": [row[0] for row in rows], "price": [float(row[1]) for row in rows]}
+    parquet.write_table(pyarrow.table(table), tmp_path / "curve.parquet")
+    case = tmp_path / "case.toml"
+    case.write_text(case.read_text().replace("curve.csv", "curve.parquet"))
+    places, _ = counted(tmp_path)
+    with pytest.raises(CaseError, match=r"curve\.parquet: numbers can be changed in a CSV"):
+        places.moved({"forward_curve": places.inputs["forward_curve"].value + 0.5})
+
+
+def test_both_entries_of_a_correlation_are_written(tmp_path):
+    commands.new("gas-storage", tmp_path)
+    case = tmp_path / "case.toml"
+    head, _, tail = case.read_text().partition("[model]")
+    rest = tail[tail.index("\n[") :]
+    case.write_text(
+        f"{head}[model]\nkind = 'multi-factor'\ncorrelation = [[1.0, 0.3], [0.3, 1.0]]\n"
+        "factors = [{ mean_reversion = 12.0, volatility = 0.6 }, "
+        f"{{ mean_reversion = 0.5, volatility = 0.2 }}]\n{rest}"
+    )
+    places, _ = counted(tmp_path)
+    wanted = {"correlation": np.array([0.25]), "volatility": np.array([0.7, 0.3])}
+    moved = places.moved(wanted)
+    assert moved.files.tables["model"]["correlation"] == [[1.0, 0.25], [0.25, 1.0]]
+    assert [x["volatility"] for x in moved.files.tables["model"]["factors"]] == [0.7, 0.3]
+
+
 def test_a_curve_stays_monthly_where_its_months_are_flat(storage):
     curve = storage.inputs["forward_curve"]
     files = storage.moved({"forward_curve": curve.value + 0.25}).files
     sheet = files.sheets["curve.csv"]
-    assert len(sheet.rows) == 12 and sheet.rows[0] == ["2021-04", "16.86"]
+    assert len(sheet.rows) == 13 and sheet.rows[0] == ["2021-04", "16.86"]
     bent = curve.value.copy()
     bent[3] += 1 / 3
     moved = storage.moved({"forward_curve": bent})

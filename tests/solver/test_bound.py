@@ -5,7 +5,7 @@ by a fine lattice: 2.3140 for one right, 6.8707 for three.
 """
 
 from dataclasses import replace
-from functools import cache, reduce
+from functools import cache
 
 import equinox as eqx
 import jax.numpy as jnp
@@ -15,8 +15,8 @@ import pytest
 from snapo import Box, Input, Mean, Policy, Problem, Pseudo, Simulator, Xla
 from snapo.cli.commands import bounds, summary
 from snapo.problem.simulator import Schedule
-from snapo.report.sections.bound import _sentence
 from snapo.solver.bound import Between, Bound, bound, nested_mean
+from snapo.study.chapters.bound import ValueBounds, sentence
 
 DATES, STRIKE, RATE, VOLATILITY = 50, 40.0, 0.06, 0.2
 STEP = 1.0 / DATES
@@ -243,17 +243,11 @@ def test_a_wide_bound_says_that_it_says_little(gap, error, little):
     result = {"bound": found.row(), "references": {"upper_bound": found.upper.value}, "run": "run"}
     places = (str(found), found._repr_html_(), bounds(result), summary(result))
     assert [("says little" in each) for each in places] == [little] * 4
-    assert ("says little" in _sentence(Shown(result), result["bound"], 2)) == little
+    assert ("says little" in sentence(Shown(), ValueBounds.of(found), 2)) == little  # pyright: ignore
 
 
 class Shown:
     """As much of a run as the sentence on its bound needs."""
-
-    def __init__(self, result):
-        self.result = result
-
-    def get(self, path: str):
-        return reduce(lambda table, key: table[key], path.split("."), self.result)
 
     def worth(self, value: float, error: None, places: int) -> str:
         return f"EUR {value:.{places}f}"

@@ -18,6 +18,7 @@ import numpy as np
 from .columns import PARQUET, parquet_lines
 from .dialect import Dialect, Doubt, dialect, separator
 from .error import CaseError, Unquoted, nearest
+from .given import SheetCell
 from .table import LARGEST, TOO_LARGE, Section, not_utf8
 
 DAY = re.compile(r"\d{4}-\d{2}-\d{2}", re.ASCII)
@@ -53,17 +54,23 @@ class Row:
         shown = value if value else Unquoted("an empty cell")
         return CaseError(self.file, f"line {self.line}, column {column}", shown, allowed)
 
-    def number(self, column: str, low: float = -math.inf, high: float = math.inf) -> float:
-        """A finite number within [low, high]."""
-        text = self.cells[column]
+    def number(
+        self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
+    ) -> float:
+        """A finite number within [low, high]; `allowed`: the same in words."""
+        text, allowed = self.cells[column], allowed or within(low, high)
         value = float(text) if NUMBER.fullmatch(text) else math.nan
         if not math.isfinite(value):
-            raise self.error(column, f"allowed is {within(low, high)}, written like 12.5")
+            raise self.error(column, f"allowed is {allowed}, written like 12.5")
         if not low <= value <= high:
-            raise self.error(column, f"allowed is {within(low, high)}")
+            raise self.error(column, f"allowed is {allowed}")
         if abs(value) > LARGEST:
-            raise self.error(column, f"allowed is {within(low, high)}; {TOO_LARGE}")
+            raise self.error(column, f"allowed is {allowed}; {TOO_LARGE}")
         return value
+
+    def position(self, column: str) -> SheetCell:
+        """The position of one cell of this line."""
+        return SheetCell(self.file, self.line, column)
 
     def day(self, column: str) -> datetime.date:
         """A day that exists, YYYY-MM-DD."""

@@ -1,16 +1,46 @@
 """Numbers that the owner of a case gave, with their meaning and units."""
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from datetime import date
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+
+from .error import CaseError
 
 if TYPE_CHECKING:
     from snapo.problem.form import Use
     from snapo.problem.inputs import Input
 
 SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
+
+
+class SheetCell(NamedTuple):
+    """The position of a number in a CSV of a case; `line` counts from 1."""
+
+    file: str
+    line: int
+    column: str
+
+    def __str__(self) -> str:
+        return f"{self.file}, line {self.line}, column {self.column}"
+
+
+class Copies(NamedTuple):
+    """The positions of a number that stands in several: the two entries of a correlation."""
+
+    positions: tuple[tuple[str | int, ...], ...]
+
+
+# The position of a number: a cell, the keys that lead to it in the TOML file, or none.
+FilePosition = SheetCell | Copies | tuple[str | int, ...] | None
+
+
+def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
+    """The positions of the entries of an array under a key, in C order; of one number, the key."""
+    return tuple((*path, *index) for index in np.ndindex(shape))
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +60,10 @@ class Given:
     - `index`: integers of any shape into `values`; unused numbers are not referred to.
     - `low`, `high`: what the numbers may be at all; infinite where there is no limit.
     - `bump`, `move`, `trade_unit`, `trade_factor`, `group`, `words`: as in `Input`.
+    - `places`: [n] the position of each number in the files of the case; () where no reader
+      recorded it.
+    - `starts`: [n] day numbers from which the numbers hold, where they change with time.
+    - `quantity`: its declaration (`snapo.case.quantity`), where it has one.
     """
 
     name: str
@@ -45,6 +79,9 @@ class Given:
     words: str = ""
     low: float = -math.inf
     high: float = math.inf
+    places: tuple[FilePosition, ...] = ()
+    starts: np.ndarray | None = None
+    quantity: Any = None
 
     def __post_init__(self):
         if len(self.labels) != len(self.values):
@@ -60,9 +97,47 @@ class Given:
 
         return Use.of(self.name, len(self.values), self.index)
 
+    @property
+    def written(self) -> float | str:
+        """The value of its key in the case: a number, or the name of a file."""
+        place = self.places[0] if self.places else None
+        return place.file if isinstance(place, SheetCell) else float(self.values[0])
+
     def input(self) -> "Input":
         """The numbers as a differentiable input, with all that is said about them."""
         from snapo.problem.inputs import Input  # JAX: a case is read, and refused, without it
 
         said = {name: getattr(self, name) for name in SAID}
         return Input(self.values, self.unit, self.labels, **said)
+
+    def on(self, days: Sequence[date], notes: list[str]) -> "Given":
+        """The numbers on rising dates: each holds from its own date on; index [len(days)].
+
+        **Raises:** `CaseError` where the dates begin before the numbers do.
+        """
+        if self.starts is None:
+            return replace(self, index=np.zeros(len(days), np.int64))
+        day_numbers = np.array([day.toordinal() for day in days], np.int64)
+        late = len(days) and self.starts[0] > day_numbers[0]
+        numbers = self._from(days[0], notes) if late else self
+        assert numbers.starts is not None
+        index = np.searchsorted(numbers.starts, day_numbers, side="right") - 1
+        return replace(numbers, index=index)
+
+    def _from(self, day: date, notes: list[str]) -> "Given":
+        """With the number that holds before the first of its dates."""
+        assert self.starts is not None
+        first, before, position = self.labels[0], self.quantity.before, self.places[0]
+        assert isinstance(position, SheetCell)
+        if before is None:
+            what = f"{self.name} is needed from {day.isoformat()} on; add a row for that date"
+            where = f"line {position.line}, column {self.quantity.by}"
+            raise CaseError(position.file, where, first, what)
+        notes.append(f"{position.file} begins on {first}; until then {self.name} is {before:g}.")
+        return replace(
+            self,
+            values=np.insert(self.values, 0, before),
+            labels=(f"before {first}", *self.labels),
+            starts=np.insert(self.starts, 0, day.toordinal()),
+            places=(None, *self.places),
+        )

@@ -23,6 +23,7 @@ import numpy as np
 
 from .csv import NUMBER, Mention, read_rows
 from .error import CaseError
+from .given import Copies, FilePosition, SheetCell
 from .table import Section
 
 AROUND = 4  # neighbours along a curve with which a number is compared
@@ -38,6 +39,7 @@ class CheckedNumbers(NamedTuple):
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] as in the case's files.
     - `display_unit`, `display_factor`: the unit of the trade, and how many of it make one `unit`.
     - `source`: the input that they are made from; they are not noted where that one is.
+    - `range`: the plausible one of its declaration; `places`: [n] their positions, where recorded.
     """
 
     name: str
@@ -49,6 +51,8 @@ class CheckedNumbers(NamedTuple):
     display_factor: float = 1.0
     written: np.ndarray | None = None
     source: str = ""
+    range: "Plausible | None" = None
+    places: tuple[Any, ...] = ()
 
 
 def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
@@ -68,6 +72,8 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
         entry.group,
         getattr(entry, "display_unit", "") or getattr(entry, "trade_unit", ""),
         getattr(entry, "display_factor", None) or getattr(entry, "trade_factor", 1.0),
+        range=getattr(getattr(entry, "quantity", None), "plausible", None),
+        places=getattr(entry, "places", ()),
     )
 
 
@@ -111,10 +117,13 @@ class Plausible:
 def implausible(
     entries: Iterable[Any], ranges: Sequence[Plausible], files: "CaseFiles"
 ) -> dict[str, str]:
-    """{name: note} of the inputs with implausible numbers; the first range that fits counts."""
+    """{name: note} of the inputs with implausible numbers.
+
+    The range of an input is that of its declaration, else the first of `ranges` that fits.
+    """
     notes: dict[str, str] = {}
     for entry in map(checked_numbers, entries):
-        range_ = next((item for item in ranges if item.fits(entry)), None)
+        range_ = entry.range or next((item for item in ranges if item.fits(entry)), None)
         if range_ is None or entry.name in notes or entry.source in notes:
             continue
         note = _outside(entry, range_, files) or _apart(entry, range_, files)
@@ -179,11 +188,24 @@ def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
     """Position, name and number of the entry, in the unit of the trade and as it is written."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
-    position = files.position(entry.source or entry.name, entry.labels[row], float(written[row]))
+    position = in_words(entry.places[row]) if entry.places else ""
+    if not position:
+        name, number = entry.source or entry.name, float(written[row])
+        position = files.position(name, entry.labels[row], number)
     shown = f"{_plain(entry.values[row] * entry.display_factor)} {_unit(entry)}".rstrip()
     if entry.display_factor != 1 and entry.written is None:
         shown += f" ({entry.values[row]:.6g})"
     return f"{position}: {entry.name}{label} is {shown}"
+
+
+def in_words(position: FilePosition) -> str:
+    """A position in the files of a case: "curve.csv, line 3, column price", "model.volatility"."""
+    if isinstance(position, Copies):
+        return in_words(position.positions[0])
+    if position is None or isinstance(position, SheetCell):
+        return str(position or "")
+    text = "".join(f"[{key}]" if isinstance(key, int) else f".{key}" for key in position)
+    return text.removeprefix(".")
 
 
 def more(count: int, of: str = "") -> str:

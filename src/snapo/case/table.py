@@ -9,15 +9,16 @@ import difflib
 import math
 import re
 import tomllib
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from contextvars import ContextVar
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import Annotated, Any, Literal, NamedTuple, TypeVar, get_args, get_origin
 
 import pydantic
 from pydantic import Field
+from pydantic.fields import FieldInfo
 
 from .error import CaseError, nearest
 
@@ -30,15 +31,32 @@ TOO_LARGE = f"no number of a case is larger than {LARGEST:g}"
 
 @dataclass(frozen=True)
 class Section:
-    """A table of a case while it is read: names the place of a mistake, collects remarks."""
+    """A table of a case while it is read: names the place of a mistake, collects remarks.
+
+    `path`: the keys that lead to it, where its name in messages does not say them.
+    """
 
     file: Path
     name: str
     notes: list[str]
+    path: tuple[str | int, ...] | None = field(default=None, kw_only=True)
+
+    @property
+    def keys(self) -> tuple[str | int, ...]:
+        """The keys that lead to the table from the top of the file."""
+        if self.path is not None:
+            return self.path
+        return keys_of(self.name)
 
     def error(self, key: str, value: Any, allowed: str) -> CaseError:
         """A mistake in the value of `key`."""
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
+
+
+def keys_of(name: str) -> tuple[str | int, ...]:
+    """The keys that lead to a table of this name: "place[1].demand" is ("place", 1, "demand")."""
+    parts = re.findall(r"\[(\d+)\]|([^.\[\]]+)", name)
+    return tuple(int(row) if row else key for row, key in parts)
 
 
 class Table(pydantic.BaseModel):
@@ -48,6 +66,10 @@ class Table(pydantic.BaseModel):
         extra="forbid", strict=True, frozen=True, allow_inf_nan=False, arbitrary_types_allowed=True
     )
 
+
+# {name of a table: its format, or several of which a case has one}. "" is the whole file, "place[]"
+# an array of tables, "units.*" a table of tables, "place[].demand" a table in each of an array.
+Formats = Mapping[str, type[Table] | Sequence[type[Table]]]
 
 Title = Annotated[str, Field(max_length=200)]
 TITLE = "a text of at most 200 characters in quotation marks"
@@ -112,30 +134,71 @@ def not_utf8(error: UnicodeDecodeError) -> str:
     return f"byte 0x{raw[error.start]:02x} on line {line} is not UTF-8; save the file as UTF-8"
 
 
-_watched: ContextVar[list[tuple[type[Table], Any, str]] | None] = ContextVar(
-    "watched", default=None
-)
+class TableRead(NamedTuple):
+    """A table of a case that was checked: its name in messages, its data, and its options.
+
+    `options`: {key: the words and truth values that it may have}, of keys with several.
+    """
+
+    name: str
+    data: Any
+    fields: Mapping[str, FieldInfo]
+    options: Mapping[str, tuple[str | bool, ...]]
+
+
+_tables_read: ContextVar[list[TableRead] | None] = ContextVar("tables read", default=None)
 
 
 @contextmanager
-def watching() -> Iterator[list[tuple[type[Table], Any, str]]]:
-    """Collects (format, data, name) of every table that is checked inside of it."""
-    found: list[tuple[type[Table], Any, str]] = []
-    before = _watched.set(found)
+def recorded_tables() -> Iterator[list[TableRead]]:
+    """Collects every table that is checked inside of it."""
+    tables: list[TableRead] = []
+    before = _tables_read.set(tables)
     try:
-        yield found
+        yield tables
     finally:
-        _watched.reset(before)
+        _tables_read.reset(before)
 
 
-def parse(table: type[AnyTable], data: Any, file: str, name: str) -> AnyTable:
-    """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes."""
-    if (watched := _watched.get()) is not None:
-        watched.append((table, data, name))
+def record_kinds(data: Any, name: str, key: str, kinds: Iterable[str]) -> None:
+    """Records the words of a key that chooses the format of its table, such as `kind`."""
+    if (tables := _tables_read.get()) is not None:
+        tables.append(TableRead(name, data, {}, {key: tuple(kinds)}))
+
+
+def options_of(annotation: Any) -> tuple[str | bool, ...]:
+    """The words and truth values of a type, as far as it lists them."""
+    if annotation is bool:
+        return (False, True)
+    parts = get_args(annotation)
+    if get_origin(annotation) is Literal:
+        return tuple(part for part in parts if isinstance(part, str))
+    if get_origin(annotation) in (list, dict, tuple):
+        return ()
+    return tuple(option for part in parts for option in options_of(part))
+
+
+def parse(
+    table: type[AnyTable],
+    data: Any,
+    file: str,
+    name: str,
+    notes: list[str] | None = None,
+    path: tuple[str | int, ...] | None = None,
+) -> AnyTable:
+    """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
+
+    `notes`, `path`: as of a `Section`, for the readers of its keys.
+    """
+    if (tables := _tables_read.get()) is not None:
+        fields = {field.alias or key: field for key, field in table.model_fields.items()}
+        options = {key: options_of(field.annotation) for key, field in fields.items()}
+        tables.append(TableRead(name, data, fields, options))
     if not isinstance(data, Mapping):
         raise CaseError(file, name, data, f"this must be a table, [{name}]")
     try:
-        read = table.model_validate(dict(data))
+        section = Section(Path(file), name, [] if notes is None else notes, path=path)
+        read = table.model_validate(dict(data), context=section)
         _check_sizes(read, file, name)
         return read
     except pydantic.ValidationError as error:
@@ -180,6 +243,9 @@ def _explain(table, data, file, name, item) -> CaseError:
     if item["type"] == "extra_forbidden":
         what = f"there is no such key; {nearest(key, table.model_fields)}"
         return CaseError(file, where, data[key], what)
+    error = item.get("ctx", {}).get("error")
+    if isinstance(error, CaseError):  # of a key's own reader
+        return error
     allowed = table.model_fields[key].description or item["msg"]
     if item["type"] == "missing":
         return CaseError(file, where, None, f"this key is missing; it is {allowed}")

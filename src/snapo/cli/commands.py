@@ -30,6 +30,7 @@ def run(options: argparse.Namespace) -> int:
         "open": _open,
         "compare": _compare,
         "bench": _bench,
+        "schema": _schema,
     }
     try:
         # stdout is for the answer alone
@@ -192,6 +193,13 @@ def _bench(options: argparse.Namespace) -> Answer:
     found = commands.bench(options.kind, options.engine, say)
     text = "\n\n".join(f"{kind}\n{times}" for kind, times in found.items())
     return {"status": "ok", "times": found}, text, OK
+
+
+def _schema(options: argparse.Namespace) -> Answer:
+    from .completion import schema_of_kind
+
+    schema = schema_of_kind(options.kind)
+    return schema, json.dumps(schema, indent=2, ensure_ascii=False), OK
 
 
 def summary(result: Mapping[str, Any]) -> str:

@@ -1,8 +1,21 @@
-"""`snapo completion SHELL`: a script for the shell, made from the command's own arguments."""
+"""What completes words elsewhere: commands in a shell, the keys of a case in an editor.
+
+`snapo completion SHELL` prints a script for the shell, made from the command's own arguments, and
+`snapo schema KIND` the JSON schema of a kind of case, made from the tables that its reader checks.
+Ranges, words and descriptions are those of the tables; what depends on other keys is left to
+`snapo check`.
+"""
 
 import argparse
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
+from typing import TYPE_CHECKING, Any
 
+from snapo.case.error import CaseError
+
+if TYPE_CHECKING:
+    from snapo.case.table import Formats, Table
+
+DIALECT = "https://json-schema.org/draft/2020-12/schema"
 KINDS = ("gas-storage", "pension", "pharma", "inventory", "control", "own")
 
 
@@ -82,3 +95,62 @@ def _fish(commands: dict[str, argparse.ArgumentParser]) -> str:
             follows = f" -x -a '{' '.join(words)}'" if words else ""
             lines.append(f"{here} -l {option[2:]}{follows}")
     return "\n".join(lines) + "\n"
+
+
+def schema_of_kind(kind: str) -> dict[str, Any]:
+    """The JSON schema of the cases of an installed kind.
+
+    **Raises:** `CaseError` where there is no such kind, or it does not list its tables.
+    """
+    from snapo.study.domain import find
+
+    domain = find(kind, "KIND", "")
+    formats = getattr(domain, "formats", None)
+    if formats is None:
+        what = "this kind does not list its tables: its domain has no method `formats`"
+        raise CaseError("KIND", "", kind, what)
+    return json_schema(kind, formats())
+
+
+def json_schema(kind: str, formats: "Formats") -> dict[str, Any]:
+    """The JSON schema of the cases of a kind with these tables."""
+    from pydantic.json_schema import models_json_schema
+
+    lists = {name: [x] if isinstance(x, type) else list(x) for name, x in formats.items()}
+    models = dict.fromkeys(table for tables in lists.values() for table in tables)
+    references, parts = models_json_schema([(model, "validation") for model in models])
+    names = {model: references[model, "validation"]["$ref"] for model in models}
+    definitions = parts["$defs"]
+
+    def properties(table: "type[Table]") -> dict[str, Any]:
+        return definitions[names[table].rpartition("/")[2]].setdefault("properties", {})
+
+    for name, tables in lists.items():
+        path = name.removesuffix("[]").removesuffix(".*")
+        parent, _, key = path.rpartition(".")
+        for table in lists.get(parent, []) if name else []:
+            if key in (keys := properties(table)):
+                value = _nested(name, _either([names[inner] for inner in tables]))
+                keys[key] = _about(keys[key]) | value
+    for table in lists[""]:
+        properties(table)["kind"] = {"const": kind}
+    whole = _either([names[table] for table in lists[""]])
+    return {"$schema": DIALECT, "title": f"A case of kind {kind}", **whole, "$defs": definitions}
+
+
+def _either(references: Sequence[str]) -> dict[str, Any]:
+    tables = [{"$ref": reference} for reference in references]
+    return tables[0] if len(tables) == 1 else {"anyOf": tables}
+
+
+def _nested(name: str, table: dict[str, Any]) -> dict[str, Any]:
+    if name.endswith("[]"):
+        return {"type": "array", "items": table}
+    if name.endswith(".*"):
+        return {"type": "object", "additionalProperties": table}
+    return table
+
+
+def _about(schema: Mapping[str, Any]) -> dict[str, Any]:
+    """The description of a key, without its type."""
+    return {key: schema[key] for key in ("title", "description") if key in schema}

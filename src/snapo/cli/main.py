@@ -47,6 +47,7 @@ def _parser() -> argparse.ArgumentParser:
         _add_open,
         _add_compare,
         _add_bench,
+        _add_schema,
     ):
         add(commands)
     for each in commands.choices.values():
@@ -147,6 +148,15 @@ def _add_bench(commands) -> None:
     bench = commands.add_parser("bench", help="time values and gradients on this machine")
     bench.add_argument("kind", metavar="KIND", nargs="?", help="default: all that are installed")
     bench.add_argument("--engine", choices=ENGINES, default="auto")
+
+
+def _add_schema(commands) -> None:
+    schema = commands.add_parser(
+        "schema",
+        help="print the JSON schema of a kind of case, for editors",
+        epilog="snapo schema gas-storage > gas-storage.schema.json",
+    )
+    schema.add_argument("kind", metavar="KIND", help="such as gas-storage")
 
 
 def _add_completion(commands) -> None:

@@ -57,7 +57,7 @@ def open_run(
     files = read_files(file.parent, data)
     if study.setup is None and study.recalculated is not None:
         given = study.recalculated()
-        places = Places(domain.read, files, given.named, study.inputs)
+        places = Places(domain.read, files, given.named, study.inputs, case)
         return Recalculation(study, given, places, anew)
     if study.setup is None:
         what = "this run trained no policy, and there is none to value again"
@@ -67,7 +67,7 @@ def open_run(
         raise CaseError("snapo open", "", None, what)
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
-    places = Places(domain.read, files, setup.problem.named, study.inputs)
+    places = Places(domain.read, files, setup.problem.named, study.inputs, case)
     if counts is None:
         counts = Counts.enough(solution, setup.evaluation, numbers_of_a_path(setup.problem))
     return Valuation(study, solution, places, counts, anew)

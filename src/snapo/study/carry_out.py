@@ -3,6 +3,7 @@
 import json
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from snapo.solver.files import write_text
 from snapo.solver.solution import POLICY, SOLUTION
 
 from . import run_folder
-from .chapters.bound import BOUND, bounded
+from .chapters.bound import BOUND, measure
 from .choice import no_policy
 from .domain import GOOD, Domain
 from .report import write_report
@@ -83,7 +84,7 @@ def certify(
         if part.name != BOUND.name and not changed_files(out, state.get("files")):
             run.found |= run_folder.read_part(out, part) or {}
     record["parts"].pop(BOUND.name, None)
-    _do(BOUND._replace(work=lambda run: bounded(run, paths, penalty)), run, record)
+    _do(replace(BOUND, measure=lambda run: measure(run, paths, penalty)).part, run, record)
     return _Writer(domain, run, record).write()
 
 

@@ -9,7 +9,7 @@ frozen dataclass, which is saved as JSON and read back as the same type: a reade
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -40,6 +40,7 @@ class Chapter(Generic[Result]):
     - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
     - `needs`: names of the parts that must be done before.
     - `key`: under which the file of the part has the result; "": the fields are keys of the file.
+    - `table`: of the case, without which the part is not among those of the study.
 
     No two chapters of a study may write the same key.
     """
@@ -53,6 +54,7 @@ class Chapter(Generic[Result]):
     needs: tuple[str, ...] = (TRAINING.name,)
     key: str = ""
     anchor: str = ""
+    table: str = ""
 
     @property
     def part(self) -> Part:
@@ -61,8 +63,10 @@ class Chapter(Generic[Result]):
 
     def data(self, result: Result) -> dict[str, Any]:
         """The result as the file of the part has it."""
-        plain: Any = asdict  # of a type that is a dataclass, which no type variable can say
-        entries = [plain(row) for row in result] if isinstance(result, tuple) else plain(result)
+        plain: Any = asdict  # of a type that is a dataclass, which no type variable can express
+        if isinstance(result, tuple):
+            return {self.key: [plain(record) for record in result]}
+        entries = plain(result)
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
@@ -70,9 +74,10 @@ class Chapter(Generic[Result]):
         if self.key:
             entries = run.get(self.key)
         else:
-            # A field that the file lacks has its default.
-            values = {name: run.get(name) for name in self._names}
-            entries = {name: x for name, x in values.items() if x is not None} or None
+            # A field that the file lacks has its default; a number without one is null.
+            values = {name: run.get(name) for name in self._defaults}
+            known = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
+            entries = None if all(x is None for x in values.values()) else known
         if entries is None:
             return None
         try:
@@ -97,13 +102,15 @@ class Chapter(Generic[Result]):
         if run.left_out(self.name):
             return Section(anchor, "", "", [])
         result = self.of(run)
-        blocks = [lacking(run, self.name)] if result is None else self.show(run, result)
+        blocks = [lacking(run, self.name, self.table)] if result is None else self.show(run, result)
         title = self.title if isinstance(self.title, str) else self.title(run)
         return Section(anchor, title, short, list(blocks))
 
     @cached_property
-    def _names(self) -> list[str]:
-        return [field.name for field in fields(self.result)]  # pyright: ignore[reportArgumentType]
+    def _defaults(self) -> dict[str, bool]:
+        """{name of a field: whether it has a default, for a key that is not there}."""
+        names = fields(self.result)  # pyright: ignore[reportArgumentType]
+        return {x.name: (x.default, x.default_factory) != (MISSING, MISSING) for x in names}
 
     @cached_property
     def _adapter(self) -> TypeAdapter[Result]:

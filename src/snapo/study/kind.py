@@ -5,6 +5,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from importlib import import_module
 from importlib.resources import files
+from inspect import isfunction
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -12,6 +13,8 @@ from snapo.case.error import CaseError
 
 if TYPE_CHECKING:
     from importlib.resources.abc import Traversable
+
+    from snapo.case.table import Formats
 
     from .domain import Case, Options, Report
     from .study import Study, Tell
@@ -26,6 +29,8 @@ class Kind:
     - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
       data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, tell)`;
       without a timer, nothing of the kind is timed by itself.
+    - `tables`: the same of the `Formats` of its tables, or of a function that returns them; the
+      schema that `snapo schema` prints is made of them.
     """
 
     kind: str
@@ -37,6 +42,7 @@ class Kind:
     maker: str = "study:study"
     page: str = "report:REPORT"
     timer: str = ""
+    tables: str = "read.case:FORMATS"
 
     @cached_property
     def templates(self) -> "dict[str, Traversable]":
@@ -53,6 +59,10 @@ class Kind:
 
     def report(self) -> "Report":
         return self.loaded(self.page)
+
+    def formats(self) -> "Formats":
+        tables: Any = self.loaded(self.tables)
+        return tables() if isfunction(tables) else tables
 
     def bench(self, engine: str, tell: "Tell") -> str:
         if not self.timer:

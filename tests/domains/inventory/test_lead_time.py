@@ -6,10 +6,9 @@ from types import SimpleNamespace
 import pytest
 from tests.domains.inventory.inventory_cases import case
 
-from snapo.domains.inventory.network.setup import make_setup as make_network
+from snapo.domains.inventory.chapters.lead_time import measure
 from snapo.domains.inventory.read.network import read_network
 from snapo.domains.inventory.references.backlog import best_base_stock
-from snapo.domains.inventory.results.lead_time import of_item, of_network
 from snapo.domains.inventory.setup import make_setup
 from snapo.solver.solve import Evaluation, solve
 
@@ -33,12 +32,12 @@ def cost(lead: int) -> float:
 @pytest.mark.prove
 def test_an_item():
     of = case(NORMAL, unmet="waits", lead_time=1, shortage=9.0, horizon=HORIZON, training=TRAINING)
-    rows = of_item(run_of(make_setup(of)))["lead_time_change"]
-    assert [row["lead"] for row in rows] == [0, 2]
+    rows = measure(run_of(make_setup(of))).lead_time_change  # pyright: ignore
+    assert [row.lead for row in rows] == [0, 2]
     for row in rows:
-        expected = cost(1) - cost(row["lead"])  # the result is minus the cost
-        assert row["change"] == pytest.approx(expected, abs=0.03)
-        assert 0 < row["standard_error"] < 0.03
+        expected = cost(1) - cost(row.lead)  # the result is minus the cost
+        assert row.change == pytest.approx(expected, abs=0.03)
+        assert 0 < row.standard_error < 0.03
 
 
 @pytest.mark.prove
@@ -50,7 +49,7 @@ def test_every_place_of_a_network():
             "report": {"lead_time": True}}  # fmt: skip
     given = read_network(Path(__file__).parent / "case.toml", data)
     assert given.other_leads
-    rows = of_network(run_of(make_network(given)))["lead_time_change"]  # pyright: ignore
-    assert [(row["place"], row["lead"]) for row in rows] == [("a", 0), ("a", 2), ("b", 1)]
+    rows = measure(run_of(make_setup(given))).lead_time_change  # pyright: ignore
+    assert [(row.place, row.lead) for row in rows] == [("a", 0), ("a", 2), ("b", 1)]
     for row, lead in zip(rows, (1, 1, 0)):
-        assert row["change"] == pytest.approx(cost(lead) - cost(row["lead"]), abs=0.05)
+        assert row.change == pytest.approx(cost(lead) - cost(row.lead), abs=0.05)

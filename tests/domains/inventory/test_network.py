@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from snapo.case.error import CaseError
-from snapo.domains.inventory.network.rivals import echelon_rule
-from snapo.domains.inventory.network.setup import make_setup
+from snapo.domains.inventory.network.rules import echelon_rule
 from snapo.domains.inventory.read.network import read_network
 from snapo.domains.inventory.references.serial import serial_line
+from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import value_and_gradient

@@ -10,8 +10,8 @@ from tests.domains.inventory.network_cases import network
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.estimates import first_batches
-from snapo.domains.inventory.network.rivals import Numbers, best, echelon_rule
-from snapo.domains.inventory.network.setup import make_setup
+from snapo.domains.inventory.network.rules import Numbers, best, echelon_rule
+from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.scenarios import Sources
 from snapo.problem.smooth import Exact, Smooth

@@ -7,8 +7,8 @@ from tests.domains.inventory.network_cases import network
 
 from snapo.case.error import CaseError
 from snapo.domains.inventory.network.inputs import network_inputs
-from snapo.domains.inventory.network.rivals import echelon_rule, levels_told
-from snapo.domains.inventory.network.setup import make_setup
+from snapo.domains.inventory.network.rules import echelon_rule, first_levels
+from snapo.domains.inventory.setup import make_setup
 from snapo.engine import Native, Xla
 from snapo.problem.smooth import Smooth
 from snapo.solver.adjoint import value_and_gradient
@@ -47,7 +47,7 @@ def test_levels_cover_the_demand_ahead_of_every_place(folder):
     variance = [np.sum((north[t : t + 3] / 4) ** 2) + 3 for t in range(7)]
     rest = (steps["level"][:, 0] - ahead) / np.sqrt(variance)
     assert np.ptp(rest) == pytest.approx(0, abs=1e-5)
-    assert levels_told(make_setup(case)) == pytest.approx(steps["level"][1])
+    assert first_levels(make_setup(case)) == pytest.approx(steps["level"][1])
 
 
 def test_a_season_is_an_input_of_its_place(folder):

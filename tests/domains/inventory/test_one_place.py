@@ -12,9 +12,8 @@ from tests.domains.inventory.test_figures import FIXED
 from snapo.domains.inventory.item.estimates import memory as item_memory
 from snapo.domains.inventory.item.estimates import usual_cost
 from snapo.domains.inventory.network.estimates import first_batches, memory, usual_costs
-from snapo.domains.inventory.network.rivals import echelon_rule, levels_told
-from snapo.domains.inventory.network.setup import make_setup as make_network
-from snapo.domains.inventory.results.rivals import classical
+from snapo.domains.inventory.network.rules import echelon_rule, first_levels
+from snapo.domains.inventory.policy.rules import classical
 from snapo.domains.inventory.setup import first_batch, make_setup
 from snapo.engine import Xla
 from snapo.problem.smooth import Exact, Smooth
@@ -37,7 +36,7 @@ def both(folder, demand: dict[str, Any], season: str, **place: Any):
     (folder / "s.csv").write_text(SEASON)
     item, whole = one_place(demand, folder, season, horizon=HORIZON, **place)
     made = []
-    for setup in (make_setup(item), make_network(whole)):
+    for setup in (make_setup(item), make_setup(whole)):
         last = setup.policy.network.weights[-1]  # pyright: ignore
         policy = eqx.tree_at(lambda p: p.network.weights[-1], setup.policy, jnp.zeros_like(last))
         made.append(setup._replace(policy=policy))
@@ -72,7 +71,7 @@ def test_every_path_of_an_s_S_rule_is_that_of_the_item(tmp_path, unmet, season):
     unit = float(whole.problem.schedule.constants["unit"][0])
     # Rules count from the first level, of which lost sales have another as an item.
     first = float(item.problem.schedule.steps["level"][HORIZON["warm_up"]])
-    off = float(first - levels_told(whole)[0])
+    off = float(first - first_levels(whole)[0])
     assert off == pytest.approx(0, abs=1e-12) or unmet == "lost"
     rules = (
         classical(item, "(s, S)", {"above": 9.2, "reorder": -1.3}),
@@ -103,7 +102,7 @@ def test_fixed_costs_within_half_a_percent_of_value_iteration(unmet, mean, order
     _, whole = one_place({"kind": "poisson", "mean": mean}, unmet=unmet, lead_time=lead,
                          order=order, horizon={"periods": 60, "warm_up": 30},
                          training={"steps": 400})  # fmt: skip
-    setup = make_network(whole)
+    setup = make_setup(whole)
     alone = Evaluation(65536, sensitivity_paths=0, smooth_paths=0, judge_paths=0)
     found = solve(setup.problem, policy=setup.policy, training=setup.training, evaluation=alone,
                   engine=setup.engines)  # fmt: skip

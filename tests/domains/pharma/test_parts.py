@@ -3,17 +3,26 @@
 import math
 import tomllib
 
+import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled, folder, plain
 from tests.domains.pharma.pharma_cases import CASE, LOOP, SMALLER, TEMPLATE, data
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma import progress
+from snapo.domains.pharma.chapters.batch import ONE_BATCH, BatchResult
+from snapo.domains.pharma.chapters.design_space import SPACE, SpaceMap, boundary_rows, map_rows
+from snapo.domains.pharma.chapters.headline import marks
+from snapo.domains.pharma.chapters.model import AttributeStatement
+from snapo.domains.pharma.chapters.optimum import OPTIMUM, BestRecipe, KeptChance
+from snapo.domains.pharma.chapters.ranges import RANGES
+from snapo.domains.pharma.chapters.verification import BALANCES, CONVERGENCE, Balance
+from snapo.domains.pharma.derivatives.convergence import Convergence
+from snapo.domains.pharma.quality.boundary import Boundary
+from snapo.domains.pharma.quality.ranges import AcceptableRange, ProvenRange
 from snapo.domains.pharma.read.case import PARTS, resolve
-from snapo.domains.pharma.results.quality import boundary_rows, space_rows
-from snapo.domains.pharma.sections.headline import _marks
-from snapo.domains.pharma.sections.run import Run
-from snapo.domains.pharma.sections.space import design_space
 from snapo.domains.pharma.study import study
+from snapo.report.folder import Folder
 from snapo.report.page import Missing
 from snapo.study.domain import Options
 
@@ -59,33 +68,31 @@ def test_progress_is_told_some_seconds_apart(monkeypatch):
 @pytest.mark.parametrize(
     ("details", "parts", "words"),
     [
-        ({}, {}, "the case has no `[design_space]`"),
-        ({"planned": ["design space"]}, {}, "the run has not come to it"),
-        ({"left_out": ["design space"]}, {}, "it is not among the [report] parts"),
-        ({}, {"design space": {"state": "failed", "note": "a stone"}}, "its part failed (a stone)"),
-        ({}, {"design space": {"state": "done", "note": ""}}, "its file is not in the run folder"),
+        ({"planned": []}, {}, "The case has no `[design_space]`."),
+        ({"planned": ["design space"]}, {}, "stopped before its part “design space”"),
+        ({}, {"design space": {"state": "failed", "note": "a stone"}}, "failed: a stone"),
+        ({}, {"design space": {"state": "done", "note": ""}}, "has nothing to show"),
     ],
 )
 def test_a_section_says_why_it_is_empty(details, parts, words):
-    block = design_space(Run({}, details, parts, (), {}, {})).blocks[0]
+    block = SPACE(Folder({}, details, parts, (), {}, {})).blocks[0]
     assert isinstance(block, Missing) and words in block.text
 
 
 def test_the_map_names_the_attribute_that_binds():
-    found = {
-        "grid": [[1.0, 2.0], [3.0]], "axes": ["a", "b"], "units": ["K", "1"],
-        "probability": [[0.5], [1.0]], "error": [[0.1], [0.1]], "low": [[0.4], [0.9]],
-        "high": [[0.6], [1.0]], "binding": [[1], [-1]],
-    }  # fmt: skip
-    header, rows = space_rows(found, ["yield", "size"])
+    found = filled(
+        SpaceMap, grid=(np.array([1.0, 2.0]), np.array([3.0])), axes=("a", "b"), units=("K", "1"),
+        probability=[[0.5], [1.0]], error=[[0.1], [0.1]], low=[[0.4], [0.9]], high=[[0.6], [1.0]],
+        binding=[[1], [-1]],
+    )  # fmt: skip
+    header, rows = map_rows(found, ["yield", "size"])
     assert header[-1] == "binding" and [row[-1] for row in rows] == ["size", ""]
 
 
 def test_the_places_of_the_boundary_are_without_round_off():
-    ends = [{"at": [1, -1], "axis": 1, "side": 1, "place": 0.1 + 0.2, "inner": math.nan,
-             "outer": 308.34000000000003, "binding": 0}]  # fmt: skip
-    found = {"grid": [[1.0, 0.7 + 0.1], [3.0]], "axes": ["a", "b"], "units": ["K", "1"],
-             "ends": ends}  # fmt: skip
+    end = Boundary(1, (1, -1), 1, 0.1 + 0.2, math.nan, 308.34000000000003, 0)
+    grid = (np.array([1.0, 0.7 + 0.1]), np.array([3.0]))
+    found = filled(SpaceMap, grid=grid, axes=("a", "b"), units=("K", "1"), ends=(end,))
     _, rows = boundary_rows(found, ["yield"])
     ((*at, along, side, place, inner, outer, which),) = rows
     assert at == [0.8, 0.3] and (place, outer) == (0.3, 308.34) and math.isnan(inner)
@@ -103,31 +110,39 @@ def test_the_template_reads_with_its_parts():
     assert resolve(TEMPLATE, read).parts == ("one batch",)
 
 
+def balance(relative: float) -> tuple:
+    return BALANCES, (filled(Balance, quantity="A", relative=relative),)
+
+
+def proven(inside: bool) -> tuple:
+    probable = filled(AcceptableRange, holds_normal=inside)
+    return RANGES, (filled(ProvenRange, parameter="T", probable=probable),)
+
+
+WORSE = filled(BestRecipe, chance=(KeptChance(0.85, 0.01), KeptChance(0.09, 0.01)))
+HOLD = "✓ all 2 numerical checks hold"
+
+
 @pytest.mark.parametrize(
-    ("details", "status", "marks"),
+    ("entry", "status", "expected"),
     [
-        ({}, "ok", ["✓ all 2 numerical checks hold"]),
-        ({"balances": [{"quantity": "A", "relative": 1.0}]}, "a check fails: balances (A)",
+        (balance(0.0), "ok", [HOLD]),
+        (balance(1.0), "a check fails: balances (A)",
          ["✗ 1 of 2 numerical checks fail: balances"]),
-        ({}, "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
-        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": False}}]}, "ok",
-         ["✓ all 2 numerical checks hold", "✗ normal ranges not inside the proven ones: T"]),
-        ({"ranges": [{"parameter": "T", "probable": {"holds_normal": True}}]}, "ok",
-         ["✓ all 2 numerical checks hold",
-          "✗ normal ranges inside the proven ones, but not surely at 95 %: T"]),
-        ({"run": {"holds": [False]}}, "ok",
-         ["✓ all 2 numerical checks hold", "✗ at the set point a limit is broken: size"]),
-        ({"optimise": {"chance": [{"probability": 0.85, "error": 0.01},
-                                  {"probability": 0.09, "error": 0.01}]}}, "ok",
-         ["✓ all 2 numerical checks hold",
+        (balance(0.0), "the fit did not converge: cap", ["✗ the fit did not converge: cap"]),
+        (proven(False), "ok", [HOLD, "✗ normal ranges not inside the proven ones: T"]),
+        (proven(True), "ok",
+         [HOLD, "✗ normal ranges inside the proven ones, but not surely at 95 %: T"]),
+        ((ONE_BATCH, filled(BatchResult, status="ok", holds=(False,))), "ok",
+         [HOLD, "✗ at the set point a limit is broken: size"]),
+        ((OPTIMUM, WORSE), "ok",
+         [HOLD,
           "✗ the optimised recipe keeps all limits less often, 9.0 % for 85.0 %: keep a reserve"]),
     ],
 )  # fmt: skip
-def test_nothing_good_stands_alone_above_what_fails(details, status, marks):
-    known = {
-        "balances": [{"quantity": "A", "relative": 0.0}], "convergence": {"passed": True},
-        "attributes": [{"name": "size"}],
-    }  # fmt: skip
-    run = Run({"status": status}, known | details, {}, (), {}, {})
-    found = [f"{'✓' if each.good else '✗'} {each.text}" for each in _marks(run)]
-    assert [each.replace("\N{NO-BREAK SPACE}", " ") for each in found] == marks
+def test_nothing_good_stands_alone_above_what_fails(entry, status, expected):
+    known = (balance(0.0), (CONVERGENCE, filled(Convergence)))
+    size = plain(AttributeStatement("size"))
+    run = folder(*known, entry, result={"status": status}, attributes=[size])
+    texts = [f"{'✓' if mark.good else '✗'} {mark.text}" for mark in marks(run)]
+    assert [text.replace("\N{NO-BREAK SPACE}", " ") for text in texts] == expected

@@ -6,15 +6,30 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled, folder
 from tests.domains.pharma.pharma_cases import CASE, FAST, TEMPLATE, fast
 from tests.domains.pharma.process_cases import cake_filter, flagship, number
 
 from snapo.cli.main import main
+from snapo.domains.pharma.chapters.attribution import ATTRIBUTION, Attributions
+from snapo.domains.pharma.chapters.batch import ONE_BATCH, BatchResult
+from snapo.domains.pharma.chapters.capability import CAPABILITY
+from snapo.domains.pharma.chapters.estimation import ESTIMATION, Estimates
+from snapo.domains.pharma.chapters.headline import status
+from snapo.domains.pharma.chapters.optimum import OPTIMUM, BestRecipe
+from snapo.domains.pharma.chapters.verification import (
+    BALANCES,
+    CONVERGENCE,
+    DIFFERENCES,
+    Balance,
+    CheckedPoint,
+)
+from snapo.domains.pharma.derivatives.convergence import Convergence, ConvergenceRow
 from snapo.domains.pharma.flowsheet.possible import least
 from snapo.domains.pharma.flowsheet.process import Process
+from snapo.domains.pharma.quality.capability import Capability
 from snapo.domains.pharma.quality.limits import Limits
 from snapo.domains.pharma.read.case import resolve
-from snapo.domains.pharma.results.checks import status
 
 FIXED = {"method": "mesh", "refine": False}
 
@@ -62,47 +77,48 @@ def test_a_limit_is_not_kept_by_what_cannot_be():
     assert least("process.yield.C.A") == -np.inf
 
 
-class Tables(dict):
-    """Tables of a run."""
+def balance(**values) -> tuple[Balance]:
+    return (filled(Balance, quantity="mass", **values),)
 
-    def get(self, path, default=None):
-        found = self
-        for key in path.split("."):
-            found = dict.get(found, key) if isinstance(found, dict) else None
-        return default if found is None else found
+
+def gaps(adaptive: float) -> Convergence:
+    rows = [filled(ConvergenceRow, attribute="a", parameter="value", adaptive_gap=1e-9)]
+    rows.append(filled(ConvergenceRow, attribute="b", parameter="T", adaptive_gap=adaptive))
+    return Convergence(tuple(rows), adaptive < 1e-6)
+
+
+def point(passed: bool) -> tuple[CheckedPoint]:
+    return (filled(CheckedPoint, attribute="a", parameter="T", passed=passed),)
 
 
 GOOD = {
-    "run": {"status": "ok", "attributes": {"a": 1.0}},
-    "balances": [{"quantity": "mass", "relative": 0.0}],
-    "convergence": {"passed": True},
-    "certificate": [{"passed": True}],
-    "attribution": {"closure": 1e-14},
-    "capability": {"batches": 1000, "failed": 1},
+    ONE_BATCH: filled(BatchResult, status="ok", attributes={"a": 1.0}),
+    BALANCES: balance(),
+    CONVERGENCE: gaps(0.0),
+    DIFFERENCES: point(True),
+    ATTRIBUTION: filled(Attributions, closure=1e-14),
+    CAPABILITY: filled(Capability, batches=1000, failed=1),
 }
 
 
 @pytest.mark.parametrize(
-    ("wrong", "said"),
+    ("chapter", "record", "said"),
     [
-        ({"run": {"status": "reactor: did not converge at 3 s"}}, "reactor: did not converge at 3 s"),
-        ({"run": {"status": "ok", "attributes": {"a": None}}}, "a is not a number"),
-        ({"balances": [{"unit": "dryer", "quantity": "A", "relative": 1e-3}]}, "a check fails: balances (dryer, A)"),
-        ({"balances": [{"quantity": "A", "relative": None}]}, "a check fails: balances (A)"),
-        ({"convergence": {"passed": False, "rows": [
-            {"attribute": "a", "parameter": "value", "halving_gap": 1e-9, "adaptive_gap": 1e-9},
-            {"attribute": "b", "parameter": "T", "halving_gap": 1e-9, "adaptive_gap": 1e-2}]}},
-         "a check fails: convergence in time (b, T)"),
-        ({"certificate": [{"passed": False, "attribute": "a", "parameter": "T"}]}, "a check fails: adjoint against differences (a, T)"),
-        ({"attribution": {"closure": None}}, "a check fails: paths add up"),
-        ({"estimation": {"converged": False, "message": "cap"}}, "the fit did not converge: cap"),
-        ({"optimise": {"converged": False, "message": "cap"}}, "the best recipe did not converge: cap"),
-        ({"capability": {"batches": 1000, "failed": 20}}, "2 % of the batches gave no finite result"),
+        (ONE_BATCH, filled(BatchResult, status="reactor: no end at 3 s"), "reactor: no end at 3 s"),
+        (ONE_BATCH, filled(BatchResult, status="ok", attributes={"a": np.nan}), "a is not a number"),
+        (BALANCES, balance(unit="dryer", relative=1e-3), "a check fails: balances (dryer, mass)"),
+        (BALANCES, balance(relative=np.nan), "a check fails: balances (mass)"),
+        (CONVERGENCE, gaps(1e-2), "a check fails: convergence in time (b, T)"),
+        (DIFFERENCES, point(False), "a check fails: adjoint against differences (a, T)"),
+        (ATTRIBUTION, filled(Attributions, closure=np.nan), "a check fails: paths add up"),
+        (ESTIMATION, filled(Estimates, converged=False, message="cap"), "the fit did not converge: cap"),
+        (OPTIMUM, filled(BestRecipe, converged=False, message="cap"), "the best recipe did not converge: cap"),
+        (CAPABILITY, filled(Capability, batches=1000, failed=20), "2 % of the batches gave no finite result"),
     ],
 )  # fmt: skip
-def test_every_failed_check_is_a_status(wrong, said):
-    assert status(Tables(GOOD)) == "ok"
-    assert status(Tables(GOOD | wrong)) == said
+def test_every_failed_check_is_a_status(chapter, record, said):
+    assert status(folder(*GOOD.items())) == "ok"
+    assert status(folder(*(GOOD | {chapter: record}).items())) == said
 
 
 def test_the_case_of_other_tests_is_in_order():

@@ -13,4 +13,5 @@ DOMAIN = Kind(
     __name__,
     {size: f"template/{size}" for size in SIZES},
     reader="read:read_case",
+    tables="read:formats",
 )

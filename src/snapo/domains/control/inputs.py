@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.inputs import Input
 
-from .plants.plant import MEASURED, Parameter, Plant, Quantity
+from .plants.plant import MEASURED, Parameter, Plant, Variable
 
 Inputs = dict[str, dict[str, Any]]
 START_WORDS = {
@@ -67,7 +67,7 @@ def _each(plant: str, known: Mapping[str, Parameter], given: Mapping[str, Any], 
     }
 
 
-def _start(state: Quantity, given: Mapping[str, Any]) -> dict[str, Input]:
+def _start(state: Variable, given: Mapping[str, Any]) -> dict[str, Input]:
     return {
         key: Input(
             value, state.unit, words=START_WORDS[key].format(state.words), group="start",
@@ -77,12 +77,12 @@ def _start(state: Quantity, given: Mapping[str, Any]) -> dict[str, Input]:
     }  # fmt: skip
 
 
-def _noise(state: Quantity, value: Any) -> Input:
+def _noise(state: Variable, value: Any) -> Input:
     words = f"standard deviation of a step's disturbance of the {state.words}"
     return Input(value, state.unit, words=words, group="disturbance", move=_move(value))
 
 
-def _error(state: Quantity, value: Any) -> Input:
+def _error(state: Variable, value: Any) -> Input:
     words = f"standard deviation of the error with which the {state.words} is measured"
     return Input(value, state.unit, words=words, group=MEASURED, move=_move(value))
 

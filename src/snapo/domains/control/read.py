@@ -7,9 +7,11 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError, nearest
+from snapo.case.given import positions
 from snapo.case.objective import make_objective
 from snapo.case.plausible import CaseFiles, Plausible, checked_numbers, implausible
 from snapo.case.settings import (
+    EvaluationTable,
     FollowingTable,
     ObjectiveTable,
     check_window,
@@ -26,7 +28,7 @@ from .plants.plant import Plant
 from .plants.registry import TYPES
 from .records import ControlCase
 from .starts import read_measurement, read_noise, read_starts
-from .tables import CaseTable, PolicyTable, cost_table, plant_table
+from .tables import At, CaseTable, Normal, PolicyTable, Uniform, cost_table, plant_table
 
 WINDOW = 4  # observations that a policy with memory = "Recent" sees, where nothing is said
 RANGES = (  # outside of which a number is likely to be in another unit
@@ -41,6 +43,20 @@ BLIND = (
     "States are measured with errors, and the policy remembers nothing of earlier ones: "
     '`[policy] memory = "GRU"` lets it.'
 )
+
+
+def formats() -> dict[str, Any]:
+    """The tables of a case by name; those of the plants are made from their descriptions."""
+    plants = TYPES.values()
+    return {
+        "": CaseTable,
+        "plant": [plant_table(plant) for plant in plants],
+        "cost": [cost_table(plant) for plant in plants],
+        "start.*": (At, Uniform, Normal),
+        "policy": PolicyTable,
+        "training": FollowingTable,
+        "evaluation": EvaluationTable,
+    }
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
@@ -79,7 +95,24 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
         recipe=recipe,
         training=training,
         evaluation=evaluation,
+        positions=dict(_positions(data, inputs)),
     )
+
+
+def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
+    """(name, positions of its numbers) of the inputs, but for a start that the case leaves out."""
+    for group, entries in inputs.items():
+        for name, entry in _flat(entries):
+            first, *rest = name.split(".")
+            value = data.get(group, {}).get(first)
+            if group == "start" and value is None:
+                continue
+            places = positions((group, first, *rest), np.shape(entry.value))
+            if group == "noise" and np.ndim(value) < np.ndim(entry.value):  # a list: the diagonal
+                size = len(entry.value)
+                pairs = [(i, j) for i in range(size) for j in range(size)]
+                places = tuple((group, first, i) if i == j else None for i, j in pairs)
+            yield f"{group}.{name}", places
 
 
 def _flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:

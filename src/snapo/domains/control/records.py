@@ -1,8 +1,10 @@
 """A case of control, as it was read."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from snapo.case.given import FilePosition
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.objective import Objective
 from snapo.problem.policy import Policy
@@ -16,6 +18,7 @@ class ControlCase:
     """All that a study needs: the plant with its inputs, the objective, and how it is trained.
 
     - `recipe`: of the policy that is trained; `objective_words`: "mean reward".
+    - `positions`: {input: the positions of its numbers in the file}.
     """
 
     file: Path
@@ -28,3 +31,4 @@ class ControlCase:
     recipe: Policy
     training: FollowingTable
     evaluation: EvaluationTable
+    positions: Mapping[str, tuple[FilePosition, ...]]

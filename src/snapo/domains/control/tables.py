@@ -61,7 +61,9 @@ class PlantTable(Table):
 
 def plant_table(plant: type[Plant]) -> type[PlantTable]:
     """`[plant]` of one type."""
-    return pydantic.create_model("PlantTable", __base__=PlantTable, **_fields(plant.parameters))
+    kind: Any = (Literal[plant.type], Field(description=f'"{plant.type}"'))
+    fields = {"type": kind, **_fields(plant.parameters)}
+    return pydantic.create_model("PlantTable", __base__=PlantTable, **fields)
 
 
 def cost_table(plant: type[Plant]) -> type[Table]:

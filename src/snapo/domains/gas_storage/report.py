@@ -8,9 +8,9 @@ from snapo.report import charts
 from snapo.report.drawing import draw_alone
 from snapo.report.page import Section
 from snapo.report.quantity import long_date
-from snapo.report.sections.bound import bound
 from snapo.report.sections.proof import making
 from snapo.report.theme import LIGHT
+from snapo.study.chapters.bound import bound
 from snapo.study.domain import Report
 
 from .chapters.certificate import CERTIFICATE

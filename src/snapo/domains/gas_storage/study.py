@@ -81,7 +81,7 @@ def study(case: StorageCase, options: Options) -> Study:
     parts = [intrinsic_chapter(bare, case).part, TRAINING, *(x.part for x in chapters)]
     relaxation = _relaxation(ready)
     if callable(relaxation):
-        parts.append(BOUND)
+        parts.append(BOUND.part)
     if options.reference:
         parts.append(REFERENCE.part)
     parts.append(VALUES.part)
@@ -159,14 +159,16 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
 
 def _result(run: StudyRun) -> dict[str, Any]:
     plan, reference = INTRINSIC.of(run), REFERENCE.of(run) or Reference()
+    bounds = BOUND.of(run)
     exact, error = reference.dynamic_programming, reference.dynamic_programming_error
     references = {
         "intrinsic": plan.value if plan else None,
         "dynamic_programming": exact,
-        "upper_bound": run.get("bound.upper.value"),
+        "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    return trained(run, references, exact=exact) | {"bound": run.get("bound")} | errors
+    entries = BOUND.data(bounds) if bounds else {"bound": None}
+    return trained(run, references, exact=exact) | entries | errors
 
 
 def _expired(case: StorageCase):

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any
 from snapo.study.kind import Kind
 
 if TYPE_CHECKING:
-    from snapo.study.domain import Case, Options
-    from snapo.study.study import Study
+    from snapo.study.domain import Case
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,21 +19,11 @@ class Inventory(Kind):
         network = "place" in data
         return self.loaded("read.network:read_network" if network else self.reader)(file, data)
 
-    def check(self, case: Any) -> list[str]:
-        return self._of(case, self.summary)(case)
-
-    def study(self, case: Any, options: "Options") -> "Study":
-        return self._of(case, self.maker)(case, options)
-
-    def _of(self, case: Any, name: str) -> Any:
-        """The function of an item, or that of a network."""
-        network = isinstance(case, self.loaded("network.records:NetworkCase"))
-        return self.loaded(f"network.{name}" if network else name)
-
 
 DOMAIN = Inventory(
     "inventory",
     "an inventory: orders, service and costs under random demand",
     __name__,
     {"spare-part": "template", "line": "template_line", "stores": "template_stores"},
+    tables="read.network:FORMATS",
 )

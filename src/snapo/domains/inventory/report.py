@@ -10,20 +10,17 @@ from snapo.study.chapters.profile import BandSeries, profile
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-from .network.sections import places
-from .sections.rivals import lead_time, rivals
-from .sections.rule import rule
-from .sections.service import service
+from .chapters.about import CaseSummary
+from .chapters.baselines import BASELINES
+from .chapters.lead_time import lead_time
+from .chapters.levels import LEVELS
+from .chapters.places import PLACES
+from .chapters.service import headline
 
 
 def decisions(run: Folder) -> Section:
     """The rule of an item; the places of a network."""
-    return places(run) if run.get("network") else rule(run)
-
-
-def counted_periods(run: Folder) -> float:
-    """The periods of the run that count: without those of the warm-up."""
-    return float(run.get("horizon", 0)) - float(run.get("warm_up", 0))
+    return PLACES(run) if CaseSummary.of(run).network else LEVELS(run)
 
 
 def of_its_period(run: Folder, series: BandSeries) -> float:
@@ -31,25 +28,25 @@ def of_its_period(run: Folder, series: BandSeries) -> float:
 
     A discounted cost has no part of a mean.
     """
-    mean = series.unit.endswith(f"/{run.get('step', 'period')}")
-    cost = series.unit.startswith(str(run.get("currency", "\0"))) and not mean
-    return 1.0 if series.kind != "outputs" or cost else counted_periods(run)
+    case = CaseSummary.of(run)
+    mean = series.unit.endswith(f"/{case.step}")
+    cost = bool(case.currency) and series.unit.startswith(case.currency) and not mean
+    return 1.0 if series.kind != "outputs" or cost else float(case.counted)
 
 
 SECTIONS = (
-    service, decisions, rivals, sensitivities, lead_time, DISTRIBUTION,
+    headline, decisions, BASELINES, sensitivities, lead_time, DISTRIBUTION,
     profile(factor=of_its_period), history, CERTIFICATE, making,
 )  # fmt: skip
 
 
 def about(run: Folder) -> list[tuple[str, str]]:
     """The lines under the title."""
-    step = str(run.get("step", "period"))
-    lead = "" if run.get("network") else f"{number(run.get('lead_time'), 0)} {step}s"
-    unmet = "lost" if run.get("lost") else "delivered later"
-    counted = counted_periods(run)
-    horizon = f"{number(counted, 0)} {step}s after {number(run.get('warm_up'), 0)} of warm-up"
-    return [("Demand", str(run.get("demand", ""))), ("Without stock", f"demand is {unmet}"),
+    case = CaseSummary.of(run)
+    lead = "" if case.network else f"{number(case.lead_time, 0)} {case.step}s"
+    unmet = "lost" if case.lost else "delivered later"
+    horizon = f"{number(case.counted, 0)} {case.step}s after {number(case.warm_up, 0)} of warm-up"
+    return [("Demand", case.demand), ("Without stock", f"demand is {unmet}"),
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 
 

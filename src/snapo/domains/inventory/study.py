@@ -1,7 +1,9 @@
-"""The study of an inventory case: the parts of a run, and the headline of its result."""
+"""The study of an item or a network: the parts of a run, and the headline of its result."""
 
 from typing import Any
 
+from snapo.case.error import CaseError
+from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
@@ -9,104 +11,104 @@ from snapo.study.chapters.profile import profile
 from snapo.study.chapters.sensitivities import MOVES
 from snapo.study.domain import Options
 from snapo.study.study import Part, Study, StudyRun
-from snapo.study.training import TRAINING
+from snapo.study.training import TRAINING, trained
 
+from .chapters.about import about
+from .chapters.baselines import BASELINES
+from .chapters.lead_time import LEAD_TIME
+from .chapters.levels import LEVELS, today
+from .chapters.places import PLACES, network_tables, service_and_places
+from .chapters.service import SERVICE, live_tables
 from .item.records import InventoryCase
-from .item.simulator import AVERAGES, OUTPUTS, InventorySimulator, inputs_of
-from .results.lead_time import LEAD_TIME
-from .results.levels import LEVELS, today
-from .results.measured import Measured
-from .results.rivals import RIVALS
-from .results.shown import service_and_costs
-from .setup import case_of, make_setup, moved_setup
-from .told import about, result, without_references
-
-COSTS = ("holding", "shortage", "purchase", "ordering")
+from .network.records import NetworkCase
+from .setup import AnyCase, case_inputs, make_setup, moved_setup, simulator_of
 
 
-def work(run: StudyRun) -> dict[str, Any]:
-    """ "service": {name: {"value", "standard_error"}} of fill rate (demand met from stock at once),
-    cycle service (replenishment cycles without unmet demand), periods without unmet demand, stock
-    at the end of a period, orders a period, units of an order, demand a period; "costs": one row
-    per part of the cost."""
-    case, found = case_of(run.setup), Measured.of(run)
-    more = {"orders": found.total("orders"), "order_size": found.ratio("ordered", "orders")}
-    kept = [name for name in COSTS if case.item.cost(name) > 0]
-    costs = [{"name": name, **found.total(name)} for name in kept]
-    return {"service": found.service() | more, "costs": costs}
-
-
-SERVICE = Part("service", work, needs=("training",))
-
-KIND = "inventory"
-
-
-def lines(case: InventoryCase) -> list[str]:
+def lines(case: AnyCase) -> list[str]:
     """The case in a few lines: nothing is trained."""
-    item, numbers = case.item, inputs_of(case)
+    describe = _network_lines if isinstance(case, NetworkCase) else _item_lines
+    inputs = case_inputs(case)
+    numbers = sum(entry.value.size for entry in inputs.values())
+    last = f"{len(inputs)} inputs with {numbers} numbers, each with a sensitivity"
+    return [*describe(case), last]  # pyright: ignore[reportArgumentType]
+
+
+def _item_lines(case: InventoryCase) -> list[str]:
+    item = case.item
     unmet = "lost" if item.lost else "delivered later"
-    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
+    integers = "whole" if item.whole else "any"
+    problem = Problem(simulator_of(case), case_inputs(case), Mean("result"))
+    level = float(problem.schedule.steps["level"][case.warm_up])
     return [
-        f"{case.title}: {case.periods} {case.period}s{after}",
+        f"{case.title}: {_periods(case)}",
         f"demand of a {case.period}: {case.demand.words()}; without stock it is {unmet}",
-        f"an order arrives after {item.lead} {case.period}s; "
-        f"{'whole' if item.whole else 'any'} numbers of {case.unit}s",
-        f"base-stock level to start from: {_level(case):,.4g} {case.unit}s",
-        f"{len(numbers)} inputs with {sum(each.value.size for each in numbers.values())} numbers, "
-        "each with a sensitivity",
+        f"an order arrives after {item.lead} {case.period}s; {integers} numbers of {case.unit}s",
+        f"base-stock level to start from: {level:,.4g} {case.unit}s",
     ]
 
 
-def _level(case: InventoryCase) -> float:
-    from snapo.problem.objective import Mean
+def _network_lines(case: NetworkCase) -> list[str]:
+    rows = [f"{case.title}: {len(case.places)} places, {_periods(case)}"]
+    for place in case.places:
+        supplier = "outside" if place.supplier is None else case.places[place.supplier].name
+        sells = f"; demand {place.demand.words()}" if place.demand is not None else ""
+        season = f", a season of {len(place.season.values)} {case.period}s" if place.season else ""
+        rows.append(f"{place.name}: from {supplier} in {place.lead} {case.period}s{sells}{season}")
+    if (ordering := case.ordering) is not None:
+        rows += [
+            f"an order of {name} costs {cost:,.4g} {ordering.unit}, whatever its size"
+            for name, cost in zip(ordering.labels, ordering.values)
+        ]
+    if (moving := case.transshipment) is not None:
+        rows += [
+            f"stores that send one another goods: {pool}; {cost:,.4g} {moving.unit}"
+            for pool, cost in zip(moving.labels, moving.values)
+        ]
+    return [*rows, f"orders are {'whole' if case.whole else 'any'} numbers of {case.unit}s"]
 
-    simulator = InventorySimulator(case)  # pyright: ignore[reportCallIssue]
-    problem = Problem(simulator, inputs_of(case), Mean("result"))
-    return float(problem.schedule.steps["level"][case.warm_up])
+
+def _periods(case: AnyCase) -> str:
+    after = f", after {case.warm_up} that do not count" if case.warm_up else ""
+    return f"{case.periods} {case.period}s{after}"
 
 
-def study(case: InventoryCase, options: Options) -> Study:
-    """Training, service and costs, the rule as a table, rivals, lead time, moves, certificate."""
-    without_references(options)
-    setup = make_setup(case, options.engine)
-    units = units_of(case)
+def study(case: AnyCase, options: Options) -> Study:
+    """Training, service and costs, an item's rule as a table, rivals, moves, lead time, outputs."""
+    if options.reference:
+        allowed = "an inventory has no references to compute; its rivals are in every run"
+        raise CaseError("--reference", "", None, allowed)
+    is_network, setup = isinstance(case, NetworkCase), make_setup(case, options.engine)
+    if is_network:
+        own_parts = [Part(PLACES.name, service_and_places, PLACES.needs)]
+    else:
+        own_parts = [SERVICE.part, LEVELS.part]
     parts = [
         TRAINING,
-        SERVICE,
-        LEVELS,
-        RIVALS,
+        *own_parts,
+        BASELINES.part,
         MOVES.part,
-        *([LEAD_TIME] if case.other_leads else []),
+        *([LEAD_TIME.part] if case.other_leads else []),
         DISTRIBUTION.part,
-        profile(without=("likelihood", "missed")).part,
+        profile(without=("likelihood",) if is_network else ("likelihood", "missed")).part,
         CERTIFICATE.part,
     ]
     return Study(
-        KIND,
-        _about(case, units),
+        "inventory",
+        about(case),
         tuple(parts),
-        result,
+        _result,
         lambda: setup,
         moved=moved_setup,
-        today=today,  # pyright: ignore[reportArgumentType]
-        inputs=inputs_of,
-        shown=service_and_costs,
+        today=None if is_network else today,
+        inputs=case_inputs,
+        shown=network_tables if is_network else live_tables,
     )
 
 
-def units_of(case: InventoryCase) -> dict[str, str]:
-    """Units of states, action and outputs."""
-    money = dict.fromkeys(OUTPUTS, case.value_unit)
-    amounts = dict.fromkeys(AVERAGES, f"{case.unit}/{case.period}")
-    states = dict.fromkeys(("stock", "coming", "action"), case.unit)
-    orders = dict.fromkeys(("orders", "cycles", "cycles_met"), f"1/{case.period}")
-    return money | amounts | states | {"short": ""} | orders
-
-
-def _about(case: InventoryCase, units: dict[str, str]) -> dict[str, Any]:
-    return about(case, units) | {
-        "lead_time": case.item.lead,
-        "other_leads": case.other_leads,
-        "lost": case.item.lost,
-        "demand": case.demand.words(),
-    }
+def _result(run: StudyRun) -> dict[str, Any]:
+    """The headline: the value of the trained rule, and those of the classical ones."""
+    results = BASELINES.of(run)
+    rules = results.rivals[1:] if results else ()
+    # A difference that is not finite is None in the files of a run.
+    leads = [(x.rule, -x.difference, x.difference_error) for x in rules if x.difference is not None]
+    return trained(run, {rule.rule: rule.value for rule in rules}, leads)

@@ -51,4 +51,5 @@ DOMAIN = Own(
     {"reservoir": "template"},
     reader="read:read_case",
     summary="study:summary",
+    tables="read:FORMATS",
 )

@@ -10,6 +10,7 @@ import numpy as np
 
 from snapo.case.csv import Mention, read_rows
 from snapo.case.error import CaseError
+from snapo.case.given import FilePosition, positions
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
 from snapo.case.table import Section, parse
 from snapo.problem.inputs import Input
@@ -22,13 +23,22 @@ APART = Plausible(-math.inf, math.inf, "", ratio=50.0)  # numbers in a row are n
 PERCENT = re.compile("%|point|percent")
 
 
-def read_inputs(tables: Mapping[str, Any], file: Path, notes: list[str]) -> dict[str, Input]:
-    """{name: input} in the order of the file; `prepare` receives arrays under the same names."""
-    inputs = {name: _input(name, table, file, notes) for name, table in tables.items()}
+Positions = tuple[FilePosition, ...]
+
+
+def read_inputs(
+    tables: Mapping[str, Any], file: Path, notes: list[str]
+) -> tuple[dict[str, Input], dict[str, Positions]]:
+    """{name: input} in the order of the file, and {name: positions of its numbers}.
+
+    `prepare` receives arrays under the same names.
+    """
+    pairs = {name: _input(name, table, file, notes) for name, table in tables.items()}
+    inputs = {name: entry for name, (entry, _) in pairs.items()}
     entries = [checked_numbers(entry, name) for name, entry in inputs.items()]
     files = CaseFiles(file, {"inputs": tables})
     notes += implausible(entries, [*_shares(entries), APART], files).values()
-    return inputs
+    return inputs, {name: places for name, (_, places) in pairs.items()}
 
 
 def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
@@ -42,7 +52,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
             yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 
-def _input(name: str, data: Any, file: Path, notes: list[str]) -> Input:
+def _input(name: str, data: Any, file: Path, notes: list[str]) -> tuple[Input, Positions]:
     where = f"inputs.{name}"
     if not isinstance(data, Mapping):
         what = f'an input is a table: {name} = {{ value = 60, unit = "hm3" }}'
@@ -51,11 +61,14 @@ def _input(name: str, data: Any, file: Path, notes: list[str]) -> Input:
     if table.move == 0:
         raise CaseError(str(file), f"{where}.move", 0.0, "allowed is a number other than 0")
     section = Section(file, where, notes)
-    values, labels = _from_csv(section, table) if table.file else _in_file(section, table)
-    return Input(values, labels=labels, **{key: getattr(table, key) for key in SAID})
+    values, labels, places = (_from_csv if table.file else _in_file)(section, table)
+    return Input(values, labels=labels, **{key: getattr(table, key) for key in SAID}), places
 
 
-def _in_file(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[str, ...]]:
+InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
+
+
+def _in_file(section: Section, table: InputTable) -> InputParts:
     """The numbers under `value`, any shape."""
     if table.value is None:
         what = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
@@ -71,10 +84,10 @@ def _in_file(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[str
     if labels and len(labels) != values.size:
         what = f"there are {values.size} numbers; give each one label"
         raise section.error("labels", table.labels, what)
-    return values, labels
+    return values, labels, positions((*section.keys, "value"), values.shape)
 
 
-def _from_csv(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[str, ...]]:
+def _from_csv(section: Section, table: InputTable) -> InputParts:
     """The numbers of a column, with the texts of another one as labels."""
     assert table.file is not None
     if table.value is not None:
@@ -86,4 +99,5 @@ def _from_csv(section: Section, table: InputTable) -> tuple[np.ndarray, tuple[st
     column, label = table.column.lower(), (table.label or "").lower()
     rows = read_rows(Mention(section, "file", table.file), [c for c in (column, label) if c])
     values = np.array([row.number(column) for row in rows])
-    return values, tuple(row.label(label) for row in rows) if label else ()
+    labels = tuple(row.label(label) for row in rows) if label else ()
+    return values, labels, tuple(row.position(column) for row in rows)

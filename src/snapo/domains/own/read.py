@@ -5,7 +5,13 @@ from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
-from snapo.case.settings import FollowingTable, check_window, read_evaluation, read_training
+from snapo.case.settings import (
+    EvaluationTable,
+    FollowingTable,
+    check_window,
+    read_evaluation,
+    read_training,
+)
 from snapo.case.table import parse
 from snapo.problem.simulator import Simulator
 from snapo.study.solving.prepare import use_every_core
@@ -14,7 +20,14 @@ from .inputs import read_inputs
 from .load import beside, load_class, readable
 from .objective import objective_of, read_aims, unit_of, words_of
 from .records import OwnCase
-from .tables import OwnTable
+from .tables import InputTable, OwnTable
+
+FORMATS = {
+    "": OwnTable,
+    "inputs.*": InputTable,
+    "training": FollowingTable,
+    "evaluation": EvaluationTable,
+}
 
 
 def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> OwnCase:
@@ -23,7 +36,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
     notes: list[str] = []
     training = read_training(table.training, name, FollowingTable)
     evaluation = read_evaluation(table.evaluation, name)
-    inputs = read_inputs(table.inputs, file, notes)
+    inputs, positions = read_inputs(table.inputs, file, notes)
     aims = read_aims(table.objective, name)
     check_window(training, [each.table.kind for each in aims], name)
     use_every_core()  # before the user's module computes anything
@@ -46,6 +59,7 @@ def read_case(file: Path, data: Mapping[str, Any], place: tuple[str, str]) -> Ow
         units=table.units,
         training=training,
         evaluation=evaluation,
+        positions=positions,
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from snapo.case.given import FilePosition
 from snapo.case.settings import EvaluationTable, FollowingTable
 from snapo.problem.inputs import Input
 from snapo.problem.objective import Limit, Objective
@@ -19,6 +20,7 @@ class OwnCase:
     - `unit`: of the value; `units`: by name of a state, of the action, of an output.
     - `objective_words`: "mean of cash"; `outputs`: {place in the case: output} of all that is made
       as large as possible.
+    - `positions`: {input: the positions of its numbers in the files}.
     - `step`: the word for one step, "week".
     """
 
@@ -38,6 +40,7 @@ class OwnCase:
     units: Mapping[str, str]
     training: FollowingTable
     evaluation: EvaluationTable
+    positions: Mapping[str, tuple[FilePosition, ...]]
 
     @property
     def constraints(self) -> tuple[Limit, ...]:

@@ -1,16 +1,58 @@
-"""How a run of a user's own simulator is told: the sections that every run can have."""
+"""How a run of a user's own simulator is told: the sections that every run can have, and limits."""
+
+from typing import Any
 
 from snapo.report.folder import Folder
-from snapo.report.quantity import number
-from snapo.report.sections.bound import bound
-from snapo.report.sections.limits import limits
+from snapo.report.page import Mark, Section, Table, Text
+from snapo.report.quantity import NONE, SPACE, decimals, finite, measured, number
 from snapo.report.sections.proof import history, making
+from snapo.solver.limits.found import LimitFound
+from snapo.study.chapters.bound import bound
 from snapo.study.chapters.certificate import CERTIFICATE
 from snapo.study.chapters.distribution import DISTRIBUTION
 from snapo.study.chapters.headline import headline
 from snapo.study.chapters.profile import PROFILE
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
+
+CAVEAT = (
+    "Met nearly: missed by less than the half width of the interval, or by a thousandth of one "
+    "path's deviation. One more of the level is worth its shadow price to the objective, from "
+    "derivatives by the policy on fresh paths; a limit with room has none. Sensitivities are "
+    "those of the best value within the limits."
+)
+
+
+def limits(run: Folder) -> Section:
+    """A row for each limit; a section without blocks, which no page shows, where there is none."""
+    rows = [_row(LimitFound(**entries)) for entries in run.result.get("limits") or ()]
+    head = [
+        ("Limit", ""), ("", ""), ("Level", ""), ("Value", ""), ("95 %", ""),
+        ("One more of the level", run.unit), ("", ""),
+    ]  # fmt: skip
+    caption = "Limits on fresh paths of the exact simulator, with their shadow prices"
+    blocks = [Table(head, rows, caption, 2), Text(CAVEAT, caveat=True)] if rows else []
+    return Section("limits", "Limits on averages", "Limits", blocks)
+
+
+def _row(limit: LimitFound) -> tuple[Any, ...]:
+    low, high = finite(limit.low), finite(limit.high)  # null in the file where it is not finite
+    width = (high - low) / 2 if low is not None and high is not None else 0.0
+    places = max(0, decimals([width], 2)) if width else None
+    price, error = finite(limit.price), finite(limit.price_error)
+    if price or error:
+        value = measured(price, error, max(0, decimals([error], 2)) if error else 4)
+    else:
+        value = (NONE, "")
+    return (
+        limit.name,
+        Mark(limit.met != "not met", limit.met),
+        number(limit.level),
+        number(limit.value, places),
+        f"{number(low, places)}{SPACE}to{SPACE}{number(high, places)}",
+        *value,
+    )
+
 
 SECTIONS = (
     headline, limits, sensitivities, DISTRIBUTION, PROFILE, bound, history, CERTIFICATE, making,

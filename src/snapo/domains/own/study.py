@@ -107,7 +107,7 @@ def study(case: OwnCase, options: Options) -> Study:
     chapters = (DISTRIBUTION, PROFILE, MOVES, CERTIFICATE)
     parts = [TRAINING, *(chapter.part for chapter in chapters)]
     if isinstance(setup.problem.simulator, Relaxable):
-        parts.append(BOUND)
+        parts.append(BOUND.part)
     about = {
         "title": case.title,
         "step": case.step,
@@ -145,7 +145,8 @@ def _notes(case: OwnCase) -> list[str]:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    return trained(run) | ({"bound": run.get("bound")} if run.get("bound") else {})
+    bounds = BOUND.of(run)
+    return trained(run) | (BOUND.data(bounds) if bounds else {})
 
 
 def _relaxation(problem: Problem):

@@ -11,4 +11,5 @@ DOMAIN = Kind(
     summary="results.figures.lines:lines",
     maker="results.study:pension_study",
     page="report:REPORT",
+    tables="read.case:SCHEMA",
 )

@@ -5,8 +5,8 @@ import numpy as np
 from snapo.report import evidence
 from snapo.report.page import Facts, Headline, Mark, Missing, Section, Text
 from snapo.report.quantity import finite, long_date, number, plus_minus
-from snapo.report.sections.bound import bound
 from snapo.report.sections.lacking import unless_left_out
+from snapo.study.chapters.bound import bound
 from snapo.study.chapters.certificate import checks as certified
 from snapo.study.domain import Report
 

@@ -8,6 +8,5 @@ DOMAIN = Kind(
     __name__,
     {"standard": "template"},
     reader="read.case:resolve",
-    summary="results.lines:lines",
     timer="bench:bench",
 )

@@ -1,54 +1,37 @@
 """How a run of a pharma case is told."""
 
+from snapo.report.folder import Folder
 from snapo.study.domain import Report
 
-from .sections import (
-    assumptions,
-    batch,
-    headline,
-    learning,
-    model,
-    optimum,
-    sensitivity,
-    space,
-    together,
-    units,
-    validation,
-    verification,
-)
-from .sections.run import Run
+from .chapters import batch
+from .chapters.attribution import ATTRIBUTION, PROFILES
+from .chapters.capability import CAPABILITY
+from .chapters.closed_loop import CLOSED_LOOP
+from .chapters.design_space import SPACE
+from .chapters.estimation import ESTIMATION, validation
+from .chapters.headline import MAKING, headline
+from .chapters.model import MODEL, stated
+from .chapters.optimum import OPTIMUM
+from .chapters.ranges import PAIRS, RANGES
+from .chapters.sensitivities import MATRIX
+from .chapters.verification import verification
 
 SECTIONS = (
-    headline.headline,
-    model.model,
-    verification.verification,
-    sensitivity.sensitivity,
-    sensitivity.attribution,
-    batch.reactor,
-    batch.plane,
-    batch.drying,
-    units.units,
-    batch.profiles,
-    space.design_space,
-    space.ranges,
-    together.together,
-    space.capability,
-    optimum.optimum,
-    learning.estimation,
-    validation.validation,
-    learning.closed_loop,
-    assumptions.assumptions,
-)
+    headline, MODEL, verification, MATRIX, ATTRIBUTION, batch.reactor, batch.plane, batch.drying,
+    batch.ONE_BATCH, PROFILES, SPACE, RANGES, PAIRS, CAPABILITY, OPTIMUM, ESTIMATION, validation,
+    CLOSED_LOOP, MAKING,
+)  # fmt: skip
 
 
-def about(run: Run) -> list[tuple[str, str]]:
+def about(run: Folder) -> list[tuple[str, str]]:
     """What stands under the title."""
+    case = stated(run)
     return [
-        ("Units", " → ".join(each["name"] for each in run.get("units", []))),
-        ("Parameters", str(len(run.parameters) or "")),
-        ("Quality attributes", str(len(run.attributes) or "")),
+        ("Units", " → ".join(unit.name for unit in case.units)),
+        ("Parameters", str(len(case.parameters) or "")),
+        ("Quality attributes", str(len(case.attributes) or "")),
         ("Status", str(run.result.get("status") or "")),
     ]
 
 
-REPORT = Report("Pharmaceutical process", Run, about, SECTIONS)
+REPORT = Report("Pharmaceutical process", Folder, about, SECTIONS)

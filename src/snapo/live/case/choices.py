@@ -1,19 +1,16 @@
 """Keys of a case with a list of allowed values: words and switches, moved by a menu.
 
-Of a key that stands in the case, no reader says which words it knows until it is asked for another
-one: then its refusal lists them. A key that the case leaves at its default is known from the
-formats of the tables that are checked while the case is read. Each value is tried; one that the
-case cannot have as it stands is not offered.
+Which words a key may have is declared in the table that it belongs to. Each is tried; one that the
+case cannot have with its other keys is not offered.
 """
 
-import re
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 from snapo.case.error import CaseError
-from snapo.case.table import watching
+from snapo.case.table import keys_of, recorded_tables
 
-from .files import Files, Key, numbers_in
+from .files import Files, Key
 from .guesses import tables
 
 OWN = ("title", "name", "label")  # keys by which the row of a table names itself
@@ -62,9 +59,7 @@ def _family(table: Any) -> bool:
 
 Tried = Callable[[Files], Any]
 LEFT = ("title", "purpose", "kind", "report", "training", "evaluation", "policy", "goal")
-NONE = "?"  # which is nobody's word
 MOST_KEYS, MOST_WORDS = 60, 12
-WORD = re.compile(r'"([^"\s][^"]{0,39})"')
 
 
 class Choice(NamedTuple):
@@ -83,17 +78,16 @@ class Choice(NamedTuple):
 def choices(files: Files, tried: Tried) -> list[Choice]:
     """Every key of the case that has more than one value; `tried` reads a case, or raises
     `CaseError`."""
-    found = []
-    defaults = {key: (value, others) for key, value, others in _defaults(files, tried)}
-    stand = {key: (value, None) for key, value in _words(files)}
-    for key, (value, others) in list({**stand, **defaults}.items())[:MOST_KEYS]:
-        if others is None:
-            others = [not value] if isinstance(value, bool) else _known(files, key, tried)
-        allowed = [each for each in others if each != value and _holds(files, key, each, tried)]
-        if allowed:
+    menus = []
+    options = _options(files, tried)
+    stated = [key for key in _keys(files) if key in options]
+    for key in [*stated, *(key for key in options if key not in stated)][:MOST_KEYS]:
+        value, words = options[key]
+        others = [word for word in words if word != value and _holds(files, key, word, tried)]
+        if others:
             name = ".".join(str(part + 1 if isinstance(part, int) else part) for part in key)
-            found.append(Choice(name, key, value, [value, *allowed], title(files.tables, key)))
-    return found
+            menus.append(Choice(name, key, value, [value, *others], title(files.tables, key)))
+    return menus
 
 
 def chosen(files: Files, known: Sequence[Choice], wanted: Mapping[str, Any]) -> Files:
@@ -113,53 +107,31 @@ def chosen(files: Files, known: Sequence[Choice], wanted: Mapping[str, Any]) -> 
     return files
 
 
-def _words(files: Files) -> Iterator[tuple[Key, str | bool]]:
-    """Keys whose value is a word or a switch: no quantity, no file, no sentence."""
+def _keys(files: Files) -> Iterator[Key]:
+    """All keys of the case, in its order."""
     for way, table in tables(files.tables, ()):
-        for key, value in table.items():
-            if (way or (key,))[0] in LEFT:
-                continue
-            if isinstance(value, bool):
-                yield (*way, key), value
-            elif isinstance(value, str) and value not in files.sheets:
-                plain = re.fullmatch(r"[A-Za-z][\w-]{0,39}", value)
-                if plain and numbers_in([value]) is None:
-                    yield (*way, key), value
+        yield from ((*way, key) for key in table)
 
 
-def _defaults(files: Files, tried: Tried) -> Iterator[tuple[Key, str | bool, list[str | bool]]]:
-    """Keys that the case leaves out, with their defaults and all values that their format names."""
-    with watching() as seen:
+def _options(files: Files, tried: Tried) -> dict[Key, tuple[str | bool, list[str | bool]]]:
+    """{key: its value, or its default where the case leaves it out, and all that it may have}."""
+    with recorded_tables() as read:
         tried(files)
-    places = {id(table): way for way, table in tables(files.tables, ())}
-    by_name = {".".join(map(str, way)): way for way, _ in tables(files.tables, ())}
-    for form, data, name in seen:
-        way = places.get(id(data), by_name.get(name))  # a reader may hand on a copy
-        if way is None and data == {} and name.isidentifier() and name not in files.tables:
-            way = (name,)  # a table that the case leaves out altogether
-        if way is None or (way and way[0] in LEFT):
+    paths = {id(table): way for way, table in tables(files.tables, ())}
+    ways = set(paths.values())
+    menus: dict[Key, tuple[str | bool, list[str | bool]]] = {}
+    for table in read:
+        way = paths.get(id(table.data), keys_of(table.name))  # a reader may hand on a copy
+        left_out = table.data == {} and len(way) == 1 and way[0] not in files.tables
+        if not (way in ways or left_out) or (way and way[0] in LEFT):
             continue
-        for field, about in form.model_fields.items():
-            key, default = about.alias or field, about.default
-            if key in data or (not way and key in LEFT):
-                continue
-            if isinstance(default, bool):
-                yield (*way, key), default, [default, not default]
-            elif isinstance(default, str):
-                words = list(dict.fromkeys(WORD.findall(about.description or "")))
-                if default in words and len(words) > 1:
-                    yield (*way, key), default, [*words][:MOST_WORDS]
-
-
-def _known(files: Files, key: Key, tried: Tried) -> list[str]:
-    """The words in quotation marks of the refusal of a word that nobody knows."""
-    try:
-        tried(files.with_value(key, NONE))
-    except CaseError as error:
-        own = [each for each in (error, *error.others) if str(key[-1]) in each.where]
-        words = [word for each in own for word in WORD.findall(each.allowed)]
-        return list(dict.fromkeys(word for word in words if word != NONE))[:MOST_WORDS]
-    return []  # any word will do: a name
+        for key, options in table.options.items():
+            default = table.fields[key].default if key in table.fields else None
+            value = table.data.get(key, default)
+            words = [x for x in dict.fromkeys(options) if type(x) is type(value)][:MOST_WORDS]
+            if value in words and len(words) > 1 and (way or key not in LEFT):
+                menus[(*way, key)] = value, words
+    return menus
 
 
 def _holds(files: Files, key: Key, value: str | bool, tried: Tried) -> bool:

@@ -9,7 +9,12 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from snapo.case.csv import NUMBER
+import numpy as np
+
+from snapo.case.csv import NUMBER, Mention, read_rows
+from snapo.case.error import CaseError
+from snapo.case.given import Copies, FilePosition, Given, SheetCell
+from snapo.case.table import Section
 from snapo.case.toml import to_toml
 from snapo.study.run_folder import case_files
 
@@ -17,10 +22,14 @@ Key = tuple[str | int, ...]  # the way to a value in the tables
 
 
 class Sheet(NamedTuple):
-    """A CSV: its header and its rows, as texts; comments are left out."""
+    """A CSV: its header and its rows, as texts; comments are left out.
+
+    `lines`: the line of each row in the file that was read, from 1.
+    """
 
     header: list[str]
     rows: list[list[str]]
+    lines: list[int]
 
     def column(self, name: int) -> list[str]:
         return [row[name] for row in self.rows]
@@ -77,14 +86,70 @@ def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
     sheets = {}
     for each in case_files(folder):
         if each.name in named and each.suffix.lower() == ".csv":
-            sheets[each.name] = _sheet(each.read_text(encoding="utf-8-sig"))
+            sheets[each.name] = _sheet(folder, each.name)
     return Files(folder, tables, sheets)
 
 
-def _sheet(text: str) -> Sheet:
-    rows = [[cell.strip() for cell in row] for row in csv.reader(text.splitlines())]
-    rows = [row for row in rows if any(row) and not row[0].startswith("#")]
-    return Sheet(rows[0], rows[1:]) if rows else Sheet([], [])
+def _sheet(folder: Path, name: str) -> Sheet:
+    """A CSV as a case reads it: with decimal points, and dates YYYY-MM-DD."""
+    try:
+        rows = read_rows(Mention(Section(folder / "case.toml", "", []), "", name), ())
+    except CaseError:  # its reader has other rules
+        return Sheet([], [], [])
+    header = list(rows[0].cells)
+    texts = [[row.label(column) for column in header] for row in rows]
+    return Sheet(header, texts, [row.line for row in rows])
+
+
+def with_numbers(files: Files, entry: Given, numbers: np.ndarray) -> Files:
+    """The files of a case with other numbers in the positions of an input.
+
+    Days that share the line of their month stay there while they are equal; else each has a line.
+
+    **Raises:** `CaseError` for a number that no file has, or that is in a file which is no CSV.
+    """
+    changes: dict[FilePosition, dict[str, float]] = {}
+    for i, (position, label) in enumerate(zip(entry.places, entry.labels)):
+        number = float(numbers.ravel()[i])
+        if position is not None:
+            changes.setdefault(position, {})[label] = number
+        elif number != entry.values[i]:
+            raise CaseError(entry.name, label, None, "this number is in no file of the case")
+    for position, by_label in changes.items():
+        number = next(iter(by_label.values()))
+        if isinstance(position, SheetCell):
+            files = files.with_sheet(position.file, _with_cell(files, position, by_label))
+        elif isinstance(position, Copies):
+            for path in position.positions:
+                files = files.with_value(path, number)
+        elif position is not None:
+            files = files.with_value(position, number)
+    return files
+
+
+def _with_cell(files: Files, cell: SheetCell, numbers: Mapping[str, float]) -> Sheet:
+    """A sheet with another number in a cell, or a row for each label where they differ."""
+    sheet = files.sheets.get(cell.file)
+    if sheet is None or cell.line not in sheet.lines:
+        raise CaseError(cell.file, "", None, "numbers can be changed in a CSV beside the case only")
+    at, column = sheet.lines.index(cell.line), sheet.header.index(cell.column)
+    row = sheet.rows[at]
+    if len(set(numbers.values())) == 1:
+        rows = [_replaced(row, column, next(iter(numbers.values())))]
+    else:
+        date = next(i for i, text in enumerate(row) if next(iter(numbers)).startswith(text))
+        days = [[*row[:date], label, *row[date + 1 :]] for label in numbers]
+        rows = [_replaced(day, column, x) for day, x in zip(days, numbers.values())]
+    lines = [cell.line, *[0] * (len(rows) - 1)]
+    return Sheet(
+        sheet.header,
+        [*sheet.rows[:at], *rows, *sheet.rows[at + 1 :]],
+        [*sheet.lines[:at], *lines, *sheet.lines[at + 1 :]],
+    )
+
+
+def _replaced(row: list[str], column: int, number: float) -> list[str]:
+    return [*row[:column], repr(number), *row[column + 1 :]]
 
 
 def numbers_in(cells: Sequence[str]) -> list[float] | None:

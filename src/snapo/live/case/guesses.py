@@ -3,7 +3,6 @@
 A guess is cheap and may be wrong; `places.py` tries it.
 """
 
-import datetime
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from functools import partial
 from typing import Any
@@ -193,11 +192,9 @@ def _put_labels(
 
 
 def _in_sheets(files: Files, name: str, given: Input) -> Iterator[Guess]:
-    """Columns with as many numbers; of days, the rows of their months."""
+    """Columns with as many numbers."""
     words = _words(name)
     for file, sheet in files.sheets.items():
-        if _dates(given.names()) and len(sheet.header) == 2:
-            yield (SAME, -9), partial(_put_dates, file, given.names())
         for column, header in enumerate(sheet.header):
             filled = [cell for cell in sheet.column(column) if cell]
             numbers = numbers_in(filled)
@@ -214,24 +211,4 @@ def _put_column(file: str, column: int, files: Files, wanted: np.ndarray) -> Fil
         [repr(next(left)) if i == column and cell else cell for i, cell in enumerate(row)]
         for row in sheet.rows
     ]
-    return files.with_sheet(file, Sheet(sheet.header, rows))
-
-
-def _put_dates(file: str, labels: tuple[str, ...], files: Files, wanted: np.ndarray) -> Files:
-    """One row for each month whose days are all alike, else one for each day."""
-    months: dict[str, list[tuple[str, float]]] = {}
-    for label, number in zip(labels, wanted.ravel().tolist()):
-        months.setdefault(label[:7], []).append((label, number))
-    rows = []
-    for month, days in months.items():
-        whole = len({number for _, number in days}) == 1 and len(days) > 1
-        rows += [[month, repr(days[0][1])]] if whole else [[day, repr(x)] for day, x in days]
-    sheet = files.sheets[file]
-    return files.with_sheet(file, Sheet(sheet.header, rows))
-
-
-def _dates(labels: tuple[str, ...]) -> bool:
-    try:
-        return all(datetime.date.fromisoformat(label) for label in labels)
-    except ValueError:
-        return False
+    return files.with_sheet(file, Sheet(sheet.header, rows, sheet.lines))

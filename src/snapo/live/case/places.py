@@ -1,15 +1,15 @@
-"""Where an input stands in the files of a case: found by trying, proved by reading.
+"""Where an input stands in the files of a case: as its reader recorded it, else found by trying.
 
-The readers of domains are free in where they take a number from, and none of them says it. A place
-is a guess (`guesses.py`); it counts when the case, written with other numbers there, is read with
-exactly these numbers under the input's name and all others as before. So what a page writes as a
-case is what it valued, whatever the domain.
+A number that a `Quantity` declares has its position. For others a place is a guess (`guesses.py`);
+it counts when the case, written with other numbers there, is read with exactly these numbers under
+the input's name and all others as before. So what a page writes as a case is what it valued,
+whatever the domain.
 """
 
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import fields, is_dataclass
-from functools import partial
+from functools import cached_property, partial
 from itertools import islice
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -20,35 +20,38 @@ from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.problem.inputs import Input
 
-from .files import Files
+from .files import Files, with_numbers
 from .guesses import Put, guesses
 
 
 def numbers_of(case: Any) -> dict[str, np.ndarray]:
-    """{name: numbers} of everything given in the records of a case, whatever its domain."""
-    return dict(_given(case, "", set()))
+    """{name: numbers} of all inputs in the records of a case, whatever its domain."""
+    return {name: _values(entry) for name, entry in inputs_in(case, "", set())}
 
 
-def _given(record: Any, name: str, seen: set[int]) -> Iterator[tuple[str, np.ndarray]]:
-    if id(record) in seen:
+def inputs_in(record: Any, name: str, visited: set[int]) -> Iterator[tuple[str, Given | Input]]:
+    """(name, numbers) of all inputs in a record, in its records, tuples, lists and mappings."""
+    if isinstance(record, Given | Input):
+        if _values(record).size:
+            yield getattr(record, "name", name), record
         return
-    if isinstance(record, Given):
-        if record.values.size:
-            yield record.name, record.values
-    elif isinstance(record, Input):
-        yield name, record.value
-    elif isinstance(record, Mapping):
-        seen.add(id(record))
-        for key, each in record.items():
-            yield from _given(each, str(key), seen)
+    if id(record) in visited:
+        return
+    visited.add(id(record))
+    if isinstance(record, Mapping):
+        parts = [(item, str(key)) for key, item in record.items()]
     elif isinstance(record, tuple | list):
-        seen.add(id(record))
-        for each in record:
-            yield from _given(each, name, seen)
+        parts = [(item, name) for item in record]
     elif is_dataclass(record) and not isinstance(record, type):
-        seen.add(id(record))
-        for field in fields(record):
-            yield from _given(getattr(record, field.name, None), field.name, seen)
+        parts = [(getattr(record, x.name, None), x.name) for x in fields(record)]
+    else:
+        parts = []
+    for item, key in parts:
+        yield from inputs_in(item, key, visited)
+
+
+def _values(entry: Given | Input) -> np.ndarray:
+    return entry.values if isinstance(entry, Given) else entry.value
 
 
 Read = Callable[[Path, Mapping[str, Any]], Any]
@@ -65,18 +68,40 @@ class Moved(NamedTuple):
 
 
 class Places:
-    """The places of a case's inputs; each is looked for when it is first needed.
+    """The places of a case's inputs; one that its reader did not record is looked for when needed.
 
     - `of`: gives the inputs of a case by name, where the domain says them; else they are found
       among its records.
+    - `case`: the records, where they are read already.
     """
 
     def __init__(
-        self, read: Read, files: Files, inputs: Mapping[str, Input], of: Inputs | None = None
+        self,
+        read: Read,
+        files: Files,
+        inputs: Mapping[str, Input],
+        of: Inputs | None = None,
+        case: Any = None,
     ):
         self.read, self.files, self.inputs, self.of = read, files, inputs, of
-        self.base = self._numbers(self.again(files))
-        self._known: dict[str, Put | None] = {}
+        self.case = self.again(files) if case is None else case
+        self._places: dict[str, Put | None] = {}
+
+    @cached_property
+    def base(self) -> dict[str, np.ndarray]:
+        """{name: numbers} of the case."""
+        return self._numbers(self.case)
+
+    @cached_property
+    def recorded(self) -> dict[str, Given]:
+        """{name: numbers} of the inputs whose positions their reader recorded."""
+        entries = dict(inputs_in(self.case, "", set()))
+        recorded = {name: x for name, x in entries.items() if isinstance(x, Given) and x.places}
+        for name, places in getattr(self.case, "positions", {}).items():
+            x = self.inputs[name]
+            index = np.arange(x.value.size)
+            recorded[name] = Given(name, x.value.ravel(), x.names(), x.unit, index, places=places)
+        return recorded
 
     def moved(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> Moved:
         """The case in which the inputs named have these values; `files`: another case to put them
@@ -101,10 +126,12 @@ class Places:
 
     def place(self, name: str) -> Put | None:
         """How numbers of an input are written; None where no place of it was found."""
-        if name not in self._known:
-            found = islice(guesses(self.files, name, self.inputs[name]), MOST)
-            self._known[name] = next(filter(partial(self._holds, name), found), None)
-        return self._known[name]
+        if name in self.recorded:
+            return lambda files, numbers: with_numbers(files, self.recorded[name], numbers)
+        if name not in self._places:
+            candidates = islice(guesses(self.files, name, self.inputs[name]), MOST)
+            self._places[name] = next(filter(partial(self._holds, name), candidates), None)
+        return self._places[name]
 
     def _numbers(self, case: Any) -> dict[str, np.ndarray]:
         if self.of is None:

@@ -4,18 +4,21 @@ from collections.abc import Callable
 from functools import wraps
 from typing import TypeVar
 
-from ..folder import LEFT_OUT, Folder
+from ..folder import LEFT_OUT, PLANNED, Folder
 from ..page import Missing, Section, Text
 
 AnyFolder = TypeVar("AnyFolder", bound=Folder)
 Told = Callable[[AnyFolder], Section]
 
 
-def lacking(run: Folder, part: str) -> Missing:
-    """Why the numbers of a part are not in this run."""
+def lacking(run: Folder, part: str, table: str = "") -> Missing:
+    """Why the numbers of a part are not in this run; `table`: of a case that asks for the part."""
     state = run.parts.get(part)
     if state is None and run.left_out(part):
         return Missing(f"The part “{part}” is not among the `[report] parts`.")
+    if state is None and part not in run.get(PLANNED, [part]):
+        none = f"The case has no `[{table}]`." if table else f"This run has no part “{part}”."
+        return Missing(none)
     if state is None:
         return Missing(f"This run stopped before its part “{part}”.")
     if state.get("note"):

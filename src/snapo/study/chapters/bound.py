@@ -1,19 +1,59 @@
 """The value between two bounds: the policy's from below, hindsight with a penalty from above."""
 
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
-from snapo.solver.bound import Penalty, bound
+from snapo.report.axes import number_axis
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Section, Text
+from snapo.report.quantity import decimals, finite, number, percent
+from snapo.report.rows import Column, table
+from snapo.report.theme import LIGHT
+from snapo.solver import bound as solver
+from snapo.solver.bound import Penalty
 
-from ..study import Part, StudyRun
+from ..chapter import Chapter, Number
+from ..study import StudyRun
 
 PATHS = 1024
 
 
-def bounded(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> dict[str, Any]:
-    """ "bound": lower, upper and gap with their intervals; see `snapo.solver.bound`.
+@dataclass(frozen=True)
+class BoundInterval:
+    """A mean, its standard error, and its 95 % interval."""
 
-    Lower is the value of the run, upper that and the gap: never below the value that stands beside.
-    "says_little" says why, where the bound leaves open how good the policy is.
+    value: Number
+    standard_error: Number
+    low: Number
+    high: Number
+
+
+@dataclass(frozen=True)
+class ValueBounds:
+    """The row of a `snapo.Bound`; lower is the value of the run, upper that and the gap."""
+
+    lower: BoundInterval
+    upper: BoundInterval
+    gap: BoundInterval
+    penalty: str = ""
+    words: str = ""
+    scale: tuple[Number, ...] = ()
+    paths: int = 0
+    sure: tuple[float | None, float | None] = (None, None)
+    few: bool = False
+    says_little: str = ""
+
+    @classmethod
+    def of(cls, result: solver.Bound) -> "ValueBounds":
+        """Its row."""
+        row = result.row()
+        ends = {name: BoundInterval(**row.pop(name)) for name in ("lower", "upper", "gap")}
+        return cls(**ends, **row)
+
+
+def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
+    """The bounds of the run's value: upper is never below the value that the run reports.
 
     **Raises:** `ValueError` where the study has no bound; it says why.
     """
@@ -23,7 +63,7 @@ def bounded(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> di
     policy = run.solution.policy
     if policy is None:
         raise ValueError("the run has no policy")
-    found = bound(
+    result = solver.bound(
         setup.problem,
         policy,
         relaxation=relaxation(),
@@ -32,9 +72,94 @@ def bounded(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> di
         engine=setup.engines.evaluate,
     )
     value, error = run.solution.value, run.solution.standard_error
-    found = found.above(value, error, setup.problem.objective)
-    run.tell(str(found))
-    return {"bound": found.row()}
+    result = result.above(value, error, setup.problem.objective)
+    run.tell(str(result))
+    return ValueBounds.of(result)
 
 
-BOUND = Part("bound", bounded, needs=("training",))
+def bound(run: Folder) -> Section:
+    """The section; of a run without bounds, how to get them."""
+    section = BOUND(run)
+    if BOUND.name in run.parts or BOUND.of(run) is not None:
+        return section
+    text = (
+        "The value of this run was not bounded from above: `snapo certify` does, or says why not."
+    )
+    return replace(section, blocks=[Text(text)])
+
+
+def show(run: Folder, result: ValueBounds) -> Sequence[Block]:
+    """Lower and upper bound with their 95 % intervals, and the gap between them in a sentence."""
+    places = decimals([result.upper.value], 6)
+    rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
+    columns = [
+        Column("", lambda row: row[0]),
+        Column("Value", lambda row: row[1].value, run.unit),
+        Column("95 % from", lambda row: row[1].low, run.unit),
+        Column("to", lambda row: row[1].high, run.unit),
+    ]
+    caption = f"Bounds on {number(result.paths, 0)} paths"
+    blocks: list[Block] = [
+        Text(sentence(run, result, places)),
+        _chart(run, result, rows, places),
+        table([*rows, ("Gap, path by path", result.gap)], columns, caption, places=places),
+    ]
+    low, high = result.sure
+    if low is not None and high is not None:
+        values = f"from {number(low, decimals([low], 4))} to {number(high, decimals([high], 4))}"
+        blocks.append(Text(f"As sure outcomes of the same utility, the two values are {values}."))
+    return blocks
+
+
+def sentence(run: Folder, result: ValueBounds, places: int) -> str:
+    """ "No policy whatever earns more than EUR 78,498 …"."""
+    top, gap, low = (finite(x) for x in (result.upper.high, result.gap.high, result.lower.value))
+    if top is None or gap is None or low is None:
+        return "There are too few paths for an interval."
+    if little := result.says_little:
+        return f"This bound {little}. No policy earns more than {run.worth(top, None, places)}."
+    share = f", {percent(gap / abs(low), 2)} of its value," if low else ""
+    return (
+        f"No policy whatever earns more than {run.worth(top, None, places)}, and the trained one"
+        f" leaves at most {run.worth(gap, None, places)}{share} on the table (95 % intervals)."
+    )
+
+
+def _chart(
+    run: Folder, result: ValueBounds, rows: Sequence[tuple[str, BoundInterval]], places: int
+) -> Chart:
+    exact = finite(run.get("dynamic_programming"))
+    texts = "; ".join(
+        f"{name}: {number(x.value, places)}, {number(x.low, places)} to {number(x.high, places)}"
+        for name, x in rows
+    )
+
+    def paint(axes) -> None:
+        for row, (_, x) in enumerate(rows):
+            colour = LIGHT["main"] if row == 0 else LIGHT["withdraw"]
+            error = [[x.value - x.low], [x.high - x.value]]
+            style = {"fmt": "o", "color": colour, "ecolor": colour, "capsize": 5.0}
+            axes.errorbar([x.value], [row], xerr=error, elinewidth=2.0, **style)
+        if exact is not None:
+            axes.axvline(exact, color=LIGHT["other"], linestyle="--")
+            axes.text(exact, -0.5, " exact", color=LIGHT["muted"], va="center")
+        axes.set_yticks(range(len(rows)), [name for name, _ in rows])
+        axes.set_ylim(len(rows) - 0.4, -0.7)
+        axes.grid(axis="x")
+        axes.margins(x=0.1)
+        number_axis(axes.xaxis)
+        axes.set_xlabel(run.unit)
+
+    svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
+    caption = (
+        "The upper bound is the value and the gap: the mean over fresh paths of what the best"
+        " decisions of each path earn when its future is known, less what the policy earns."
+        f" A penalty for knowing it costs nothing on average to those who do not ({result.words})."
+    )
+    return Chart(svg, caption)
+
+
+BOUND = Chapter(
+    "bound", "Bounds: how much better could a policy be?", ValueBounds, measure, show,
+    short="Bounds", key="bound",
+)  # fmt: skip

@@ -7,7 +7,7 @@ from snapo.domains.gas_storage.prices.one_factor import OneFactor
 from snapo.domains.gas_storage.prices.process import KINDS, PriceProcess, lacks, register
 from snapo.domains.gas_storage.prices.registry import kinds
 
-PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "words", "read", "state_at"}
+PARTS = {"step", "level", "forward", "initial", "prepare", "observe", "describe", "state_at"}
 
 
 def test_every_kind_is_whole_and_says_its_table():
@@ -34,7 +34,7 @@ def test_a_process_without_dynamics_is_refused():
     assert "dull" not in KINDS
 
 
-@pytest.mark.parametrize("part", ["step", "read", "state_at"])
+@pytest.mark.parametrize("part", ["step", "state_at"])
 def test_one_missing_method_is_named(part):
     """Everything of a one-factor price is there but for one method, which is abstract again."""
     abstract = getattr(PriceProcess, part)

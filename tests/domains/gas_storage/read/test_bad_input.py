@@ -227,7 +227,7 @@ MISTAKES = {
     ),
     "rate in percent": (
         "rates.csv", "0.005", "5.0",
-        ["rates.csv, line 2", "'5.0'", "from -1 to 1"],
+        ["rates.csv, line 2", "'5.0'", "between -1 and 1"],
     ),
     "price that is not positive": (
         "curve.csv", "2021-06,15.42", "2021-06,-15.42",

@@ -63,8 +63,9 @@ def test_quotes_merge_alike_in_any_order(months, days, random):
     random.shuffle(lines)
     rows = [Row("c.csv", n, {"date": d, "price": p}) for n, (d, p) in enumerate(lines, 2)]
     by_day, by_month = quotes(rows)
-    assert by_day == days
-    assert by_month == {(2021, month): price for month, price in months.items()}
+    assert {day: quote.value for day, quote in by_day.items()} == days
+    prices = {(2021, month): price for month, price in months.items()}
+    assert {month: quote.value for month, quote in by_month.items()} == prices
 
 
 CASE = """

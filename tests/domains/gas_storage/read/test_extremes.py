@@ -14,8 +14,8 @@ CASES = Path(__file__).parents[1] / "cases"
 # A text of the case or of the curve, what replaces it, and what the message must name.
 EXTREMES = {
     "no price": ("27.03", "1e308", ["curve.csv", "line", "column price", "1e308", "1e+36"]),
-    "price": ("27.03", "1e9", ["forward_curve 2025-01-01", "1000000000", "1,000,000"]),
-    "negative price": ("27.03", "-1e9", ["curve.csv", "above 0"]),
+    "price": ("27.03", "1e9", ["curve.csv, line 3, column price", "1e9", "1,000,000"]),
+    "negative price": ("27.03", "-1e9", ["curve.csv, line 3", "-1,000,000"]),
     "rate": ("interest_rate = 0.03", "interest_rate = 1e300", ["interest_rate", "-1 and 1"]),
     "negative rate": ("interest_rate = 0.03", "interest_rate = -0.999", ["interest_rate", "-0.5"]),
     "volatility": ("volatility = 0.9", "volatility = 1e6", ["model.volatility", "5,000 %"]),

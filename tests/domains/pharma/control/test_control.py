@@ -2,12 +2,12 @@
 
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled
 from tests.domains.pharma.pharma_cases import CASE, LOOP, small, solve, template
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.control.parts import better, rates
+from snapo.domains.pharma.chapters.closed_loop import KeptShares, better, rates
 from snapo.domains.pharma.control.stages import decided, staged
-from snapo.domains.pharma.study import verdict
 from snapo.problem.scenarios import Pseudo
 
 
@@ -73,7 +73,7 @@ def test_what_is_held_cannot_be_decided():
 )
 def test_the_headline_says_which_rival_is_better(gain, error, which, words):
     assert better(gain, error) == which
-    said = verdict({"better": which, "value": 0.959, "baseline": 0.959 - gain})
+    said = filled(KeptShares, better=which, value=0.959, baseline=0.959 - gain).verdict
     assert said.startswith(words)
 
 
@@ -190,6 +190,6 @@ def test_a_pair_that_keeps_two_sided_limits_together_counts_once():
     found = rates(kept, 1 - kept, 0 * kept, Pseudo(0).groups(np.arange(kept.size)))
     share = kept.mean()
     expected = np.sqrt(share * (1 - share) / len(z))
-    assert found["standard_error"] == pytest.approx(expected, rel=1e-3)
-    assert found["gain_error"] == pytest.approx(2 * expected, rel=1e-3)
-    assert found["given_error"] == 0
+    assert found.standard_error == pytest.approx(expected, rel=1e-3)
+    assert found.gain_error == pytest.approx(2 * expected, rel=1e-3)
+    assert found.given_error == 0

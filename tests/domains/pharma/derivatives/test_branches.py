@@ -19,11 +19,11 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives import attribution
 from snapo.domains.pharma.derivatives.convergence import convergence
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
 from snapo.domains.pharma.derivatives.local import local
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.units.splitter import Splitter
 from snapo.domains.pharma.units.tank import Tank

@@ -4,15 +4,18 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import folder
 from tests.domains.pharma.process_cases import flagship
-from tests.domains.pharma.test_sound import GOOD, Tables
+from tests.domains.pharma.test_sound import GOOD
 from tests.domains.pharma.units.crystals.test_finite_volumes import alone
 from tests.domains.pharma.units.test_tube import tube
 
-from snapo.domains.pharma.derivatives.grids import finer_cells, on_finer_cells
+from snapo.domains.pharma.chapters.headline import checks, status
+from snapo.domains.pharma.chapters.verification import CONVERGENCE
+from snapo.domains.pharma.derivatives.convergence import Convergence
+from snapo.domains.pharma.derivatives.grids import Cells, finer_cells, on_finer_cells
 from snapo.domains.pharma.flowsheet.possible import impossible
 from snapo.domains.pharma.flowsheet.process import Process
-from snapo.domains.pharma.results.checks import checks, status
 from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.units.crystals.sizes import halved
 
@@ -43,15 +46,14 @@ def test_cells_are_halved_as_they_are_spaced():
 
 
 def test_cells_that_move_an_attribute_are_a_status():
-    rows = [
-        {"attribute": "yield", "passed": True, "margins": 0.1},
-        {"attribute": "size", "passed": False, "margins": None},
-    ]
-    found = Tables(GOOD | {"convergence": {"passed": True, "cells": rows}})
-    assert ("twice as many cells", False) in checks(found)
-    assert status(found) == "a check fails: twice as many cells (size)"
-    good = Tables(GOOD | {"convergence": {"passed": True, "cells": rows[:1]}})
-    assert status(good) == "ok"
+    rows = Cells("yield", 1.0, 1.0, 0.1, True), Cells("size", 1.0, np.nan, np.nan, False)
+
+    def run(cells):
+        return folder(*(GOOD | {CONVERGENCE: Convergence((), True, cells)}).items())
+
+    assert ("twice as many cells", False, " (size)") in checks(run(rows))
+    assert status(run(rows)) == "a check fails: twice as many cells (size)"
+    assert status(run(rows[:1])) == "ok"
 
 
 def test_a_grid_of_sizes_that_ends_too_early_is_a_status():

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from tests.domains.pharma.process_cases import Numerics, flagship, reactor_alone
 
+from snapo.domains.pharma.chapters.attribution import with_nodes
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.convergence import convergence
 from snapo.domains.pharma.derivatives.jacobian import gradient, matrix, second
 from snapo.domains.pharma.derivatives.local import local
-from snapo.domains.pharma.derivatives.nodes import with_nodes
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 
 # Computed independently to tight tolerances (SUNDIALS and LSODA).

@@ -14,8 +14,8 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.time.numerics import Numerics
 

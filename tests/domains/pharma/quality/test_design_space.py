@@ -1,10 +1,13 @@
 """Probabilities, ranges and capability against normal closed forms of a process that is linear."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import ndtr
 from tests.domains.pharma.pharma_cases import Polynomial, template
 
+from snapo.domains.pharma.chapters.sensitivities import criticality
 from snapo.domains.pharma.derivatives import sensitivities
 from snapo.domains.pharma.derivatives.jacobian import Matrix
 from snapo.domains.pharma.quality import (
@@ -14,7 +17,6 @@ from snapo.domains.pharma.quality import (
     interval,
     ranges,
 )
-from snapo.domains.pharma.results.quality import criticality
 
 GROWTH, T2, T_F = (
     ("crystalliser.kinetics.growth", 0),
@@ -258,7 +260,7 @@ def test_the_three_forms_of_a_matrix(linear):
     left = 3 - 2 * SPREAD * np.sqrt(5)  # of a room of 3, less two standard deviations
     assert ranks[0].share == pytest.approx(2 / left) and ranks[0].attribute == "first"
     assert [rank.variance for rank in ranks] == pytest.approx([0.8, 0.2])
-    wide = part._replace(total=np.array([1.6, 0.0]))
+    wide = replace(part, total=np.array([1.6, 0.0]))
     spent = sensitivities.ranking(linear.case, forms, found, wide)
     assert spent[0].spent and not spent[0].outside and spent[0].parameter == "T2"
     assert part.total == pytest.approx([SPREAD * np.sqrt(5), 0])

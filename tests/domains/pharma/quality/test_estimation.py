@@ -7,9 +7,9 @@ import pytest
 from scipy.stats import t as student
 from tests.domains.pharma.pharma_cases import FirstOrder, template
 
+from snapo.domains.pharma.chapters.estimation import validate
 from snapo.domains.pharma.quality import estimation
 from snapo.domains.pharma.quality.records import Estimation, Experiment
-from snapo.domains.pharma.quality.validation import validate
 
 
 def closed_form(which, low, high, logarithm, noise=0.0, seed=0, temperatures=(313.15, 303.15)):

@@ -1,31 +1,30 @@
 """What was fitted is used: values and covariance in the case, measurements in their own unit."""
 
 import tomllib
+from dataclasses import replace
 from pathlib import Path
 
 import jax
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled
 from tests.domains.pharma.pharma_cases import CASE, data
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.chapters.estimation import fitted_rows
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality import draws
+from snapo.domains.pharma.quality.estimation import Fit
 from snapo.domains.pharma.read.case import read_case, resolve
-from snapo.domains.pharma.results.quality import fitted_rows
 
-FIT = {
-    "converged": True,
-    "unidentified": [],
-    "at_bound": ["", ""],
-    "minima": [],
-    "minima_chi2": [],
-    "message": "",
-    "names": ["kinetics.prefactor[product]", "kinetics.prefactor[impurity]"],
-    "values": [2.654e4, 5.3e2],
-    "covariance": [[0.01**2, 0.0001], [0.0001, 0.02**2]],
-    "correlation": [[1.0, 0.5], [0.5, 1.0]],
-}
+FIT = filled(
+    Fit,
+    at_bound=("", ""),
+    names=("kinetics.prefactor[product]", "kinetics.prefactor[impurity]"),
+    values=np.array([2.654e4, 5.3e2]),
+    covariance=np.array([[0.01**2, 0.0001], [0.0001, 0.02**2]]),
+    correlation=np.array([[1.0, 0.5], [0.5, 1.0]]),
+)
 ROWS = "of,value,logarithm,deviation,correlation\n"
 
 
@@ -61,8 +60,8 @@ def test_values_and_covariance_go_on(tmp_path):
 def test_a_fit_that_leaves_numbers_free_is_not_handed_on(tmp_path):
     (tmp_path / "batch.csv").write_text(data())
     case = resolve(tmp_path / "case.toml", tomllib.loads(CASE))
-    assert fitted_rows(case, FIT | {"unidentified": ["one of them"]}) == []
-    assert fitted_rows(case, FIT | {"converged": False}) == []
+    assert fitted_rows(case, replace(FIT, unidentified=("one of them",))) == []
+    assert fitted_rows(case, replace(FIT, converged=False)) == []
 
 
 @pytest.mark.parametrize(

@@ -1,5 +1,6 @@
 """A fit is judged: against its errors, at its bounds, and against other minima; by closed forms."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import jax.numpy as jnp
@@ -8,10 +9,10 @@ import pytest
 from scipy.optimize import brentq
 from scipy.stats import t as student
 
+from snapo.domains.pharma.chapters.estimation import not_handed_on
+from snapo.domains.pharma.chapters.headline import doubts
 from snapo.domains.pharma.quality import estimation
 from snapo.domains.pharma.quality.records import Estimation, Experiment
-from snapo.domains.pharma.results.checks import status
-from snapo.domains.pharma.results.quality import not_handed_on
 
 TIMES = np.array([0.5, 1.0, 1.5, 2.0, 3.0, 4.0, 6.0, 8.0])
 
@@ -70,12 +71,10 @@ def test_first_order_fitted_to_second_order_is_refused(monkeypatch):
     assert found.covariance[0, 0] == pytest.approx(variance * found.chi2 / 7, rel=1e-6)
     half = student.ppf(0.975, 7) * np.sqrt(found.covariance[0, 0])
     assert found.high[0] - found.low[0] == pytest.approx(2 * half, rel=1e-9)
-    tables = {"estimation": found._asdict() | {"errors": "known"}}
-    said = status(Run(tables))
+    said = doubts(found)
     assert said.startswith("the fit does not describe its data: chi² ")
     assert "at 7 degrees of freedom" in said
-    relative = {"estimation": found._asdict() | {"tail": None}}
-    assert status(Run(relative)) == "ok"
+    assert doubts(replace(found, tail=np.nan)) == ""
 
 
 def test_errors_that_are_relative_alone_scale_the_covariance_both_ways(monkeypatch):
@@ -102,7 +101,7 @@ def test_a_number_at_its_bound_is_named_with_a_one_sided_interval(monkeypatch):
     far = brentq(lambda d: 2 * gradient * d + curve * d**2 - most, 0, 10)
     assert found.low[0] == pytest.approx(0.6, rel=1e-6)
     assert found.high[0] == pytest.approx(0.6 + far, rel=1e-4)
-    assert "k1 is at its lower bound" in " ".join(not_handed_on(found._asdict()))
+    assert "k1 is at its lower bound" in " ".join(not_handed_on(found))
 
 
 def test_both_of_two_equal_minima_are_named(monkeypatch):
@@ -114,7 +113,7 @@ def test_both_of_two_equal_minima_are_named(monkeypatch):
     assert found.values == pytest.approx([0.4, 2.0], rel=1e-5)  # as ordered where it began
     assert found.minima.shape == (1, 2)
     np.testing.assert_allclose(found.minima[0], found.values[::-1], rtol=1e-4)
-    assert "fit as well" in " ".join(not_handed_on(found._asdict()))
+    assert "fit as well" in " ".join(not_handed_on(found))
     alone = fitted(intermediate, (0.3, 3.0), *ends, value, 0.01, monkeypatch, starts=1)
     assert alone.minima.shape == (0, 2)
 

@@ -5,10 +5,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
+from snapo.domains.pharma.chapters.model import statement
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.read.case import read_case
 from snapo.domains.pharma.read.quantities import UnitError, conversion, prefactor_unit, split
-from snapo.domains.pharma.results.statement import statement
 
 
 @pytest.mark.parametrize(
@@ -58,7 +58,7 @@ def test_the_template_is_the_flagship_chain():
     assert values["charge.volume"] == [0.06]
     assert values["crystalliser.kinetics.growth"] == pytest.approx([5e-6], rel=1e-15)
     assert case.numerics.method == "mesh" and case.notes == ()
-    assert statement(case)["reactions"][0]["equation"] == "A + B → C"
+    assert statement(case).reactions[0].equation == "A + B → C"
 
 
 def test_a_steep_profile_is_remarked():

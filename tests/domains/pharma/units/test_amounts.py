@@ -28,8 +28,8 @@ from tests.domains.pharma.process_cases import (
 from tests.domains.pharma.units.test_reactor import first_order_network
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.chapters.verification import balances, unit_balances
 from snapo.domains.pharma.control.stages import Stage
-from snapo.domains.pharma.flowsheet.balances import balances, unit_balances
 from snapo.domains.pharma.flowsheet.grid import NO_CRYSTALS
 from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.flowsheet.ledger import ledger

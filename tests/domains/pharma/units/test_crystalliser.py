@@ -19,8 +19,8 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.time import integrate
 from snapo.domains.pharma.time import mesh as meshes

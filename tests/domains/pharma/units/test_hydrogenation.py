@@ -8,8 +8,8 @@ from scipy.integrate import solve_ivp
 from tests.domains.pharma.pharma_cases import TEMPLATE, attribute, connections, feed, parameter
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import resolve
 

@@ -16,8 +16,8 @@ from tests.domains.pharma.pharma_cases import (
 )
 
 from snapo.case.error import CaseError
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix, second
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.read.case import resolve
 

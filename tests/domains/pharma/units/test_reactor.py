@@ -18,7 +18,7 @@ from tests.domains.pharma.process_cases import (
     temperature_profile,
 )
 
-from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.flowsheet.case import Connection
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.recipe.optimum import best

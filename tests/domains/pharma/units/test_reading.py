@@ -1,17 +1,15 @@
 """Finite volumes and the tray dryer in a case and in a report: numbers, mistakes, charts."""
 
-import json
 import tomllib
 
 import numpy as np
 import pytest
+from tests.domains.pharma.filled import filled, folder, plain
 from tests.domains.pharma.pharma_cases import TEMPLATE, template
 
 from snapo.case.error import CaseError
-from snapo.domains.pharma.sections.batch import drying
-from snapo.domains.pharma.sections.model import given
-from snapo.domains.pharma.sections.run import Run
-from snapo.domains.pharma.sections.units import units
+from snapo.domains.pharma.chapters.batch import ONE_BATCH, BatchResult, drying
+from snapo.domains.pharma.chapters.model import UnitStatement, given
 from snapo.domains.pharma.units.crystalliser import Crystalliser
 from snapo.domains.pharma.units.reactor import Reactor
 from snapo.domains.pharma.units.tray_dryer import TrayDryer
@@ -163,25 +161,24 @@ def test_numbers_of_the_case_come_back_with_all_digits():
     assert given(2.0, "1") == "2"
 
 
-def test_drying_is_drawn_for_every_kind_of_dryer(tmp_path):
+def test_drying_is_drawn_for_every_kind_of_dryer():
     tray = {"time": [0, 60], "solvent": [0.1, 0.01], "temperature": [300, 320], "shelf": [323, 323]}
-    plain = {"time": [0, 60], "solvent": [0.1, 0.01], "temperature": [323, 323]}
-    tables = {"run": {"trajectories": {"first": tray, "second": plain}}}
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "one-batch.json").write_text(json.dumps(tables), encoding="utf-8")
-    blocks = drying(Run.read(tmp_path)).blocks
+    rate = {"time": [0, 60], "solvent": [0.1, 0.01], "temperature": [323, 323]}
+    batch = filled(BatchResult, trajectories={"first": tray, "second": rate})
+    blocks = drying(folder((ONE_BATCH, batch))).blocks
     assert ["Shelf" in str(each.svg) for each in blocks if isinstance(each, Chart)] == [True, False]
 
 
-def test_units_without_a_section_of_their_own_are_drawn(tmp_path):
+def test_units_without_a_section_of_their_own_are_drawn():
     """A mill has a panel for each unit of measure of its states; every measure has a row."""
     course = {"time": [0, 60], "number": [1e9, 2e9], "d43": [1e-4, 5e-5], "d32": [9e-5, 4e-5]}
-    mill = {"name": "mill", "measures": {"number": "1/m3", "d43": "m"},
-            "states": {"number": "1/m3", "d43": "m", "d32": "m"}}  # fmt: skip
-    found = {"trajectories": {"mill": course}, "measures": {"mill.number": 2e9, "mill.d43": 5e-5}}
-    (tmp_path / "run.json").write_text(json.dumps({"about": {"units": [mill]}}), encoding="utf-8")
-    (tmp_path / "parts").mkdir()
-    (tmp_path / "parts" / "one-batch.json").write_text(json.dumps({"run": found}))
-    table, chart = units(Run.read(tmp_path)).blocks
+    measures, states = {"number": "1/m3", "d43": "m"}, {"number": "1/m3", "d43": "m", "d32": "m"}
+    mill = filled(UnitStatement, name="mill", measures=measures, states=states)
+    batch = filled(
+        BatchResult,
+        trajectories={"mill": course},
+        measures={"mill.number": 2e9, "mill.d43": 5e-5},
+    )
+    table, chart = ONE_BATCH(folder((ONE_BATCH, batch), units=[plain(mill)])).blocks
     assert isinstance(table, Table) and [row[1] for row in table.rows] == ["number", "d43"]
     assert isinstance(chart, Chart) and "d32" in str(chart.svg)

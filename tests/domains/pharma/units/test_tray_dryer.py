@@ -21,8 +21,8 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.flowsheet.stream import clear
 from snapo.domains.pharma.quality.records import Parameter

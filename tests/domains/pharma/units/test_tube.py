@@ -14,7 +14,7 @@ from tests.domains.pharma.process_cases import (
     steps,
 )
 
-from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.units.reactors.length import Along
 

@@ -17,8 +17,8 @@ from tests.domains.pharma.process_cases import (
 )
 from tests.domains.pharma.units.crystals.test_finite_volumes import seeded
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.case import Connection
 from snapo.domains.pharma.flowsheet.grid import Grid
 from snapo.domains.pharma.flowsheet.process import Process

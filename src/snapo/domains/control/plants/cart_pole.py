@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.angle import angle_features
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 
 class CartPole(Plant):
@@ -43,12 +43,12 @@ class CartPole(Plant):
         "force": Parameter(0.001, "1/N2", "weight of the squared force", False),
     }
     states: ClassVar = {
-        "position": Quantity("m", "position", {"mean": 0.0, "deviation": 0.1}),
-        "angle": Quantity("rad", "angle from upright", {"mean": np.pi, "deviation": 0.1}, True),
-        "speed": Quantity("m/s", "speed of the cart", {"mean": 0.0, "deviation": 0.1}),
-        "spin": Quantity("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.1}),
+        "position": Variable("m", "position", {"mean": 0.0, "deviation": 0.1}),
+        "angle": Variable("rad", "angle from upright", {"mean": np.pi, "deviation": 0.1}, True),
+        "speed": Variable("m/s", "speed of the cart", {"mean": 0.0, "deviation": 0.1}),
+        "spin": Variable("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.1}),
     }
-    actions: ClassVar = {"force": Quantity("N", "force on the cart")}
+    actions: ClassVar = {"force": Variable("N", "force on the cart")}
 
     def drive(self, p, action):
         return p["force"] * action

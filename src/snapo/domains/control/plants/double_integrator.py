@@ -5,7 +5,7 @@ from typing import ClassVar
 import jax.numpy as jnp
 import numpy as np
 
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 
 class DoubleIntegrator(Plant):
@@ -31,10 +31,10 @@ class DoubleIntegrator(Plant):
         "final": Parameter(1.0, "1", "weight of the last state", False),
     }
     states: ClassVar = {
-        "position": Quantity("m", "position", {"mean": 1.0, "deviation": 0.5}),
-        "speed": Quantity("m/s", "speed", {"mean": 0.0, "deviation": 0.5}),
+        "position": Variable("m", "position", {"mean": 1.0, "deviation": 0.5}),
+        "speed": Variable("m/s", "speed", {"mean": 0.0, "deviation": 0.5}),
     }
-    actions: ClassVar = {"force": Quantity("N", "force")}
+    actions: ClassVar = {"force": Variable("N", "force")}
 
     def drive(self, p, action):
         return p["force"] * action

@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.actions import Box
 
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 
 class LinearQuadratic(Plant):
@@ -31,8 +31,8 @@ class LinearQuadratic(Plant):
         "R": Parameter(None, "1", "weights of the action", False),
         "Q_T": Parameter(None, "1", "weights of the last state", False),
     }
-    states: ClassVar = {"x": Quantity("1", "state")}
-    actions: ClassVar = {"u": Quantity("1", "action")}
+    states: ClassVar = {"x": Variable("1", "state")}
+    actions: ClassVar = {"u": Variable("1", "action")}
 
     @classmethod
     def faults(cls, values):

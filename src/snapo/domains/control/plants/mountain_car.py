@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.policy import Threshold
 from snapo.problem.smooth import Exact
 
-from .plant import Parameter, Plant, Quantity, outputs
+from .plant import Parameter, Plant, Variable, outputs
 
 BOTTOM = -np.pi / 6  # of the valley
 AIM = 1.15  # energy where a training step ends the way with probability 1/2; the goal takes 1
@@ -45,10 +45,10 @@ class MountainCar(Plant):
         "effort": Parameter(0.1, "1", "weight of the squared action", False),
     }
     states: ClassVar = {
-        "position": Quantity("1", "position", {"low": -0.6, "high": -0.4}),
-        "speed": Quantity("1/step", "speed", {"at": 0.0}),
+        "position": Variable("1", "position", {"low": -0.6, "high": -0.4}),
+        "speed": Variable("1/step", "speed", {"at": 0.0}),
     }
-    actions: ClassVar = {"action": Quantity("1", "share of the engine's power")}
+    actions: ClassVar = {"action": Variable("1", "share of the engine's power")}
 
     @classmethod
     def faults(cls, values):

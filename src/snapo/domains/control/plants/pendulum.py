@@ -7,7 +7,7 @@ import numpy as np
 
 from snapo.problem.angle import angle_features, wrap_angle
 
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 
 class Pendulum(Plant):
@@ -36,10 +36,10 @@ class Pendulum(Plant):
         "torque": Parameter(0.001, "1/(N m)2", "weight of the squared torque", False),
     }
     states: ClassVar = {
-        "angle": Quantity("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),
-        "speed": Quantity("rad/s", "speed of turning", {"low": -1.0, "high": 1.0}),
+        "angle": Variable("rad", "angle from upright", {"low": -np.pi, "high": np.pi}, True),
+        "speed": Variable("rad/s", "speed of turning", {"low": -1.0, "high": 1.0}),
     }
-    actions: ClassVar = {"torque": Quantity("N m", "torque of the motor")}
+    actions: ClassVar = {"torque": Variable("N m", "torque of the motor")}
 
     def drive(self, p, action):
         return p["torque"] * action

@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
     positive: bool = True
 
 
-class Quantity(NamedTuple):
+class Variable(NamedTuple):
     """A state or an action: its unit and meaning.
 
     - `start`: of a state, its distribution where the case is silent: {"at"}, {"low", "high"} or
@@ -65,8 +65,8 @@ class Plant(Simulator):
     words: ClassVar[str]
     parameters: ClassVar[Mapping[str, Parameter]]
     weights: ClassVar[Mapping[str, Parameter]]
-    states: ClassVar[Mapping[str, Quantity]]
-    actions: ClassVar[Mapping[str, Quantity]]
+    states: ClassVar[Mapping[str, Variable]]
+    actions: ClassVar[Mapping[str, Variable]]
     steps: ClassVar[int]
     sees_time: ClassVar[bool] = False
     portrait: ClassVar[tuple[str, ...]] = ()  # two states to draw; the first two where empty

@@ -8,7 +8,7 @@ import numpy as np
 from snapo.problem.actions import Box
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 
 class Quadrotor(Plant):
@@ -38,16 +38,16 @@ class Quadrotor(Plant):
         "thrust": Parameter(0.1, "1", "weight of the squared distance to hovering", False),
     }
     states: ClassVar = {
-        "x": Quantity("m", "place to the right", {"mean": 0.0, "deviation": 1.0}),
-        "z": Quantity("m", "height", {"mean": 0.0, "deviation": 1.0}),
-        "tilt": Quantity("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
-        "vx": Quantity("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),
-        "vz": Quantity("m/s", "speed upward", {"mean": 0.0, "deviation": 0.3}),
-        "spin": Quantity("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.3}),
+        "x": Variable("m", "place to the right", {"mean": 0.0, "deviation": 1.0}),
+        "z": Variable("m", "height", {"mean": 0.0, "deviation": 1.0}),
+        "tilt": Variable("rad", "tilt to the left", {"mean": 0.0, "deviation": 0.3}),
+        "vx": Variable("m/s", "speed to the right", {"mean": 0.0, "deviation": 0.3}),
+        "vz": Variable("m/s", "speed upward", {"mean": 0.0, "deviation": 0.3}),
+        "spin": Variable("rad/s", "speed of turning", {"mean": 0.0, "deviation": 0.3}),
     }
     actions: ClassVar = {
-        "right": Quantity("N", "thrust of the right rotor"),
-        "left": Quantity("N", "thrust of the left rotor"),
+        "right": Variable("N", "thrust of the right rotor"),
+        "left": Variable("N", "thrust of the left rotor"),
     }
 
     def decisions(self, inputs):

@@ -6,7 +6,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from .integrate import runge_kutta
-from .plant import Parameter, Plant, Quantity
+from .plant import Parameter, Plant, Variable
 
 LEAST = 1e-3  # of the height: below it the outflow falls linearly to 0, as the root's slope grows
 
@@ -38,10 +38,10 @@ class TwoTanks(Plant):
                           False),
     }  # fmt: skip
     states: ClassVar = {
-        "upper": Quantity("cm", "level of the upper tank", {"low": 2.0, "high": 20.0}),
-        "lower": Quantity("cm", "level of the lower tank", {"low": 2.0, "high": 20.0}),
+        "upper": Variable("cm", "level of the upper tank", {"low": 2.0, "high": 20.0}),
+        "lower": Variable("cm", "level of the lower tank", {"low": 2.0, "high": 20.0}),
     }
-    actions: ClassVar = {"pump": Quantity("cm3/s", "flow of the pump")}
+    actions: ClassVar = {"pump": Variable("cm3/s", "flow of the pump")}
 
     @classmethod
     def faults(cls, values):

@@ -14,6 +14,7 @@ from snapo.report.sections.lacking import lacking
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapters.bound import BOUND
 from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
@@ -132,12 +133,12 @@ def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
         moved = reference.dynamic_programming_error or 0.0
         note = f"lattice in at most two price factors; finer grids move it by {moved:,.2g}"
         ladder.append(ContractValue("Dynamic programming", exact, None, note))
-    above = run.get("bound.upper")
-    if above is not None:
+    if (bounds := BOUND.of(run)) is not None:
         note = "hindsight with a penalty: no policy earns more"
-        if little := run.get("bound.says_little"):
+        if little := bounds.says_little:
             note = f"{note}; {little}"
-        ladder.append(ContractValue("Upper bound", above["value"], above["standard_error"], note))
+        above = bounds.upper
+        ladder.append(ContractValue("Upper bound", above.value, above.standard_error, note))
     if fees := run.get("fixed_costs"):
         note = "less their present value"
         ladder.append(ContractValue("After fixed costs", solution.value - fees, error, note))

@@ -1,16 +1,16 @@
 """Factors whose volatilities and mean reversions are given one by one, by delivery day."""
 
+from collections.abc import Sequence
+
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from pydantic import Field
 
-from snapo.case.dates import dated
-from snapo.case.given import Given
+from snapo.case.given import FilePosition, Given
+from snapo.case.quantity import Quantity, Range, stacked
 from snapo.case.table import Section, Table
 from snapo.problem.process import Factors
 
-from ..read.tables import AMOUNT, FileName, NotNegative
 from .factor_prices import FactorPrices
 from .process import REVERSION, VOLATILITY, Delivery, Times, use
 
@@ -18,8 +18,13 @@ from .process import REVERSION, VOLATILITY, Delivery, Times, use
 class FactorTable(Table):
     """A factor: { mean_reversion = 12.0, volatility = 0.6 }"""
 
-    mean_reversion: NotNegative = Field(description="a number of at least 0")
-    volatility: NotNegative | FileName = Field(description=AMOUNT)
+    mean_reversion: Given = REVERSION("speed at which a factor returns to zero")
+    volatility: Given = VOLATILITY("of a factor, by delivery day", by="date")
+
+
+CORRELATION = Quantity(
+    range=Range(-1.0, 1.0), group="price model", move=0.01, meaning="of the shocks of two factors"
+)
 
 
 class GivenFactors(FactorPrices):
@@ -36,6 +41,10 @@ class GivenFactors(FactorPrices):
     correlation: Given
     noise_size: int = eqx.field(static=True)
     fast_factor: int = eqx.field(static=True)
+
+    @classmethod
+    def read(cls, section: Section, table: FactorTable, delivery: Delivery):
+        return cls.of(delivery, **read_factors(section, [table], [], [], delivery))
 
     @classmethod
     def of(cls, delivery: Delivery, mean_reversion: Given, volatility: Given, correlation: Given):
@@ -65,45 +74,20 @@ class GivenFactors(FactorPrices):
         return lower + lower.T + np.eye(size)
 
 
-def read_factors(section: Section, factors, correlation, delivery: Delivery, numbered: bool):
-    """Puts the factors' numbers end to end; `index` says which of them day t and factor i use."""
-    values, labels, columns = [], [], []
-    for number, factor in enumerate(factors, 1):
-        key = f"factors.{number}.volatility" if numbered else "volatility"
-        unit = VOLATILITY["unit"]
-        given = dated(section, key, factor.volatility, unit, delivery.dates, low=0.0)
-        columns.append(given.index + len(values))
-        values.extend(given.values)
-        labels.extend(f"{number} {label}".strip() if numbered else label for label in given.labels)
-    index, count = np.stack(columns, axis=1), len(factors)
-    names = tuple(str(number) if numbered else "" for number in range(1, count + 1))
-    reversions = np.array([factor.mean_reversion for factor in factors])
-    pairs = tuple(f"{i},{j}" for i in range(2, count + 1) for j in range(1, i))
-    return (
-        Given(
-            "mean_reversion",
-            reversions,
-            names,
-            index=np.arange(count),
-            words="speed at which a factor returns to zero",
-            **REVERSION,
-        ),
-        Given(
-            "volatility",
-            np.array(values),
-            tuple(labels),
-            index=index,
-            words="of a factor, by delivery day",
-            **VOLATILITY,
-        ),
-        Given(
-            "correlation",
-            np.array(correlation, np.float64),
-            pairs,
-            "1",
-            np.arange(len(pairs)),
-            move=0.01,
-            group="price model",
-            words="of the shocks of two factors",
-        ),
+def read_factors(
+    section: Section,
+    factors: Sequence[FactorTable],
+    correlation: Sequence[float],
+    places: Sequence[FilePosition],
+    delivery: Delivery,
+) -> dict[str, Given]:
+    """The numbers of several factors, with the strict lower triangle of their correlations."""
+    count, dates = len(factors), delivery.dates
+    volatilities = [factor.volatility.on(dates, section.notes) for factor in factors]
+    pairs = [f"{i},{j}" for i in range(2, count + 1) for j in range(1, i)]
+    numbers = (
+        stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
+        stacked("volatility", volatilities),
+        CORRELATION.given("correlation", correlation, pairs, places=tuple(places)),
     )
+    return {given.name: given for given in numbers}

@@ -1,42 +1,53 @@
 """`[model]` of kind "one-factor-jumps": a mean-reverting factor, and spikes that die out faster."""
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
-from pydantic import Field
 
-from snapo.case.dates import dated, single
 from snapo.case.given import Given
-from snapo.case.table import Section
+from snapo.case.plausible import Plausible
+from snapo.case.quantity import Quantity, Range
 from snapo.problem.process import integral
 from snapo.problem.simulator import Schedule
 
-from ..read.tables import NotNegative
-from .given_factors import FactorTable
 from .process import (
     REVERSION,
-    VOLATILITY,
     YEAR,
     Delivery,
     GaussianFactors,
     PriceProcess,
+    SingleFactorTable,
     Times,
     register,
     use,
 )
 
+INTENSITY = Quantity(
+    "1/year",
+    Range(0.0, YEAR, "()", noun="a number of jumps a year"),
+    "price model",
+    move=1.0,
+    plausible=Plausible(0.05, 200.0, "it is the number of spikes in a year"),
+)
+SIZE = Quantity(
+    "1",
+    Range(0.0, 1.0, "()", ": the mean of ln S"),
+    "price model",
+    move=0.01,
+    plausible=Plausible(0.01, 0.95, "it is the mean of ln S, 0.5 is a spike of 65 %"),
+)
 
-class JumpTable(FactorTable):
+
+class JumpTable(SingleFactorTable):
     """`[model]` of kind "one-factor-jumps"."""
 
     kind: Literal["one-factor-jumps"]
-    jump_intensity: float = Field(gt=0, lt=YEAR, description="jumps per year, up to 365")
-    jump_size: float = Field(gt=0, lt=1, description="a number between 0 and 1: the mean of ln S")
-    jump_mean_reversion: NotNegative = Field(description="a number of at least 0")
+    jump_intensity: Given = INTENSITY("spikes per year")
+    jump_size: Given = SIZE("mean spike of ln S")
+    jump_mean_reversion: Given = REVERSION("speed at which a spike dies out")
 
 
 class JumpConstants(NamedTuple):
@@ -93,24 +104,9 @@ class OneFactorJumps(PriceProcess):
     noise_size: int = eqx.field(static=True, default=3)
 
     @classmethod
-    def read(cls, section: Section, table: JumpTable, delivery: Delivery):
-        def one(key: str, words: str, **said) -> Given:
-            plain = single(key, getattr(table, key), said.pop("unit"))
-            return dataclasses.replace(plain, words=words, **said)
-
-        unit, dates = VOLATILITY["unit"], delivery.dates
-        volatility = dated(section, "volatility", table.volatility, unit, dates, low=0.0)
-        spikes = {"group": "price model"}
-        return cls(  # pyright: ignore[reportCallIssue]
-            delivery.times,
-            one("mean_reversion", "speed at which the factor returns to zero", **REVERSION),
-            dataclasses.replace(volatility, words="of the factor, by delivery day", **VOLATILITY),
-            one("jump_intensity", "spikes per year", unit="1/year", move=1.0, **spikes),
-            one("jump_size", "mean spike of ln S", unit="1", move=0.01, **spikes),
-            one("jump_mean_reversion", "speed at which a spike dies out", **REVERSION),
-            delivery.ahead[0],
-            delivery.ahead[-1],
-        )
+    def of(cls, delivery: Delivery, **numbers: Given):
+        gap, last = delivery.ahead[0], delivery.ahead[-1]
+        return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 
     @property
     def initial_noise_size(self) -> int:

@@ -5,6 +5,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import Field
 
+from snapo.case.given import Copies
 from snapo.case.table import Section, Table, parse
 
 from .given_factors import FactorTable, GivenFactors, read_factors
@@ -34,12 +35,21 @@ class MultiFactor(GivenFactors):
     def read(cls, section: Section, table: MultiFactorTable, delivery: Delivery):
         file = str(section.file)
         factors = [
-            parse(FactorTable, entry, file, f"{section.name}.factors.{number}")
-            for number, entry in enumerate(table.factors, 1)
+            parse(
+                FactorTable,
+                entry,
+                file,
+                f"{section.name}.factors.{i + 1}",
+                section.notes,
+                (*section.keys, "factors", i),
+            )
+            for i, entry in enumerate(table.factors)
         ]
         correlation = _correlation(section, table.correlation, len(factors))
-        given = read_factors(section, factors, correlation, delivery, numbered=True)
-        return cls.of(delivery, *given)
+        key, count = (*section.keys, "correlation"), len(factors)
+        pairs = [(i, j) for i in range(count) for j in range(i)]
+        places = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
+        return cls.of(delivery, **read_factors(section, factors, correlation, places, delivery))
 
     def describe(self) -> str:
         return "Correlated mean-reverting factors"

@@ -2,10 +2,8 @@
 
 from typing import Literal
 
-from snapo.case.table import Section
-
-from .given_factors import FactorTable, GivenFactors, read_factors
-from .process import Delivery, register
+from .given_factors import FactorTable, GivenFactors
+from .process import register
 
 
 class OneFactorTable(FactorTable):
@@ -20,11 +18,6 @@ class OneFactor(GivenFactors):
 
     kind = "one-factor"
     table = OneFactorTable
-
-    @classmethod
-    def read(cls, section: Section, table: OneFactorTable, delivery: Delivery):
-        given = read_factors(section, [table], [], delivery, numbered=False)
-        return cls.of(delivery, *given)
 
     def describe(self) -> str:
         return "One factor, mean-reverting, volatility by delivery day"

@@ -15,6 +15,8 @@ import numpy as np
 from jaxtyping import Array, Float
 
 from snapo.case.given import Given
+from snapo.case.plausible import Plausible
+from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import Section, Table
 from snapo.problem.form import Use
 from snapo.problem.process import Gaps, Process
@@ -22,15 +24,32 @@ from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
 
-# All that is said about a volatility and about a mean reversion; see `Given`.
-VOLATILITY: dict[str, Any] = {
-    "unit": "1/sqrt(year)",
-    "move": 0.01,
-    "trade_unit": "volatility point",
-    "trade_factor": 100.0,
-    "group": "volatility",
-}
-REVERSION: dict[str, Any] = {"unit": "1/year", "move": 1.0, "group": "price model"}
+SPEED = "it is per year, ln 2 over a half-life in years"
+VOLATILITY = Quantity(
+    "1/sqrt(year)",
+    NOT_NEGATIVE,
+    "volatility",
+    move=0.01,
+    trade_unit="volatility point",
+    trade_factor=100.0,
+    limits=Range(0.0, 50.0, note=" (5,000 % a year)"),
+    plausible=Plausible(0.005, 5.0, "fractions are meant, 0.85 is 85 %"),
+)
+REVERSION = Quantity(
+    "1/year",
+    NOT_NEGATIVE,
+    "price model",
+    move=1.0,
+    limits=Range(0.0, 1e5, note=" (a half-life of 4 minutes)"),
+    plausible=Plausible(0.05, 1000.0, SPEED),
+)
+
+
+class SingleFactorTable(Table):
+    """The factor of a price that has one: { mean_reversion = 12.0, volatility = 0.6 }"""
+
+    mean_reversion: Given = REVERSION("speed at which the factor returns to zero")
+    volatility: Given = VOLATILITY("of the factor, by delivery day", by="date")
 
 
 class Delivery(NamedTuple):
@@ -120,9 +139,14 @@ class PriceProcess(Process):
     proportional: eqx.AbstractVar[bool]
 
     @classmethod
-    @abc.abstractmethod
     def read(cls, section: Section, table: Any, delivery: Delivery) -> Self:
-        """The process from its table in the case file."""
+        """The process from its table in the case file: its numbers, on the delivery days."""
+        return cls.of(delivery, **on_dates(table, delivery.dates, section.notes))
+
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: Given) -> Self:
+        """The process with these numbers, by field, on the days of a delivery."""
+        return cls(delivery.times, **numbers)  # pyright: ignore
 
     @abc.abstractmethod
     def state_at(self, constants, now, spot: Float[Array, ""]):

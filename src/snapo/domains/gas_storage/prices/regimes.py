@@ -1,6 +1,5 @@
 """`[model]` of kind "regimes": a mean-reverting factor in a market that is calm or tight."""
 
-import dataclasses
 from typing import Literal, NamedTuple
 
 import equinox as eqx
@@ -8,46 +7,42 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, Int
-from pydantic import Field
 
-from snapo.case.dates import dated, single
 from snapo.case.given import Given
-from snapo.case.table import Section
+from snapo.case.quantity import Quantity, Range
 from snapo.problem.noise import Markov
 from snapo.problem.process import integral
 from snapo.problem.simulator import Schedule
 
-from ..read.tables import NotNegative
-from .given_factors import FactorTable
 from .process import (
-    REVERSION,
-    VOLATILITY,
     YEAR,
     Delivery,
     GaussianFactors,
     PriceProcess,
+    SingleFactorTable,
     Times,
     register,
     use,
 )
 
-PROBABILITY = {
-    "unit": "1",
-    "move": 0.001,
-    "trade_unit": "percentage point",
-    "trade_factor": 100.0,
-    "group": "price model",
-}
-PREMIUM = {"unit": "1", "move": 0.01, "group": "price model"}
+PROBABILITY = Quantity(
+    "1",
+    Range(0.0, 1.0, "()", noun="a probability a day"),
+    "price model",
+    move=0.001,
+    trade_unit="percentage point",
+    trade_factor=100.0,
+)
+PREMIUM = Quantity("1", Range(0.0, note=": the rise of ln S"), "price model", move=0.01)
 
 
-class RegimeTable(FactorTable):
+class RegimeTable(SingleFactorTable):
     """`[model]` of kind "regimes"."""
 
     kind: Literal["regimes"]
-    tightens: float = Field(gt=0, lt=1, description="a probability a day between 0 and 1")
-    eases: float = Field(gt=0, lt=1, description="a probability a day between 0 and 1")
-    premium: NotNegative = Field(description="a number of at least 0: the rise of ln S")
+    tightens: Given = PROBABILITY("probability a day that a calm market becomes tight")
+    eases: Given = PROBABILITY("probability a day that a tight market becomes calm")
+    premium: Given = PREMIUM("ln of a tight market's price over a calm one's")
 
 
 class RegimeState(NamedTuple):
@@ -113,23 +108,9 @@ class Regimes(PriceProcess):
     noise_size: int = eqx.field(static=True, default=2)
 
     @classmethod
-    def read(cls, section: Section, table: RegimeTable, delivery: Delivery):
-        def one(key: str, words: str, **more) -> Given:
-            number = single(key, getattr(table, key), more.pop("unit"))
-            return dataclasses.replace(number, words=words, **more)
-
-        unit, dates = VOLATILITY["unit"], delivery.dates
-        volatility = dated(section, "volatility", table.volatility, unit, dates, low=0.0)
-        return cls(  # pyright: ignore[reportCallIssue]
-            delivery.times,
-            one("mean_reversion", "speed at which the factor returns to zero", **REVERSION),
-            dataclasses.replace(volatility, words="of the factor, by delivery day", **VOLATILITY),
-            one("tightens", "probability a day that a calm market becomes tight", **PROBABILITY),
-            one("eases", "probability a day that a tight market becomes calm", **PROBABILITY),
-            one("premium", "ln of a tight market's price over a calm one's", **PREMIUM),
-            delivery.ahead[0],
-            delivery.ahead[-1],
-        )
+    def of(cls, delivery: Delivery, **numbers: Given):
+        gap, last = delivery.ahead[0], delivery.ahead[-1]
+        return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 
     @property
     def initial_noise_size(self) -> int:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.table import Section, parse
+from snapo.case.table import Section, parse, record_kinds
 
 from .process import KINDS, Delivery, PriceProcess
 
@@ -26,11 +26,12 @@ def kinds() -> dict[str, type[PriceProcess]]:
 def read_prices(section: Section, data: Mapping[str, Any], delivery: Delivery) -> PriceProcess:
     """The price process of the table `[model]`, here `data`."""
     kind = data.get("kind")
+    record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
         known = ", ".join(f'"{each}"' for each in sorted(KINDS))
         raise section.error("kind", kind, f"allowed is one of {known}")
     process = KINDS[kind]
-    table = parse(process.table, data, str(section.file), section.name)
+    table = parse(process.table, data, str(section.file), section.name, section.notes)
     return process.read(section, table, delivery)
 
 

@@ -60,7 +60,7 @@ class SuppliedPrices(PriceProcess):
     martingale = False
     delivery: Times
     scale: Float[np.ndarray, ""]
-    of: Paths
+    paths: Paths
     rescaled: bool = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=1)
 
@@ -124,10 +124,10 @@ class SuppliedPrices(PriceProcess):
 
         The first day's price starts a path; the days after it are its noise.
         """
-        training = self._scenarios(self.of.training, seed)
+        training = self._scenarios(self.paths.training, seed)
         first = max(1, 3 * training.size // 4)
         validation = training.part(min(first, training.size - 1), training.size)
-        evaluation = self._scenarios(self.of.evaluation, seed)
+        evaluation = self._scenarios(self.paths.evaluation, seed)
         return Sources(training.part(0, first), validation, evaluation)
 
     def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:

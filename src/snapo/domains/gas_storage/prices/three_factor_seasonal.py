@@ -1,6 +1,5 @@
 """`[model]` of kind "three-factor-seasonal": independent spot, long-term and seasonal factors."""
 
-import dataclasses
 import datetime
 import math
 from collections.abc import Sequence
@@ -10,26 +9,26 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Float
-from pydantic import Field
 
-from snapo.case.dates import single
 from snapo.case.given import Given
-from snapo.case.table import Section, Table
+from snapo.case.plausible import Plausible
+from snapo.case.table import Table
 from snapo.problem.process import Factors
 
-from ..read.tables import NotNegative
 from .factor_prices import FactorPrices
-from .process import REVERSION, VOLATILITY, Delivery, Times, register, use
+from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use
 
 
 class SeasonalTable(Table):
     """`[model]` of kind "three-factor-seasonal"."""
 
     kind: Literal["three-factor-seasonal"]
-    spot_mean_reversion: NotNegative = Field(description="a number of at least 0")
-    spot_volatility: NotNegative = Field(description="a number of at least 0")
-    long_term_volatility: NotNegative = Field(description="a number of at least 0")
-    seasonal_volatility: NotNegative = Field(description="a number of at least 0")
+    spot_mean_reversion: Given = REVERSION(
+        "speed at which the spot returns to the curve", plausible=Plausible(1.0, 1000.0, SPEED)
+    )
+    spot_volatility: Given = VOLATILITY("of the fast factor, which reverts")
+    long_term_volatility: Given = VOLATILITY("of the whole curve, in parallel")
+    seasonal_volatility: Given = VOLATILITY("of the summer-winter spread")
 
 
 @register
@@ -54,19 +53,9 @@ class ThreeFactorSeasonal(FactorPrices):
     fast_factor: int = eqx.field(static=True, default=0)
 
     @classmethod
-    def read(cls, section: Section, table: SeasonalTable, delivery: Delivery):
-        def given(key: str, said: dict, words: str) -> Given:
-            plain = single(key, getattr(table, key), said["unit"])
-            return dataclasses.replace(plain, words=words, **said)
-
-        return cls(  # pyright: ignore[reportCallIssue]
-            delivery.times,
-            given("spot_mean_reversion", REVERSION, "speed at which the spot returns to the curve"),
-            given("spot_volatility", VOLATILITY, "of the fast factor, which reverts"),
-            given("long_term_volatility", VOLATILITY, "of the whole curve, in parallel"),
-            given("seasonal_volatility", VOLATILITY, "of the summer-winter spread"),
-            season(delivery.dates, delivery.valuation),
-        )
+    def of(cls, delivery: Delivery, **numbers: Given):
+        days = season(delivery.dates, delivery.valuation)
+        return cls(delivery.times, season=days, **numbers)  # pyright: ignore
 
     def parameters(self, inputs) -> Factors:
         reversion = use(inputs, self.spot_mean_reversion)

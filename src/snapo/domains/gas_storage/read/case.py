@@ -8,18 +8,36 @@ from typing import Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.settings import check_window, read_evaluation, read_objective, read_training
+from snapo.case.settings import (
+    EvaluationTable,
+    ObjectiveTable,
+    TrainingTable,
+    check_window,
+    read_evaluation,
+    read_objective,
+    read_training,
+)
 from snapo.case.table import Section, parse
 
 from ..contract.feasibility import check_feasible
 from ..contract.records import StorageCase
 from ..prices.process import Delivery
-from ..prices.registry import check_curve, read_prices
+from ..prices.registry import check_curve, kinds, read_prices
 from .contract import decision_days, pays_by_price, read_contract
 from .limits import read_limits
 from .market import read_market
-from .plausible import check_plausible, end_too_early, free_money, unit_slips
+from .plausible import end_too_early, free_money, unit_slips
 from .tables import ContractTable, MarketTable, StorageTable
+
+FORMATS = {
+    "": StorageTable,
+    "contract": ContractTable,
+    "market": MarketTable,
+    "model": [process.table for process in kinds().values()],
+    "objective": ObjectiveTable,
+    "training": TrainingTable,
+    "evaluation": EvaluationTable,
+}
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
@@ -29,8 +47,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     is wrong, or where the contract cannot be met; nothing is written.
     """
     top = parse(StorageTable, data, str(file), "")
-    contract_table, market_table = _parse_both(top, str(file))
     notes: list[str] = []
+    contract_table, market_table = _parse_both(top, str(file), notes)
     valuation, end = market_table.valuation_date, contract_table.end
     where = Section(file, "contract", notes)
     if end <= contract_table.start:
@@ -69,7 +87,6 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
         notes=tuple(notes),
     )
     check_window(case.training, [case.objective.kind], str(file))
-    check_plausible(case)
     if not expired:
         check_feasible(case)
     early = end_too_early(case.start, case.end)
@@ -77,7 +94,9 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     return dataclasses.replace(case, notes=(*case.notes, *more))
 
 
-def _parse_both(top: StorageTable, file: str) -> tuple[ContractTable, MarketTable]:
+def _parse_both(
+    top: StorageTable, file: str, notes: list[str]
+) -> tuple[ContractTable, MarketTable]:
     """Both tables, with the mistakes of both in one message."""
     mistakes: list[CaseError] = []
     tables = []
@@ -86,7 +105,7 @@ def _parse_both(top: StorageTable, file: str) -> tuple[ContractTable, MarketTabl
         (MarketTable, top.market, "market"),
     ):
         try:
-            tables.append(parse(table, data, file, name))
+            tables.append(parse(table, data, file, name, notes))
         except CaseError as error:
             mistakes.append(error)
     if mistakes:

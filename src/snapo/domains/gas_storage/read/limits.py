@@ -1,21 +1,19 @@
 """Reads the bounds of the flows: inventory limits, rates by inventory, and outages."""
 
-import dataclasses
 import datetime
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from snapo.case.csv import DAY, Mention, read_rows
-from snapo.case.dates import dated, ordinals
+from snapo.case.dates import ordinals
 from snapo.case.given import Given
 from snapo.case.table import Section
 
 from ..contract.records import Ratchets
-from .ratchets import GROUP, LIMIT, read_ratchets
+from .ratchets import read_ratchets, small_move
 from .tables import ContractTable
 
 
@@ -39,30 +37,16 @@ class Limits:
 def read_limits(section: Section, table: ContractTable, days: Sequence[datetime.date]) -> Limits:
     """The limits on the decision days [T], those of inventory also on the end date."""
     dates = (*days, table.end)
-
-    def inventory(key: str, before: float | None) -> Given:
-        given, unit = getattr(table, key), table.volume_unit
-        return dated(section, key, given, unit, dates, low=0.0, before=before)
-
-    minimum = inventory("min_inventory", 0.0)
-    maximum = inventory("max_inventory", None)
+    minimum = table.min_inventory.on(dates, section.notes)
+    maximum = table.max_inventory.on(dates, section.notes)
     _check_limits(section, dates, minimum, maximum)
     ratchets = read_ratchets(section, table, days, minimum.used(), maximum.used())
     return Limits(
-        dataclasses.replace(
-            minimum, words="least gas in store", group=GROUP, move=little(ratchets)
-        ),
-        dataclasses.replace(maximum, words="most gas in store", **LIMIT),
+        replace(minimum, move=small_move(ratchets)),
+        maximum,
         ratchets,
         *read_outages(section, table, days),
     )
-
-
-def little(ratchets: Ratchets) -> float:
-    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
-    rates = (ratchets.injection.used(), ratchets.withdrawal.used())
-    largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
-    return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
 
 
 def _check_limits(section: Section, dates, minimum: Given, maximum: Given) -> None:

@@ -3,29 +3,19 @@
 import calendar
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.dates import ordinals, rising_dates
 from snapo.case.error import CaseError
-from snapo.case.given import Given
+from snapo.case.given import Given, SheetCell
 from snapo.case.table import Section
 
 from ..contract.records import Market
 from .settlement import payment_days
-from .tables import MarketTable
-
-# All that is said about a zero rate; see `Given`. It is moved by ten basis points.
-RATE: dict[str, Any] = {
-    "unit": "1/year",
-    "move": 0.001,
-    "trade_unit": "bp",
-    "trade_factor": 10_000.0,
-    "group": "interest rate",
-    "words": "continuous zero rate",
-}
+from .tables import FORWARD, MarketTable
 
 
 def read_market(
@@ -41,8 +31,8 @@ def read_market(
     `moving`: [T] whether gas can move on the day.
     """
     curve = read_curve(section, table.forward_curve, price_days, unit)
-    rate, rate_day = _read_rates(section, table)
     valuation = table.valuation_date
+    rate, rate_day = _nodes(table.interest_rate, valuation)
     gas_day = payment_days(section, "settlement", table.settlement, days, valuation, moving)
     return Market(curve, rate, rate_day, gas_day)
 
@@ -67,21 +57,28 @@ def read_curve(section: Section, name: str, days: Sequence[datetime.date], unit:
             )
             raise CaseError(name, day.isoformat(), None, what)
         prices.append(price)
-    labels = tuple(day.isoformat() for day in days)
-    values = np.array(prices, np.float64)
-    said: dict[str, Any] = {"group": "price", "words": "price today for delivery on the day"}
-    return Given("forward_curve", values, labels, unit, np.arange(len(days)), **said)
+    labels = [day.isoformat() for day in days]
+    forward = replace(FORWARD, unit=unit)
+    places = tuple(price.cell for price in prices)
+    return forward.given("forward_curve", [price.value for price in prices], labels, places=places)
 
 
-Quotes = tuple[Mapping[datetime.date, float], Mapping[tuple[int, int], float]]
+class Quote(NamedTuple):
+    """A price of the curve and its position."""
+
+    value: float
+    cell: SheetCell
+
+
+Quotes = tuple[Mapping[datetime.date, Quote], Mapping[tuple[int, int], Quote]]
 
 
 def quotes(rows: Sequence[Row]) -> Quotes:
     """Prices by day and by (year, month), each quoted once; in any order."""
-    by_day: dict[datetime.date, float] = {}
-    by_month: dict[tuple[int, int], float] = {}
+    by_day: dict[datetime.date, Quote] = {}
+    by_month: dict[tuple[int, int], Quote] = {}
     for row in rows:
-        price = row.number("price")
+        price = Quote(FORWARD.cell(row), row.position("price"))
         period = row.period("date")
         if period is None:
             raise row.error("date", "a day is written YYYY-MM-DD, a whole month YYYY-MM")
@@ -89,10 +86,10 @@ def quotes(rows: Sequence[Row]) -> Quotes:
     return by_day, by_month
 
 
-def _once(known: dict, period: Any, price: float, row: Row) -> None:
-    if period in known:
+def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
+    if period in quotes:
         raise row.error("date", "this period has a price already, further up")
-    known[period] = price
+    quotes[period] = price
 
 
 def month_days(year: int, month: int) -> list[datetime.date]:
@@ -101,15 +98,8 @@ def month_days(year: int, month: int) -> list[datetime.date]:
     return [datetime.date(year, month, day) for day in range(1, count + 1)]
 
 
-def _read_rates(section: Section, table: MarketTable) -> tuple[Given, np.ndarray]:
-    given = table.interest_rate
-    if not isinstance(given, str):
-        rate = Given("interest_rate", np.array([given]), ("",), index=np.arange(1), **RATE)
-        return rate, np.zeros(1, np.int64)
-    rows = read_rows(Mention(section, "interest_rate", given), ("date", "zero_rate"))
-    dates = rising_dates(rows)
-    # A rate of 1 is 100 % a year: larger ones are percentages that were not divided by 100.
-    values = np.array([row.number("zero_rate", -1.0, 1.0) for row in rows])
-    labels = tuple(date.isoformat() for date in dates)
-    rate = Given("interest_rate", values, labels, index=np.arange(len(values)), **RATE)
-    return rate, ordinals(dates) - table.valuation_date.toordinal()
+def _nodes(rate: Given, valuation: datetime.date) -> tuple[Given, np.ndarray]:
+    """The rates of all nodes, and their days since the valuation date."""
+    starts = rate.starts
+    days = np.zeros(1, np.int64) if starts is None else starts - valuation.toordinal()
+    return replace(rate, index=np.arange(len(rate.values))), days

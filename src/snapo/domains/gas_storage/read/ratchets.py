@@ -1,31 +1,33 @@
 """Reads how fast gas may move: dated ratchet blocks, or one rate for every inventory."""
 
-import dataclasses
 import datetime
+import math
 from collections.abc import Sequence
-from typing import Any
+from dataclasses import replace
 
 import numpy as np
 
 from snapo.case.csv import Mention, Row, read_rows
-from snapo.case.dates import dated, ordinals, single
+from snapo.case.dates import ordinals
 from snapo.case.error import CaseError
 from snapo.case.given import Given
+from snapo.case.quantity import NOT_NEGATIVE, Quantity
 from snapo.case.table import Section
 
 from ..contract.records import Ratchets
-from .tables import ContractTable
+from .tables import FLOW, GROUP, ContractTable
 
 COLUMNS = ("date", "inventory", "max_withdrawal", "max_injection")
-GROUP = "contract"
-LIMIT: dict[str, Any] = {"group": GROUP, "move": 1.0}
-WORDS = {
-    "max_injection": "most injection per day",
-    "max_withdrawal": "most withdrawal per day",
-    "ratchet_inventory": "inventories of the ratchet rows",
-    "ratchet_injection": "most injection per day, by inventory",
-    "ratchet_withdrawal": "most withdrawal per day, by inventory",
-}
+LEVEL = Quantity(
+    "{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0, column="inventory",
+    meaning="inventories of the ratchet rows",
+)  # fmt: skip
+INJECTION = replace(
+    LEVEL, unit=FLOW, column="max_injection", meaning="most injection per day, by inventory"
+)
+WITHDRAWAL = replace(
+    LEVEL, unit=FLOW, column="max_withdrawal", meaning="most withdrawal per day, by inventory"
+)
 
 
 def read_ratchets(
@@ -41,7 +43,7 @@ def read_ratchets(
         return _plain_rates(section, table, plain, days)
     if plain:
         what = f"give either {plain[0]} or ratchets, not both"
-        raise section.error(plain[0], getattr(table, plain[0]), what)
+        raise section.error(plain[0], getattr(table, plain[0]).written, what)
     rows = read_rows(Mention(section, "ratchets", table.ratchets), COLUMNS)
     blocks = read_blocks(rows)
     index = _rows_by_day(table.ratchets, blocks, days)
@@ -55,16 +57,23 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
         if key not in plain:
             raise section.error(key, None, "this key is missing; give both max rates, or ratchets")
 
-    def rate(key: str) -> Given:
-        unit = f"{table.volume_unit}/day"
-        given = dated(section, key, getattr(table, key), unit, days, low=0.0)
-        return dataclasses.replace(given, index=given.index[:, None], words=WORDS[key], **LIMIT)
+    def rate(numbers: Given) -> Given:
+        numbers = numbers.on(days, section.notes)
+        return replace(numbers, index=numbers.index[:, None])
 
-    zero = single("ratchet_inventory", 0.0, table.volume_unit)
+    assert table.max_injection is not None and table.max_withdrawal is not None
     everywhere = np.zeros((len(days), 1), np.int64)
-    said = {"index": everywhere, "words": WORDS[zero.name]}
-    inventory = dataclasses.replace(zero, **said, **LIMIT)
-    return Ratchets(inventory, rate("max_withdrawal"), rate("max_injection"), "step")
+    level = replace(LEVEL, unit=table.volume_unit)
+    # No file has this inventory: plain rates hold at every one.
+    inventory = level.given("ratchet_inventory", [0.0], index=everywhere, places=(None,))
+    return Ratchets(inventory, rate(table.max_withdrawal), rate(table.max_injection), "step")
+
+
+def small_move(ratchets: Ratchets) -> float:
+    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
+    rates = (ratchets.injection.used(), ratchets.withdrawal.used())
+    largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
+    return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
 
 
 Block = tuple[datetime.date, list[int]]
@@ -112,19 +121,17 @@ def _rows_by_day(name: str, blocks: Sequence[Block], days) -> np.ndarray:
 def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets:
     dates = {number: date for date, numbers in blocks for number in numbers}
     levels = [row.number("inventory", 0.0) for row in rows]
-    labels = tuple(f"{dates[number]} at {level:g}" for number, level in enumerate(levels))
+    labels = [f"{dates[number]} at {level:g}" for number, level in enumerate(levels)]
+    units = {"currency": table.currency, "volume_unit": table.volume_unit}
 
-    def column(name: str, values, unit: str) -> Given:
-        numbers = np.array(values, np.float64)
-        return Given(name, numbers, labels, unit, index, words=WORDS[name], **LIMIT)
+    def column(name: str, quantity: Quantity) -> Given:
+        quantity = replace(quantity, unit=quantity.unit.format_map(units))
+        return quantity.from_rows(name, rows, labels, index=index)
 
-    rate = f"{table.volume_unit}/day"
-    withdrawal = [row.number("max_withdrawal", 0.0) for row in rows]
-    injection = [row.number("max_injection", 0.0) for row in rows]
     return Ratchets(
-        column("ratchet_inventory", levels, table.volume_unit),
-        column("ratchet_withdrawal", withdrawal, rate),
-        column("ratchet_injection", injection, rate),
+        column("ratchet_inventory", LEVEL),
+        column("ratchet_withdrawal", WITHDRAWAL),
+        column("ratchet_injection", INJECTION),
         table.ratchet_interpolation,
     )
 

@@ -1,14 +1,18 @@
-"""The tables of a gas-storage case as they stand in the TOML file, each key with its meaning.
+"""The tables of a gas-storage case, each number declared once, with unit, range and meaning.
 
 The description of a key is the text that an error message quotes as allowed.
 """
 
 import datetime
+from dataclasses import replace
 from typing import Annotated, Any, Literal
 
 import pydantic
 from pydantic import Field
 
+from snapo.case.given import Given
+from snapo.case.plausible import FRACTION, Plausible
+from snapo.case.quantity import BELOW_ONE, NOT_NEGATIVE, Quantity, Range, choice
 from snapo.case.table import TITLE, Table, Title
 
 
@@ -25,22 +29,47 @@ def _plain_day(value: Any) -> Any:
 Day = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day)]
 FileName = Annotated[str, Field(min_length=1)]
 NotNegative = Annotated[float, Field(ge=0)]
-Fraction = Annotated[float, Field(ge=0, lt=1)]
 Days = Annotated[int, Field(ge=0, le=36500)]
 
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
-DATED = "or the name of a CSV file with columns date,value"
-AMOUNT = f"a number of at least 0, {DATED}"
-SHARE = f"a number from 0 up to but not 1, {DATED}"
 RULES = (
     '"flow", { days = 10 }, { date = 2021-06-20 }, { months = 1, day = 20 } '
     "or a CSV file with columns delivery_month,date"
 )
 
 
-def limit(default: Any = None, what: str = AMOUNT) -> Any:
-    """A field for a number that may change on given dates."""
-    return Field(default, description=what)
+PRICE, FLOW, GROUP = "{currency}/{volume_unit}", "{volume_unit}/day", "contract"
+OF_VOLUME = Plausible(0.0, 0.2, "it is a share of the volume, 0.015 is 1.5 %")
+OF_STOCK = Plausible(0.0, 0.01, "it is a share of the gas in store a day, 0.0001 is 3.6 % a year")
+OF_SPOT = Plausible(
+    0.0,
+    1.5,
+    "it is a share of the spot price, 0.9 is 90 % of it; a value in money is a CSV inventory,value",
+)
+POINTS = Quantity("1", group="cost", move=1e-3, trade_unit="percentage point", trade_factor=100.0)
+SHARE = replace(POINTS, range=BELOW_ONE, plausible=OF_VOLUME, by="date", before=0.0)
+STOCK = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP)
+LIMIT = Quantity("{volume_unit}", NOT_NEGATIVE, GROUP, move=1.0, by="date")
+RATE = Quantity(FLOW, NOT_NEGATIVE, GROUP, move=1.0, by="date")
+# Forced flows of zero stay zero: a day has no more than one of them.
+FORCED = Quantity(FLOW, NOT_NEGATIVE, GROUP, by="date", before=0.0)
+COST = Quantity(PRICE, group="cost", move=0.01, by="date", before=0.0)
+ZERO_RATE = Quantity(
+    "1/year",
+    Range(-1.0, 1.0, "()"),
+    "interest rate",
+    move=1e-3,  # ten basis points
+    trade_unit="bp",
+    trade_factor=10_000.0,
+    limits=Range(-0.5, 1.0, note=" (-50 to 100 %)"),
+    plausible=Plausible(-0.02, 0.25, FRACTION),
+    by="date",
+    column="zero_rate",
+)
+FORWARD = Quantity(
+    PRICE, group="price", limits=Range(-1e6, 1e6), column="price",
+    meaning="price today for delivery on the day",
+)  # fmt: skip
 
 
 class AfterDays(Table):
@@ -62,37 +91,41 @@ class MonthsAfter(Table):
     day: Annotated[int, Field(ge=1, le=31)]
 
 
-Settlement = str | AfterDays | OnDate | MonthsAfter
+CostSettlement = Literal["flow", "gas"] | str | AfterDays | OnDate | MonthsAfter
+Settlement = Literal["flow"] | str | AfterDays | OnDate | MonthsAfter
 
 
 class ContractTable(Table):
     """`[contract]`"""
 
+    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
+    currency: FileName = Field("EUR", description='a name such as "EUR"')
     start: Day = Field(description=DATE)
     end: Day = Field(description=DATE)
-    inventory: NotNegative = Field(description="a number of at least 0")
-    max_inventory: NotNegative | FileName = Field(description=AMOUNT)
-    min_inventory: NotNegative | FileName = limit(0.0)
-    max_injection: NotNegative | FileName | None = limit()
-    max_withdrawal: NotNegative | FileName | None = limit()
+    inventory: Given = STOCK("gas in store at the start")
+    max_inventory: Given = LIMIT("most gas in store")
+    min_inventory: Given = LIMIT("least gas in store", 0.0, before=0.0)
+    max_injection: Given | None = RATE("most injection per day", None)
+    max_withdrawal: Given | None = RATE("most withdrawal per day", None)
     ratchets: FileName | None = Field(
         None,
         description="a CSV file with columns date,inventory,max_withdrawal,max_injection",
     )
-    ratchet_interpolation: Literal["linear", "step"] = Field(
-        "linear", description='"linear" or "step"'
-    )
-    min_injection: NotNegative | FileName = limit(0.0)
-    min_withdrawal: NotNegative | FileName = limit(0.0)
-    injection_cost: float | FileName = limit(0.0, f"a number, {DATED}")
-    withdrawal_cost: float | FileName = limit(0.0, f"a number, {DATED}")
-    injection_cost_settlement: Settlement = Field("flow", description=f'"gas", {RULES}')
-    withdrawal_cost_settlement: Settlement = Field("flow", description=f'"gas", {RULES}')
+    ratchet_interpolation: Literal["linear", "step"] = choice("linear", "step")
+    min_injection: Given = FORCED("injection that must flow", 0.0)
+    min_withdrawal: Given = FORCED("withdrawal that must flow", 0.0)
+    injection_cost: Given = COST("per unit injected", 0.0)
+    withdrawal_cost: Given = COST("per unit withdrawn", 0.0)
+    injection_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
+    withdrawal_cost_settlement: CostSettlement = Field("flow", description=f'"gas", {RULES}')
     fixed_costs: FileName | None = Field(None, description="a CSV file with columns date,amount")
-    injection_fuel: Fraction | FileName = limit(0.0, SHARE)
-    withdrawal_fuel: Fraction | FileName = limit(0.0, SHARE)
-    inventory_loss: Fraction | FileName = limit(0.0, SHARE)
-    inventory_cost: float | FileName = limit(0.0, f"a number, {DATED}")
+    injection_fuel: Given = SHARE("share of the injection, bought on top", 0.0)
+    withdrawal_fuel: Given = SHARE("share of the withdrawal, not sold", 0.0)
+    inventory_loss: Given = SHARE(
+        "lost gas", 0.0, unit="1/day", trade_unit="percentage point a day", move=1e-4, bump=1e-6,
+        plausible=OF_STOCK,
+    )  # fmt: skip
+    inventory_cost: Given = COST("per unit in store and day", 0.0, unit=f"{PRICE}/day")
     end_inventory: NotNegative | Literal["free"] = Field(
         0.0, description='a number of at least 0, or "free"'
     )
@@ -105,11 +138,7 @@ class ContractTable(Table):
         description='a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
         "from,to,injection_factor,withdrawal_factor",
     )
-    first_decision: Literal["valuation-date", "next-day"] = Field(
-        "valuation-date", description='"valuation-date" or "next-day"'
-    )
-    volume_unit: FileName = Field("MWh", description='a name such as "MWh"')
-    currency: FileName = Field("EUR", description='a name such as "EUR"')
+    first_decision: Literal["valuation-date", "next-day"] = choice("valuation-date", "next-day")
 
 
 class MarketTable(Table):
@@ -117,9 +146,7 @@ class MarketTable(Table):
 
     valuation_date: Day = Field(description=DATE)
     forward_curve: FileName = Field(description="a CSV file with columns date,price")
-    interest_rate: Annotated[float, Field(gt=-1, lt=1)] | FileName = Field(
-        0.0, description="a number between -1 and 1, or a CSV file with columns date,zero_rate"
-    )
+    interest_rate: Given = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = Field("flow", description=RULES)
 
 

@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any
 
-from snapo.case.table import Section, parse
+from snapo.case.table import Section, parse, record_kinds
 
 from .base import KINDS, Demand
 
@@ -23,6 +23,7 @@ def kinds() -> dict[str, type[Demand]]:
 def read_demand(section: Section, data: Mapping[str, Any], unit: str, most: float) -> Demand:
     """The demand of the table `[demand]`; `most`: the largest factor of a period."""
     kind = data.get("kind")
+    record_kinds(data, section.name, "kind", KINDS)
     if not isinstance(kind, str) or kind not in KINDS:
         known = ", ".join(f'"{each}"' for each in sorted(KINDS))
         raise section.error("kind", kind, f"allowed is one of {known}")

@@ -1,12 +1,13 @@
 """Reads an inventory case: a TOML file and the CSVs beside it become an `InventoryCase`."""
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from snapo.case.given import Given
+from snapo.case.given import positions
 from snapo.case.plausible import CaseFiles
 from snapo.case.table import Section, parse
 
@@ -15,7 +16,7 @@ from ..item.records import InventoryCase, Item
 from .plausible import unit_slips
 from .season import no_season, read_season
 from .settings import read_settings
-from .tables import HorizonTable, InventoryTable, ItemTable, ReportTable
+from .tables import STOCK, HorizonTable, InventoryTable, ItemTable, ReportTable
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
@@ -63,39 +64,31 @@ def _item(section: Section, table: ItemTable, whole: bool) -> Item:
         raise section.error("coming", table.coming, what)
     if table.whole and not whole:
         section.notes.append("Orders are whole numbers, demand is not.")
-    by_unit = f"{table.currency}/{table.unit}"
-    by_period = f"{by_unit}/{table.period}"
-    short = by_unit if table.unmet == "lost" else by_period
-    words = "of a unit of demand that is lost" if table.unmet == "lost" else (
-        "of a unit of demand that waits, each period"
-    )  # fmt: skip
+    shortage = table.shortage
+    if table.unmet == "lost":
+        by_unit, words = f"{table.currency}/{table.unit}", "of a unit of demand that is lost"
+        shortage = replace(shortage, unit=by_unit, words=words)
+    coming = replace(STOCK, unit=table.unit, meaning="at the start")
+    rows = positions((*section.keys, "coming"), (arrivals,))
     labels = [f"in {i + 1} {table.period}s" for i in range(arrivals)]
     return Item(
         lost=table.unmet == "lost",
         lead=table.lead_time,
         whole=whole if table.whole is None else table.whole,
         most=float("inf") if table.most is None else float(table.most),
-        holding=_one("holding_cost", table.holding, by_period, "of a unit held, each period"),
-        shortage=_one("shortage_cost", table.shortage, short, words),
-        purchase=_one("purchase_cost", table.purchase, by_unit, "of a unit ordered"),
-        ordering=_one("order_cost", table.order, table.currency, "of an order of any size"),
+        holding=table.holding,
+        shortage=shortage,
+        purchase=table.purchase,
+        ordering=table.order,
         stock=None
         if table.stock is None
-        else _start("start_stock", [table.stock], ["now"], table.unit),
-        coming=_start("start_coming", table.coming, labels, table.unit) if table.coming else None,
+        else replace(table.stock, labels=("now",), index=np.arange(1)),
+        coming=coming.given(
+            "start_coming", table.coming, labels, index=np.arange(arrivals), places=rows
+        )
+        if table.coming
+        else None,
     )
-
-
-def _one(name: str, value: float, unit: str, words: str) -> Given:
-    found = np.array([float(value)])
-    return Given(name, found, ("",), unit, np.array(0), group="costs", words=words)
-
-
-def _start(name: str, values: list[float], labels: list[str], unit: str) -> Given:
-    found = np.array(values, np.float64)
-    index = np.arange(len(values))
-    words = "at the start"
-    return Given(name, found, tuple(labels), unit, index, move=1.0, group="start", words=words)
 
 
 def _warm_up(table: HorizonTable, item: Item) -> int:

@@ -9,14 +9,24 @@ from pydantic import Field
 
 from snapo.case.given import Given
 from snapo.case.plausible import CaseFiles, CheckedNumbers, checked_numbers
+from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.case.table import TITLE, Positive, Section, Table, Title, parse
 
-from ..demand.registry import read_demand
+from ..demand.registry import kinds, read_demand
 from ..network.records import NetworkCase, Place, Pool
 from .plausible import unit_slips
 from .season import read_season
 from .settings import read_settings
-from .tables import AMOUNT, LONGEST_LEAD, NAME, HorizonTable, Name, NotNegative
+from .tables import (
+    AMOUNT,
+    LONGEST_LEAD,
+    NAME,
+    HorizonTable,
+    InventoryTable,
+    ItemTable,
+    Name,
+    NotNegative,
+)
 
 MOST = 12  # places
 PlaceName = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_-]{0,39}$")]
@@ -78,6 +88,21 @@ class NetworkFile(Table):
     objective: dict = Field({}, description="the table [objective]")
     training: dict = Field({}, description="the table [training]")
     evaluation: dict = Field({}, description="the table [evaluation]")
+
+
+FORMATS = {
+    "": [InventoryTable, NetworkFile],
+    "item": ItemTable,
+    "network": NetworkTable,
+    "demand": [demand.table for demand in kinds().values()],
+    "place[]": PlaceTable,
+    "place[].demand": [demand.table for demand in kinds().values()],
+    "transshipment[]": TransshipmentTable,
+    "horizon": HorizonTable,
+    "objective": ObjectiveTable,
+    "training": TrainingTable,
+    "evaluation": EvaluationTable,
+}
 
 
 def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:

@@ -28,7 +28,9 @@ def read_season(section: Section, data: Mapping[str, Any]) -> Given:
         raise CaseError(table.file, "", None, what)
     found = np.array([row.number("factor", 0.001, 1000) for row in rows])
     labels = tuple(row.label("period") for row in rows)
-    return Given("season", found, labels, "1", np.arange(len(rows)), group="demand", words=WORDS)
+    places = tuple(row.position("factor") for row in rows)
+    index = np.arange(len(rows))
+    return Given("season", found, labels, "1", index, group="demand", words=WORDS, places=places)
 
 
 def no_season() -> Given:

@@ -7,7 +7,9 @@ from typing import Annotated, Literal
 
 from pydantic import Field
 
-from snapo.case.table import TITLE, Positive, Table, Title
+from snapo.case.given import Given
+from snapo.case.quantity import NOT_NEGATIVE, POSITIVE, Quantity
+from snapo.case.table import TITLE, Table, Title
 
 Name = Annotated[str, Field(min_length=1, max_length=40)]
 NotNegative = Annotated[float, Field(ge=0)]
@@ -15,29 +17,32 @@ NotNegative = Annotated[float, Field(ge=0)]
 AMOUNT = "a number of at least 0"
 NAME = "a name of at most 40 characters in quotation marks"
 LONGEST_LEAD = 12
+COST = Quantity("{currency}/{unit}", NOT_NEGATIVE, "costs")
+HOLDING = Quantity("{currency}/{unit}/{period}", POSITIVE, "costs")
+STOCK = Quantity("{unit}", NOT_NEGATIVE, "start", move=1.0)
 
 
 class ItemTable(Table):
     """`[item]`"""
 
+    currency: Name = Field("EUR", description=NAME)
+    unit: Name = Field("piece", description=NAME)
+    period: Name = Field("week", description=NAME)
     unmet: Literal["lost", "waits"] = Field(description='"lost" or "waits"')
     lead_time: Annotated[int, Field(ge=0, le=LONGEST_LEAD)] = Field(
         description=f"a whole number of periods, 0 to {LONGEST_LEAD}"
     )
-    holding: Positive = Field(description="a number above 0")
-    shortage: Positive = Field(description="a number above 0")
-    purchase: NotNegative = Field(0.0, description=AMOUNT)
-    order: NotNegative = Field(0.0, description=AMOUNT)
+    holding: Given = HOLDING("of a unit held, each period", name="holding_cost")
+    shortage: Given = HOLDING("of a unit of demand that waits, each period", name="shortage_cost")
+    purchase: Given = COST("of a unit ordered", 0.0, name="purchase_cost")
+    order: Given = COST("of an order of any size", 0.0, unit="{currency}", name="order_cost")
     whole: bool | None = Field(None, description="true or false")
     most: Annotated[int, Field(ge=1)] | None = Field(None, description="a whole number, 1 or more")
-    stock: NotNegative | None = Field(None, description=AMOUNT)
+    stock: Given | None = STOCK("at the start", None, name="start_stock")
     coming: list[NotNegative] | None = Field(
         None, description="a list of numbers of at least 0, one for each period of the lead time"
         " but the last",
     )  # fmt: skip
-    currency: Name = Field("EUR", description=NAME)
-    unit: Name = Field("piece", description=NAME)
-    period: Name = Field("week", description=NAME)
 
 
 class HorizonTable(Table):

@@ -10,7 +10,13 @@ from snapo.case.error import CaseError
 from snapo.case.given import Given
 from snapo.case.meaning import check_meanings
 from snapo.case.parts import known_parts
-from snapo.case.settings import check_window, read_evaluation, read_training
+from snapo.case.settings import (
+    EvaluationTable,
+    TrainingTable,
+    check_window,
+    read_evaluation,
+    read_training,
+)
 from snapo.case.table import Table, load, parse
 
 from ..fund.observation import FEATURES
@@ -68,6 +74,7 @@ FORMATS: dict[str, type[Table]] = {
     "pots": tables.PotsTable,
     "frontier": tables.FrontierTable,
 }
+SCHEMA = {"": PensionTable, **FORMATS, "training": TrainingTable, "evaluation": EvaluationTable}
 STEPS = {"month": 1 / 12, "year": 1.0}
 
 

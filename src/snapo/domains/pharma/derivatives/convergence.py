@@ -1,19 +1,22 @@
 """Does the answer depend on the time steps? Values and gradients on finer ones and adaptively."""
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from snapo.study.chapter import Number
 
 from ..flowsheet.process import Process
 from ..quality import batches
 from .certify import STEP
+from .grids import Cells
 from .jacobian import Matrix, matrix
 
 VALUES, DERIVATIVES = 1e-6, 1e-5  # gaps that count as agreement
 
 
-class Row(NamedTuple):
+@dataclass(frozen=True)
+class ConvergenceRow:
     """One number of the answer: a value ("value" as `parameter`) or a derivative.
 
     `mesh`, `finer`, `adaptive`: by the case's own method, by twice its steps or a tenth of its
@@ -24,18 +27,21 @@ class Row(NamedTuple):
 
     attribute: str
     parameter: str
-    mesh: float
-    finer: float
-    adaptive: float
-    halving_gap: float
-    adaptive_gap: float
+    mesh: Number
+    finer: Number
+    adaptive: Number
+    halving_gap: Number
+    adaptive_gap: Number
 
 
-class Convergence(NamedTuple):
-    """`passed`: whether values agree to 1e-6 and derivatives to 1e-5."""
+@dataclass(frozen=True)
+class Convergence:
+    """`passed`: whether values agree to 1e-6 and derivatives to 1e-5; `cells`: attributes on twice
+    as many cells along lengths and over sizes, where there are any."""
 
-    rows: tuple[Row, ...]
+    rows: tuple[ConvergenceRow, ...]
     passed: bool
+    cells: tuple[Cells, ...] = ()
 
 
 def _own(process: Process, inputs) -> Matrix:
@@ -96,6 +102,6 @@ def convergence(process: Process, inputs=None, tolerance: float = 1e-10) -> Conv
             mesh, finer, adaptive = (float(tables[i][q, p]) for i in (0, 1, -1))
             scale = max(abs(mesh) if p == 0 else largest, float(floors[p]))
             gaps = [abs(other - mesh) / scale for other in (finer, adaptive)]
-            rows.append(Row(attribute.name, parameter, mesh, finer, adaptive, *gaps))
+            rows.append(ConvergenceRow(attribute.name, parameter, mesh, finer, adaptive, *gaps))
             passed &= max(gaps) <= (DERIVATIVES if p else VALUES)
     return Convergence(tuple(rows), bool(passed))

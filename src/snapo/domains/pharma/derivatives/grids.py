@@ -1,9 +1,10 @@
 """Does the answer depend on cells along a length and over sizes? Values on twice as many."""
 
-from dataclasses import replace
-from typing import NamedTuple
+from dataclasses import dataclass, replace
 
 import numpy as np
+
+from snapo.study.chapter import Number
 
 from ..flowsheet.process import Process
 from ..quality.records import Attribute
@@ -11,19 +12,17 @@ from ..quality.records import Attribute
 SMALL = 0.02  # of its value that an attribute without limits may move
 
 
-class Cells(NamedTuple):
+@dataclass(frozen=True)
+class Cells:
     """One attribute in its unit: `value` by the case's cells, `finer` by twice as many, and the
     change between them in margins of the attribute (`margins`), without limits in 2 % of its value;
-    infinite where there is no number."""
+    infinite where there is no number; `passed`: whether that is at most one."""
 
     attribute: str
-    value: float
-    finer: float
-    margins: float
-
-    @property
-    def passed(self) -> bool:
-        return self.margins <= 1.0
+    value: Number
+    finer: Number
+    margins: Number
+    passed: bool
 
 
 def finer_cells(process: Process) -> Process | None:
@@ -48,7 +47,7 @@ def on_finer_cells(process: Process, inputs=None) -> tuple[Cells, ...]:
     ):
         change = float(abs(new - old) / allowed(attribute, old))
         change = change if np.isfinite(change) else np.inf
-        rows.append(Cells(attribute.name, float(old), float(new), change))
+        rows.append(Cells(attribute.name, float(old), float(new), change, change <= 1.0))
     return tuple(rows)
 
 

@@ -3,9 +3,12 @@
 And what follows from it: how critical a parameter is, and how much of the spread is linear.
 """
 
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+
+from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from ..quality.draws import all_entries, deviation, nominal
@@ -16,7 +19,7 @@ VARIATION = 2.0  # standard deviations of the batches that are not there to be u
 BEYOND = 1e6  # above any share of a room
 
 
-class Table(NamedTuple):
+class MatrixForms(NamedTuple):
     """Q attributes by P parameters.
 
     - `raw`: attribute's unit per owner's unit of the parameter.
@@ -32,7 +35,7 @@ class Table(NamedTuple):
     zero: np.ndarray
 
 
-def table(case: PharmaCase, found: Matrix) -> Table:
+def table(case: PharmaCase, found: Matrix) -> MatrixForms:
     """The three forms of `found`, whose entries are the case's parameters in order."""
     scale = np.array([each.scale for each in case.parameters])
     half = np.array([(each.normal_high - each.normal_low) / 2 for each in case.parameters])
@@ -42,22 +45,23 @@ def table(case: PharmaCase, found: Matrix) -> Table:
         share = np.where(room > 0, scaled / room, np.sign(scaled) * np.inf)
     share = np.where(found.jacobian == 0, 0.0, share)
     share = np.where(Limits.of(case).any()[:, None], share, np.nan)
-    return Table(found.jacobian * scale, scaled, share, found.jacobian == 0)
+    return MatrixForms(found.jacobian * scale, scaled, share, found.jacobian == 0)
 
 
-class Rank(NamedTuple):
+@dataclass(frozen=True)
+class Rank:
     """How critical a parameter is: the largest share that it uses of the room which the variation
     of batches leaves, and where. `variance`: its share of that attribute's variance."""
 
     parameter: str
-    share: float
+    share: Number
     attribute: str
     outside: bool
     spent: bool
-    variance: float
+    variance: Number
 
 
-def ranking(case: PharmaCase, forms: Table, found: Matrix, varied: "Spread") -> list[Rank]:
+def ranking(case: PharmaCase, forms: MatrixForms, found: Matrix, varied: "Spread") -> list[Rank]:
     """Parameters by criticality, the most critical first.
 
     Room is the distance to the nearest limit less `VARIATION` standard deviations of the batches
@@ -100,7 +104,8 @@ def _of_variance(varied: "Spread", shares: np.ndarray, name: str) -> float:
     return float(shares[varied.sources.index(name)]) if name in varied.sources else 0.0
 
 
-class Spread(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Spread:
     """Where the batch-to-batch spread of each attribute comes from, to first order.
 
     - `sources`: [V] names; `part`: [Q, V] standard deviation that each causes alone.
@@ -108,8 +113,8 @@ class Spread(NamedTuple):
     """
 
     sources: tuple[str, ...]
-    part: np.ndarray
-    total: np.ndarray
+    part: Floats
+    total: Floats
 
 
 def spread(case: PharmaCase, jacobian: np.ndarray) -> Spread:

@@ -9,10 +9,12 @@ Inference, section 9.2).
 """
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from jaxtyping import Float
+
+from snapo.study.chapter import Number
 
 from ..flowsheet.case import PharmaCase
 from .interval import LEVEL, interval
@@ -22,7 +24,8 @@ PARTS = 16  # of a cell of the map, between which the share is straight
 FAR = 1e6  # margins: of a draw without a finite result, and of an attribute without limits
 
 
-class Boundary(NamedTuple):
+@dataclass(frozen=True)
+class Boundary:
     """One place at which the design space ends.
 
     - `axis`: number of the axis along which the line runs; `at`: number of the grid point on every
@@ -35,9 +38,9 @@ class Boundary(NamedTuple):
     axis: int
     at: tuple[int, ...]
     side: int
-    place: float
-    inner: float
-    outer: float
+    place: Number
+    inner: Number
+    outer: Number
     binding: int
 
 

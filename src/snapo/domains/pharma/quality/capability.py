@@ -1,10 +1,12 @@
 """Process capability at the set point: spread, Cpk and out-of-specification rates from draws."""
 
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from snapo.solver.statistics import proportion
+from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from . import batches, draws
@@ -19,7 +21,8 @@ NOMINAL = 512  # batches with the nominal numbers
 ROUND_OFF = 1e-12  # of the mean: a deviation that is nothing
 
 
-class Capability(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Capability:
     """[Q] each, over n fresh batches at the set point.
 
     - `cpk`: min(high - mean, mean - low) / (3 deviation), which takes the attribute for normal;
@@ -35,27 +38,27 @@ class Capability(NamedTuple):
       uncertain numbers; NaN where all are known.
     """
 
-    mean: np.ndarray
-    deviation: np.ndarray
-    cpk: np.ndarray
-    sigmas: np.ndarray
-    outside: np.ndarray
-    error: np.ndarray
-    quantiles: np.ndarray
-    joint: float
-    joint_error: float
+    mean: Floats
+    deviation: Floats
+    cpk: Floats
+    sigmas: Floats
+    outside: Floats
+    error: Floats
+    quantiles: Floats
+    joint: Number
+    joint_error: Number
     batches: int
     failed: int
-    cpk_batches: np.ndarray
-    cpk_low: np.ndarray
-    cpk_high: np.ndarray
+    cpk_batches: Floats
+    cpk_low: Floats
+    cpk_high: Floats
 
 
 def capability(process: "Process", count: int, seed: int) -> Capability:
     """Draws of everything uncertain and of parameters that vary, at the set point."""
     rows = batches.drawn(process, {}, count, seed)
     found = from_values(process.case, batches.attributes(process, rows))
-    return found._replace(**_apart(process, seed))
+    return replace(found, **_apart(process, seed))
 
 
 def from_values(case: PharmaCase, values: np.ndarray) -> Capability:

@@ -1,11 +1,13 @@
 """The design space: the probability that all limits hold, over two or three parameters."""
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from snapo.solver.statistics import proportion
+from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
 from ..given import Entry
@@ -118,12 +120,13 @@ def owners(each: Parameter, value):
     return (value - each.offset) / each.scale
 
 
-class Box(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Box:
     """A box inside the design space, in owners' units, [axes] each; `volume`: share of the map."""
 
-    low: np.ndarray
-    high: np.ndarray
-    volume: float
+    low: Floats
+    high: Floats
+    volume: Number
 
 
 def largest_box(found: Map, nominal: Sequence[float], required: float) -> Box | None:

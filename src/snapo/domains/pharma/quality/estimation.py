@@ -11,7 +11,8 @@ all minima whose chi^2 is as good as the best one's, those that are not joined t
 """
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
@@ -20,6 +21,8 @@ from scipy.optimize import OptimizeResult, least_squares
 from scipy.stats import chi2 as chi_squared
 from scipy.stats import qmc
 from scipy.stats import t as student
+
+from snapo.study.chapter import Floats, Number
 
 from ..derivatives.sensitivities import entry_name
 from .records import Estimation, Experiment
@@ -33,7 +36,8 @@ SAME = 1e-9  # of half of chi^2: minima that differ by less are equally good
 AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of them
 
 
-class Fit(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Fit:
     """The fitted numbers, in the domain's units; P numbers, n measurements.
 
     - `values`, `low`, `high`: [P] with their confidence interval; NaN where not identified.
@@ -51,25 +55,25 @@ class Fit(NamedTuple):
     """
 
     names: tuple[str, ...]
-    values: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
+    values: Floats
+    low: Floats
+    high: Floats
     at_bound: tuple[str, ...]
-    covariance: np.ndarray
-    correlation: np.ndarray
-    scale: float
-    residuals: np.ndarray
-    measured: np.ndarray
-    fitted: np.ndarray
-    chi2: float
+    covariance: Floats
+    correlation: Floats
+    scale: Number
+    residuals: Floats
+    measured: Floats
+    fitted: Floats
+    chi2: Number
     freedom: int
-    tail: float
-    condition: float
+    tail: Number
+    condition: Number
     unidentified: tuple[str, ...]
     converged: bool
     message: str
-    minima: np.ndarray
-    minima_chi2: np.ndarray
+    minima: Floats
+    minima_chi2: Floats
     starts: int
 
 
@@ -107,9 +111,8 @@ def fit(process: "Process", estimation: Estimation) -> Fit:
     )
     fitted = found.fun * error + measured
     others = _others(found, searched, estimation)
-    return _judged(found, others, measured, fitted, low, high, names, estimation)._replace(
-        starts=len(searched)
-    )
+    judged = _judged(found, others, measured, fitted, low, high, names, estimation)
+    return replace(judged, starts=len(searched))
 
 
 def _searched(residual, slope, begin, low, high) -> OptimizeResult:

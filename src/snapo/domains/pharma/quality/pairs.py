@@ -12,10 +12,13 @@ sum of functions of x and of y it is zero.
 """
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
+
+from snapo.study.chapter import Floats, Number
 
 from . import batches
 from .grades import Changes, Good, goods
@@ -33,20 +36,22 @@ MOST = 10  # pairs of which the probable ranges are searched, those with the lea
 Ends = tuple[float, float]  # of a range, in the domain's unit
 
 
-class Together(NamedTuple):
+@dataclass(frozen=True)
+class Together:
     """Two ranges together. `share`: of both, up to which no corner fails (1 where none does);
     `corner`: (-1 or 1, -1 or 1) the one that fails first, and `fails` the attribute's number there,
     -1 where none fails; `sure`: the share up to which this holds even at the lower end of the
     95 % interval of the probability, `possible` up to which it may at the upper one."""
 
-    share: float
+    share: Number
     corner: tuple[int, int]
     fails: int
-    sure: float
-    possible: float
+    sure: Number
+    possible: Number
 
 
-class Pair(NamedTuple):
+@dataclass(frozen=True, eq=False)
+class Pair:
     """Two parameters.
 
     - `nominal`, `probable`: their proven ranges together, None where one of them has none or where
@@ -59,8 +64,8 @@ class Pair(NamedTuple):
     names: tuple[str, str]
     nominal: Together | None
     probable: Together | None
-    interaction: np.ndarray
-    used: float
+    interaction: Floats
+    used: Number
     most: int
     holds_normal: bool
 

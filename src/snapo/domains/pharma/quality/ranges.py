@@ -3,6 +3,7 @@
 All edges of all parameters are searched side by side, so that batches run together.
 """
 
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -19,7 +20,8 @@ NOMINAL = (17, 7, 3)  # points over the range, then within the bracket of an edg
 PROBABLE = (9, 3, 1)  # every point of these is many batches
 
 
-class Range(NamedTuple):
+@dataclass(frozen=True)
+class AcceptableRange:
     """A range in the owner's unit; an edge names the attribute that fails beyond it.
 
     `low`, `high`: None where the set point itself does not do. `low_edge`, `high_edge`: "" where
@@ -39,19 +41,25 @@ class Range(NamedTuple):
     sure_normal: bool = False
 
 
-class Proven(NamedTuple):
-    """`nominal`: of the model at its nominal numbers; `probable`: with the required probability."""
+@dataclass(frozen=True)
+class ProvenRange:
+    """`nominal`: of the model at its nominal numbers; `probable`: with the `required` probability,
+    as `samples` draws say."""
 
     parameter: str
     unit: str
-    nominal: Range
-    probable: Range
+    required: float
+    samples: int
+    nominal: AcceptableRange
+    probable: AcceptableRange
 
 
 Points = list[tuple[Parameter, float]]  # [n] (parameter, value in the domain's unit)
 
 
-def proven_ranges(process: "Process", required: float, samples: int, seed: int) -> list[Proven]:
+def proven_ranges(
+    process: "Process", required: float, samples: int, seed: int
+) -> list[ProvenRange]:
     """Both ranges of every parameter.
 
     A parameter with a distribution varies about each point of its probable range.
@@ -62,7 +70,10 @@ def proven_ranges(process: "Process", required: float, samples: int, seed: int) 
         _ranges(process, good, search)
         for good, search in ((nominally, NOMINAL), (probably, PROBABLE))
     ]
-    return [Proven(p.name, p.unit, *each) for p, *each in zip(case.parameters, *found)]
+    return [
+        ProvenRange(p.name, p.unit, required, samples, *both)
+        for p, *both in zip(case.parameters, *found)
+    ]
 
 
 def changes(points: Points) -> list[Changes]:
@@ -84,7 +95,7 @@ class _Edge(NamedTuple):
     fails: int
 
 
-def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> list[Range]:
+def _ranges(process: "Process", good: Good, search: tuple[int, int, int]) -> list[AcceptableRange]:
     case = process.case
     scans = []
     for chosen in case.parameters:
@@ -183,10 +194,10 @@ def _zoom(edges: list[_Edge], good: Good, count: int, seen: _Seen) -> list[_Edge
 
 def _range(
     chosen: Parameter, low: _Edge, high: _Edge, names: list[str], reach: tuple[Ends, Ends]
-) -> Range:
+) -> AcceptableRange:
     below, above = ("" if edge.fails < 0 else names[edge.fails] for edge in (low, high))
     if low.inner != low.inner:
-        return Range(None, None, below, above, False)
+        return AcceptableRange(None, None, below, above, False)
     inside = low.inner <= chosen.normal_low and high.inner >= chosen.normal_high
     start, end = (float(owners(chosen, edge.inner)) for edge in (low, high))
     sure, possible = (
@@ -197,4 +208,4 @@ def _range(
     firmly = first is not None and (
         first[0] <= chosen.normal_low and first[1] >= chosen.normal_high
     )
-    return Range(start, end, below, above, inside, sure, possible, firmly)
+    return AcceptableRange(start, end, below, above, inside, sure, possible, firmly)

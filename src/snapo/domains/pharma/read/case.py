@@ -8,14 +8,14 @@ from typing import Any, Literal
 from snapo.case.error import CaseError
 from snapo.case.parts import known_parts
 from snapo.case.plausible import CaseFiles
-from snapo.case.settings import read_evaluation, read_training
+from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
 from snapo.case.table import Section, load, parse
 
 from ..flowsheet.case import PharmaCase
 from ..given import every_given
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
-from ..units.registry import read_units
+from ..units.registry import TYPES, read_units
 from .connections import ordered, read_connections
 from .entries import Numbers
 from .estimation import read_estimation
@@ -23,7 +23,7 @@ from .fitted import read_fitted
 from .goal import read_design_space, read_goal
 from .loops.control import read_control
 from .network import read_feeds, read_network
-from .optimise import read_optimise
+from .optimise import OptimiseTable, read_optimise
 from .plausible.checks import (
     check_amounts,
     check_decided,
@@ -33,7 +33,21 @@ from .plausible.checks import (
 )
 from .plausible.physics import check_moved_solubility, check_physics, unusual
 from .quality import every_measure, read_attributes, read_parameters, read_uncertainty
-from .tables import NumericsTable, PharmaTable, ReportTable
+from .tables import (
+    AttributeTable,
+    CorrelationTable,
+    DesignSpaceTable,
+    DistributionTable,
+    FeedTable,
+    GoalTable,
+    NumericsTable,
+    ParameterTable,
+    PharmaTable,
+    ReactionTable,
+    ReportTable,
+    SpeciesTable,
+    UncertaintyTable,
+)
 
 # Where a case does not say: limits as soft as their margins at first, so that all of them are felt.
 PARTS = (
@@ -52,6 +66,27 @@ EVALUATION = {"paths": 16384, "sensitivity_paths": 1024}
 STIFF: dict[str, Literal["none", "measured", "all"]] = {
     "auto": "measured", "stiff": "all", "mesh": "none", "adaptive": "none"
 }  # fmt: skip
+
+FORMATS = {
+    "": PharmaTable,
+    "species.*": SpeciesTable,
+    "reactions[]": ReactionTable,
+    "feeds.*": FeedTable,
+    "units.*": [unit.table for variants in TYPES.values() for unit in variants.values()],
+    "parameters[]": ParameterTable,
+    "parameters[].distribution": DistributionTable,
+    "attributes[]": AttributeTable,
+    "uncertainty[]": UncertaintyTable,
+    "uncertainty[].distribution": DistributionTable,
+    "correlations[]": CorrelationTable,
+    "goal": GoalTable,
+    "design_space": DesignSpaceTable,
+    "optimise": OptimiseTable,
+    "report": ReportTable,
+    "numerics": NumericsTable,
+    "training": TrainingTable,
+    "evaluation": EvaluationTable,
+}
 
 
 def read_case(path: str | Path) -> PharmaCase:

@@ -1,26 +1,21 @@
 """The best recipe of the nominal model: `[optimise]` of a case, solved with its conditions."""
 
 import time
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.solver.statistics import proportion
-
 from ..derivatives.jacobian import choose, matrix
 from ..derivatives.sensitivities import spread
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
-from ..given import Entry, every_given
+from ..given import every_given
 from ..quality import batches
 from ..quality.draws import all_entries
-from ..quality.limits import Limits
-from .optimum import TOLERANCE, Recipe, Traced, optimum
-from .records import Optimise, Term
-
-BATCHES = 1024  # fresh ones, for the chance to keep all limits before and after
+from .optimum import Recipe, Traced, optimum
+from .records import Term
 
 
 class Bound(NamedTuple):
@@ -176,109 +171,3 @@ def ramps(case: PharmaCase) -> tuple[Ramp, ...]:
                 said = f"{name}[{i}] to [{i + 1}]"
                 found.append(Ramp(said, profile.value.unit, name, i, duration, share, most))
     return tuple(found)
-
-
-def table(process: Process, found: Optimum, seed: int) -> dict[str, Any]:
-    """The tables of a run: decisions, limits and ramps with their multipliers, the chance
-    to keep all limits before and after, and how the answer was found. Owners' units."""
-    ask, recipe = process.case.optimise, found.recipe
-    assert ask is not None
-    start = np.array([each.start for each in ask.decisions])
-    values, chances = zip(*(_at(process, ask, x, seed) for x in (start, recipe.x)))
-    conditions = recipe.conditions
-    return {
-        "sense": "maximise" if ask.sense > 0 else "minimise",
-        "terms": [_shown(each) for each in ask.terms],
-        "per": [_shown(each) for each in ask.per],
-        "unit": _unit(ask),
-        "reserve": ask.reserve,
-        "deviations": ask.deviations,
-        "before": found.before,
-        "value": recipe.value,
-        "decisions": [
-            {
-                "name": d.name, "unit": d.unit, "start": d.owners(d.start), "value": d.owners(x),
-                "low": d.owners(d.low), "high": d.owners(d.high),
-                "slope": float(slope) * d.scale,
-                "at_low": float(below) * d.scale, "at_high": float(above) * d.scale,
-            }
-            for d, x, slope, below, above in zip(
-                ask.decisions, recipe.x, recipe.gradient, conditions.low, conditions.high
-            )
-        ],
-        "limits": _limit_rows(found, *values),
-        "ramps": _ramp_rows(found),
-        "chance": [{"probability": p, "error": e} for p, e in chances],
-        "batches": BATCHES,
-        "stationarity": conditions.stationarity,
-        "violation": conditions.violation,
-        "tolerance": TOLERANCE,
-        "converged": recipe.converged,
-        "message": recipe.message,
-        "iterations": recipe.iterations,
-        "evaluations": recipe.evaluations,
-        "ends": list(found.ends),
-        "mode": found.mode,
-        "compiling": found.compiling,
-        "solving": found.solving,
-    }  # fmt: skip
-
-
-def _at(process: Process, ask: Optimise, x: np.ndarray, seed: int):
-    """[Q] nominal attributes, and the chance to keep all limits with its standard error."""
-    case = process.case
-    changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(ask.decisions, x)}
-    rows = batches.drawn(process, changes, BATCHES, seed)
-    nominal = np.repeat(batches.nominally(process, changes), batches.CHUNK, 0)
-    inputs = batches.moved(process, changes)
-    found = process.batch(
-        batches.varied(case), np.concatenate([nominal, rows]), chunk=batches.CHUNK, inputs=inputs
-    )
-    kept = Limits.of(case).hold(found.values[batches.CHUNK :]).all(-1)
-    share, error = proportion(kept.sum(), BATCHES)
-    return found.values[0], (float(share), float(error))
-
-
-def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> list[dict[str, Any]]:
-    """One row for each limit; "worth": the gain of the goal by one unit more room."""
-    rows = []
-    for i, each in enumerate(found.bounds):
-        rows.append(
-            {
-                "attribute": each.name, "unit": each.unit,
-                "side": "at least" if each.sign > 0 else "at most", "limit": each.limit,
-                "start": start[each.which], "value": after[each.which],
-                "room": each.sign * (after[each.which] - each.limit),
-                "worth": float(found.recipe.conditions.above[i]) / each.size,
-            }
-        )  # fmt: skip
-    return rows
-
-
-def _ramp_rows(found: Optimum) -> list[dict[str, Any]]:
-    """One row for each piece of a profile: the share of its ramp that is used."""
-    first, rows = len(found.bounds), []
-    for i, each in enumerate(found.ramps):
-        room = found.recipe.constraints[first + 2 * i : first + 2 * i + 2]
-        worth = found.recipe.conditions.above[first + 2 * i : first + 2 * i + 2]
-        rows.append(
-            {
-                "piece": each.name, "most": 60 * each.most, "unit": f"{each.unit}/min",
-                "used": float(1 - room.min()), "worth": float(worth.max()),
-            }
-        )  # fmt: skip
-    return rows
-
-
-def _shown(term: Term) -> dict[str, Any]:
-    """A term as a reader sees it."""
-    return {"of": term.of, "unit": term.unit, "weight": term.weight}
-
-
-def _unit(ask: Optimise) -> str:
-    """The goal's unit where its terms share one, "kg/h"."""
-    units = [{each.unit for each in terms} - {"1"} for terms in (ask.terms, ask.per)]
-    if any(len(each) > 1 for each in units):
-        return ""
-    above, below = ("".join(each) for each in units)
-    return f"{above or '1'}/{below}" if below else above

@@ -4,7 +4,7 @@ import inspect
 from collections.abc import Iterable
 from typing import Any
 
-from snapo.case.table import Section, parse
+from snapo.case.table import Section, parse, record_kinds
 
 from ..read.names import check_name
 from ..read.numbers import suggest
@@ -95,6 +95,7 @@ def _variant(section: Section, raw: dict, variants: Variants) -> type[Unit]:
     if not others:
         return variants[first]
     kind = raw.get("kind", first)
+    record_kinds(raw, section.name, "kind", variants)
     if not isinstance(kind, str) or kind not in variants:
         words = " or ".join(f'"{each}"' for each in variants)
         raise section.error("kind", kind, f"allowed is {words}")

@@ -16,7 +16,7 @@ from tests.domains.pharma.process_cases import (
     series,
 )
 
-from snapo.domains.pharma.flowsheet.balances import balances
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.units.crystals.seed import Seed
 

@@ -18,8 +18,8 @@ from tests.domains.pharma.process_cases import (
     number,
 )
 
+from snapo.domains.pharma.chapters.verification import balances
 from snapo.domains.pharma.derivatives.jacobian import matrix
-from snapo.domains.pharma.flowsheet.balances import balances
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.time.numerics import Numerics
 from snapo.domains.pharma.units.crystals.finite_volumes import by_finite_volumes, limited_steps

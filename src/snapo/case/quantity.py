@@ -1,0 +1,309 @@
+"""A number of a case, declared once.
+
+A `Quantity` is all that is known of a number before its value: unit, range, meaning, and the size
+of a usual move. Called with a meaning it makes a field of a `Table`, and this one line yields the
+reading, the message of a mistake, the documentation, the input with its sensitivity, and the
+position in the files where another value can be written:
+
+    COST = Quantity("{currency}/{volume_unit}", group="cost", move=0.01, by="date")
+
+    class ContractTable(Table):
+        injection_cost: Given = COST("per unit injected", 0.0)
+"""
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, is_dataclass, replace
+from datetime import date
+from typing import Any, NamedTuple
+
+import numpy as np
+from pydantic import BaseModel, Field, ValidationInfo
+from pydantic.fields import FieldInfo
+from pydantic_core import core_schema
+
+from .csv import Mention, Row, read_rows
+from .dates import ordinals, rising_dates
+from .error import CaseError
+from .given import Given
+from .plausible import Plausible
+from .table import LARGEST, TOO_LARGE, Section, Table
+
+
+class Range(NamedTuple):
+    """The numbers from `low` to `high`; its text stands in messages and in the documentation.
+
+    - `ends`: "[)" where the upper end is not part of it, "(]" the lower, "()" neither.
+    - `note`: text that follows, such as ": the mean of ln S".
+    - `noun`: of one of its numbers.
+    """
+
+    low: float = -math.inf
+    high: float = math.inf
+    ends: str = "[]"
+    note: str = ""
+    noun: str = "a number"
+
+    def holds(self, number: float) -> bool:
+        """Whether a number is in the range; no NaN is."""
+        above = self.low < number if self.ends[0] == "(" else self.low <= number
+        return above and (number < self.high if self.ends[1] == ")" else number <= self.high)
+
+    @property
+    def closed(self) -> tuple[float, float]:
+        """The smallest and the largest number of the range."""
+        low, high = self.low, self.high
+        low = float(np.nextafter(low, math.inf)) if self.ends[0] == "(" else low
+        return low, float(np.nextafter(high, -math.inf)) if self.ends[1] == ")" else high
+
+    def __str__(self) -> str:
+        low, high = f"{self.low:,.10g}", f"{self.high:,.10g}"
+        if self.low == -math.inf and self.high == math.inf:
+            text = self.noun
+        elif self.low == -math.inf:
+            text = f"{self.noun} {'below' if self.ends[1] == ')' else 'of at most'} {high}"
+        elif self.high == math.inf:
+            text = f"{self.noun} {'above' if self.ends[0] == '(' else 'of at least'} {low}"
+        elif self.ends == "()":
+            text = f"{self.noun} between {low} and {high}"
+        elif self.ends == "[)":
+            text = f"{self.noun} from {low} up to but not {high}"
+        elif self.ends == "(]":
+            text = f"{self.noun} above {low}, at most {high}"
+        else:
+            text = f"{self.noun} from {low} to {high}"
+        return text + self.note
+
+    def json(self) -> dict[str, Any]:
+        """The range as keys of a JSON schema."""
+        keys = (
+            ("exclusiveMinimum" if self.ends[0] == "(" else "minimum", self.low),
+            ("exclusiveMaximum" if self.ends[1] == ")" else "maximum", self.high),
+        )
+        return {"type": "number"} | {key: end for key, end in keys if math.isfinite(end)}
+
+
+ANY, NOT_NEGATIVE, POSITIVE = Range(), Range(0.0), Range(0.0, ends="()")
+FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """All that is known of a number before its value.
+
+    - `unit`: a key of the same table in braces stands for its value.
+    - `range`: the numbers allowed; `limits`: those that occur at all, beyond which a number is
+      refused as a mistake; `plausible`: those outside of which a note asks for the unit.
+    - `group`, `move`, `trade_unit`, `trade_factor`, `bump`: as of an `Input`; `meaning`: its words.
+    - `by`: the column of a CSV by which the number may change ("date"), `column`: that of the
+      numbers; `before`: the number that holds before the first row.
+    - `text`: the values allowed, where the range does not say all.
+    - `name`: of the input, where it is not the key.
+    """
+
+    unit: str = "1"
+    range: Range = ANY
+    group: str = ""
+    move: float | None = None
+    trade_unit: str = ""
+    trade_factor: float = 1.0
+    limits: Range = ANY
+    plausible: Plausible | None = None
+    by: str = ""
+    column: str = "value"
+    before: float | None = None
+    bump: float | None = None
+    meaning: str = ""
+    text: str = ""
+    name: str = ""
+
+    def __call__(self, meaning: str, default: Any = ..., **changes: Any) -> Any:
+        """A field of a `Table` with this meaning, required where there is no default."""
+        return declared(replace(self, meaning=meaning, **changes), default)
+
+    @property
+    def allowed(self) -> str:
+        """The values that the key may have, in words."""
+        file = f", or the name of a CSV file with columns {self.by},{self.column}"
+        return self.text or f"{self.range}{file if self.by else ''}"
+
+    def read(self, raw: Any, key: "KeyContext") -> Given | None:
+        """The number of a key, or the numbers of the CSV that it names."""
+        if raw is None:
+            return None
+        quantity = replace(self, unit=key.filled(self.unit))
+        if isinstance(raw, str) and raw and self.by:
+            rows = key.rows(raw, self.by, self.column)
+            return quantity.from_dated_rows(self.name or key.name, rows)
+        return quantity.given(
+            self.name or key.name, [quantity.checked(raw, key)], places=(key.path,)
+        )
+
+    def from_dated_rows(self, name: str, rows: Sequence[Row]) -> Given:
+        """The numbers of a CSV, each of which holds from its date on."""
+        dates = rising_dates(rows, self.by)
+        labels = [day.isoformat() for day in dates]
+        return self.from_rows(name, rows, labels, starts=ordinals(dates))
+
+    def from_rows(self, name: str, rows: Sequence[Row], labels: Sequence[str], **more) -> Given:
+        """The numbers of one column, each with its cell."""
+        values = [self.cell(row) for row in rows]
+        places = tuple(row.position(self.column) for row in rows)
+        return self.given(name, values, labels, places=places, **more)
+
+    def given(self, name: str, values: Any, labels: Sequence[str] = ("",), **more: Any) -> Given:
+        """Numbers with everything that is known of them."""
+        values = np.asarray(values, np.float64)
+        more.setdefault("index", np.array(0) if tuple(labels) == ("",) else np.arange(len(values)))
+        about = {key: getattr(self, key) for key in ("bump", "move", "trade_unit", "trade_factor")}
+        about |= {"group": self.group, "words": self.meaning}
+        about |= {"low": self.range.low, "high": self.range.high, "quantity": self}
+        return Given(name, values, tuple(labels), self.unit, **(about | more))
+
+    def cell(self, row: Row) -> float:
+        """The number in the column of a row, within the range."""
+        allowed = "" if self.range == ANY else str(self.range)
+        number = row.number(self.column, *self.range.closed, allowed)
+        if not self.limits.holds(number):
+            raise row.error(self.column, f"{OUTSIDE} {self.limits}")
+        return number
+
+    def checked(self, raw: Any, key: "KeyContext") -> float:
+        """A number of the TOML file within the range."""
+        if isinstance(raw, bool) or not isinstance(raw, int | float):
+            raise key.error(raw, f"allowed is {self.allowed}")
+        if isinstance(raw, float) and not math.isfinite(raw):
+            raise key.error(raw, f"allowed is {self.allowed}, and finite")
+        if not self.range.holds(raw):
+            raise key.error(raw, f"allowed is {self.allowed}")
+        if abs(raw) > LARGEST:  # an integer may be larger than any float
+            raise key.error(raw, f"allowed is {self.allowed}; {TOO_LARGE}")
+        if not self.limits.holds(raw):
+            raise key.error(raw, f"{OUTSIDE} {self.limits}")
+        return float(raw)
+
+    def __get_pydantic_core_schema__(self, *_) -> core_schema.CoreSchema:
+        return _validator(self.read)
+
+    def __get_pydantic_json_schema__(self, *_) -> dict[str, Any]:
+        file = {"type": "string", "description": f"a CSV file, {self.by},{self.column}"}
+        number = self.range.json()
+        return {"anyOf": [number, file]} if self.by else number
+
+
+OUTSIDE = "no market has this; allowed is"
+
+
+class KeyContext(NamedTuple):
+    """A key while it is read: its table, its name, and the values of the keys before it."""
+
+    table: Section
+    name: str
+    values: Mapping[str, Any]
+
+    @property
+    def path(self) -> tuple[str | int, ...]:
+        return (*self.table.keys, self.name)
+
+    def error(self, value: Any, allowed: str) -> CaseError:
+        return self.table.error(self.name, value, allowed)
+
+    def rows(self, file: str, *columns: str) -> list[Row]:
+        """The rows of the CSV that the key names."""
+        return read_rows(Mention(self.table, self.name, file), columns)
+
+    def filled(self, unit: str) -> str:
+        """A unit with the values of other keys in place of their names in braces."""
+        return unit.format_map(_Values(self.values))
+
+
+class _Values(dict):
+    def __missing__(self, key: str) -> str:
+        return key  # it is wrong, and has a message of its own
+
+
+ReadKey = Callable[[Any, KeyContext], Any]
+
+
+class Custom(NamedTuple):
+    """A field that is read by a function; `types`: those of the values, for a JSON schema."""
+
+    read: ReadKey
+    types: tuple[str, ...]
+
+    def __get_pydantic_core_schema__(self, *_) -> core_schema.CoreSchema:
+        return _validator(self.read)
+
+    def __get_pydantic_json_schema__(self, *_) -> dict[str, Any]:
+        return {"type": list(self.types)}
+
+
+def custom(read: ReadKey, allowed: str, default: Any = ..., types: Sequence[str] = ("string",)):
+    """A field of a `Table` that a function reads; `allowed`: its values, in words."""
+    return declared(Custom(read, tuple(types)), default, allowed)
+
+
+def declared(declaration: Any, default: Any, allowed: str = "") -> Any:
+    """A field whose type is a declaration: a `Quantity`, or a `Custom` reader."""
+    text = allowed or declaration.allowed
+    field = Field(default, description=text, validate_default=True)
+    assert isinstance(field, FieldInfo)
+    field.metadata.append(declaration)
+    return field
+
+
+def quantity_of(field: FieldInfo) -> Quantity | None:
+    """The declaration of a field; None where it is no quantity."""
+    return next((item for item in field.metadata if isinstance(item, Quantity)), None)
+
+
+def choice(*options: str, default: str = "") -> Any:
+    """A field for one of a few words, the first by default."""
+    text = " or ".join(f'"{option}"' for option in options)
+    return Field(default or options[0], description=text)
+
+
+def _validator(read: ReadKey) -> core_schema.CoreSchema:
+    def validated(raw: Any, info: ValidationInfo) -> Any:
+        if isinstance(raw, Given):
+            return raw
+        table = info.context
+        assert isinstance(table, Section)
+        return read(raw, KeyContext(table, str(info.field_name), info.data))
+
+    return core_schema.with_info_plain_validator_function(validated)
+
+
+def on_dates(table: Table, days: Sequence[date], notes: list[str]) -> dict[str, Given]:
+    """{key: numbers} of a table; those that may change with time are laid on rising dates."""
+    numbers = {key: value for key, value in table if isinstance(value, Given)}
+    return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}
+
+
+def stacked(name: str, parts: Sequence[Given]) -> Given:
+    """Several of the same quantity as one, index [..., len(parts)]; several are numbered from 1."""
+    starts = np.cumsum([0, *(len(part.values) for part in parts)])
+    prefixes = [f"{i} " if len(parts) > 1 else "" for i in range(1, len(parts) + 1)]
+    return replace(
+        parts[0],
+        name=name,
+        values=np.concatenate([part.values for part in parts]),
+        labels=tuple(f"{p}{y}".strip() for p, x in zip(prefixes, parts) for y in x.labels),
+        index=np.stack([x.index + start for x, start in zip(parts, starts)], axis=-1),
+        places=tuple(place for part in parts for place in part.places),
+        starts=None,
+    )
+
+
+def numbers_in(record: Any) -> Iterator[Given]:
+    """All numbers in a record, in the records within it and in their tuples; no empty ones."""
+    if isinstance(record, Given):
+        if record.values.size:
+            yield record
+    elif isinstance(record, tuple):
+        for item in record:
+            yield from numbers_in(item)
+    elif isinstance(record, BaseModel):
+        yield from numbers_in(tuple(value for _, value in record))
+    elif is_dataclass(record):
+        yield from numbers_in(tuple(getattr(record, field.name, None) for field in fields(record)))

@@ -1,0 +1,90 @@
+"""The case in the words of its run: written before any work, and read by all sections."""
+
+from dataclasses import dataclass, field, fields
+from typing import Any
+
+from snapo.report.folder import Folder
+
+from ..item.simulator import AVERAGES, OUTPUTS
+from ..network.records import NetworkCase
+from ..network.simulator import AVERAGES as NETWORK_AVERAGES
+from ..network.simulator import OUTPUTS as NETWORK_OUTPUTS
+from ..setup import AnyCase
+
+
+@dataclass(frozen=True)
+class CaseSummary:
+    """The entries of a run's `about` that its sections read.
+
+    - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: of outputs.
+    - `horizon`: all periods; `warm_up`: the first of them, which do not count.
+    - `lead_time`: of an item; None for a `network`.
+    - `other_leads`: whether other lead times are trained; `lost`: whether unmet demand is lost.
+    """
+
+    item_unit: str = ""
+    step: str = "period"
+    currency: str = ""
+    units: dict[str, str] = field(default_factory=dict)
+    horizon: int = 0
+    warm_up: int = 0
+    lead_time: int | None = None
+    lost: bool = False
+    network: bool = False
+    other_leads: bool = True
+    demand: str = ""
+    objective: str = "the objective"
+
+    @classmethod
+    def of(cls, run: Folder) -> "CaseSummary":
+        """That of a run; an entry that it lacks has its default."""
+        entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
+        return cls(**{name: value for name, value in entries.items() if value is not None})
+
+    @property
+    def counted(self) -> int:
+        """The periods that count: without those of the warm-up."""
+        return self.horizon - self.warm_up
+
+
+def about(case: AnyCase) -> dict[str, Any]:
+    """Title, units, periods, the objective in words; the lead time of an item."""
+    per = f" of a {case.period}" if case.discount == 1 else ", discounted"
+    unit = case.value_unit if case.objective.keeps_unit else ""
+    entries = {
+        "title": case.title,
+        "unit": unit,
+        "value_unit": unit,
+        "units": units_of(case),
+        "currency": case.currency,
+        "item_unit": case.unit,
+        "step": case.period,
+        "horizon": case.horizon,
+        "warm_up": case.warm_up,
+        "objective": f"{case.objective.kind} of the result{per}: all costs with a minus",
+        "objective_output": "result",
+        "notes": list(case.notes),
+        "other_leads": case.other_leads,
+    }
+    if isinstance(case, NetworkCase):
+        sellers = [case.places[i] for i in case.sellers]
+        demand = "; ".join(f"{x.name}: {x.demand.words()}" for x in sellers if x.demand)
+        return entries | {"network": True, "lost": case.lost, "demand": demand}
+    item = {"lead_time": case.item.lead, "lost": case.item.lost, "demand": case.demand.words()}
+    return entries | item
+
+
+def units_of(case: AnyCase) -> dict[str, str]:
+    """Units of states, action and outputs."""
+    states = dict.fromkeys(("stock", "coming", "action"), case.unit)
+    outputs, averages = OUTPUTS, AVERAGES
+    counts = ["orders", "cycles", "cycles_met"]
+    if isinstance(case, NetworkCase):
+        names = [place.name for place in case.places]
+        ways = (*NETWORK_AVERAGES, "sent", "received")
+        averages = (*NETWORK_AVERAGES, *(f"{way}_{name}" for way in ways for name in names))
+        outputs, counts = NETWORK_OUTPUTS, ["orders", *(f"orders_{name}" for name in names)]
+        states.pop("stock")  # "stock" is an output of a network
+    money = dict.fromkeys(outputs, case.value_unit)
+    amounts = dict.fromkeys(averages, f"{case.unit}/{case.period}")
+    return money | amounts | states | {"short": ""} | dict.fromkeys(counts, f"1/{case.period}")

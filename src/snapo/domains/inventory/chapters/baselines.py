@@ -1,0 +1,113 @@
+"""The trained rule compared with the classical ones, each with its best numbers, on its paths."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from snapo.engine import Xla
+from snapo.problem.policy import Policy
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Text
+from snapo.report.quantity import decimals, finite, number, percent
+from snapo.report.rows import Column, WithError, table
+from snapo.solver.evaluate import path_totals, worth_of_groups
+from snapo.solver.statistics import of_shares
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..network.rules import network_rules
+from ..network.simulator import NetworkSimulator
+from ..policy.rules import item_rules, myopic_of
+from ..policy.search import SEARCH_PATHS
+
+
+@dataclass(frozen=True)
+class RuleResult:
+    """The result of a rule, minus its cost, and its standard error.
+
+    - `difference`, `difference_error`: to the trained rule, paired path by path; None of itself.
+    - `numbers`: of the rule, in a planner's terms.
+    """
+
+    rule: str
+    value: Number
+    standard_error: Number
+    difference: float | None = None
+    difference_error: float | None = None
+    numbers: dict[str, Number] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RuleResults:
+    """The trained rule first."""
+
+    rivals: tuple[RuleResult, ...]
+
+
+def measure(run: StudyRun) -> RuleResults:
+    """All classical rules of the item or network on the paths of the trained one."""
+    setup = run.setup
+    problem, paths = setup.problem, run.solution.paths["evaluate"]
+    source, is_network = problem.sources.evaluation, isinstance(problem.simulator, NetworkSimulator)
+    trained = worth_of_groups(problem.objective, run.solution.totals, source)
+    rows = [RuleResult("trained", *of_shares(trained)[:2])]
+
+    def compare(name: str, shares: np.ndarray, trained: np.ndarray, numbers: dict[str, float]):
+        result, gap = of_shares(shares), of_shares(shares - trained)
+        run.tell(f"{name}: {result.value:,.6g}, {gap.value:+,.3g} to the trained rule")
+        rows.append(RuleResult(name, *result[:2], *gap[:2], numbers))
+
+    for name, rule, numbers in network_rules(setup) if is_network else item_rules(setup):
+        totals = path_totals(problem, rule, paths, engine=setup.engines.evaluate)
+        compare(name, worth_of_groups(problem.objective, totals, source), trained, numbers)
+    if not is_network and (rule := myopic_of(setup)) is not None:
+        own = _first_paths(setup, run.solution.policy)
+        compare("myopic", _first_paths(setup, rule), own, {})
+    return RuleResults(tuple(rows))
+
+
+def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
+    """Shares of the independent groups of the first paths: of a rule that takes longer."""
+    problem, source = setup.problem, setup.problem.sources.evaluation
+    assert policy is not None
+    paths = min(SEARCH_PATHS, setup.evaluation.paths)
+    totals = path_totals(problem, policy, paths, engine=Xla())
+    return worth_of_groups(problem.objective, totals, source)
+
+
+def show(run: Folder, result: RuleResults) -> Sequence[Block]:
+    """Costs of all rules, and by how much they are above that of the trained one."""
+    rows = result.rivals
+    errors = [row.difference_error for row in rows if finite(row.difference_error)]
+    places = min(6, max([2, *(decimals([error], 2) for error in errors)]))
+    trained = rows[0].value or 1.0
+
+    def numbers(row: RuleResult) -> str:
+        return ", ".join(f"{name} {number(value, 1)}" for name, value in row.numbers.items())
+
+    def dearer(row: RuleResult) -> WithError:
+        gap = row.difference
+        return WithError(None if gap is None else -gap, row.difference_error)
+
+    def share(row: RuleResult) -> str:
+        return "" if row.difference is None else percent(row.difference / trained, 2)
+
+    columns = (
+        Column("Rule", lambda row: row.rule[:1].upper() + row.rule[1:]),
+        Column("Numbers", numbers),
+        Column("Cost", lambda row: WithError(-row.value, row.standard_error), run.unit),
+        Column("Dearer by", dearer, run.unit, sign=True),
+        Column("", share),
+    )
+    text = (
+        "Each rule has the best numbers that a search on other paths found; differences are "
+        "paired, path by path, with one standard error."
+    )
+    costs = table(rows, columns, "Costs of the rules", places=places)
+    return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]
+
+
+BASELINES = Chapter(
+    "rivals", "Classical rules on the same paths", RuleResults, measure, show, short="Rivals"
+)

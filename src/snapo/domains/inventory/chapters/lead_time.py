@@ -1,0 +1,123 @@
+"""A period of lead time less, and one more: each trained anew, on the same paths."""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Missing, Section, Text
+from snapo.report.quantity import decimals
+from snapo.report.rows import Column, WithError, table
+from snapo.solver import statistics
+from snapo.solver.evaluate import worth_of_groups
+from snapo.solver.solve import solve
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import Setup, StudyRun
+
+from ..network.simulator import NetworkSimulator
+from ..read.tables import LONGEST_LEAD
+from ..setup import AnyCase, case_of, make_setup, network_of
+from .about import CaseSummary
+
+PATHS = 16384  # at most, of either value
+STEPS = 200  # at most, of either training
+
+
+@dataclass(frozen=True)
+class OtherLeadTime:
+    """The change of the result with another lead time, and its standard error.
+
+    - `place`: of a network, empty of an item.
+    """
+
+    place: str
+    lead: int
+    change: Number
+    standard_error: Number
+
+
+@dataclass(frozen=True)
+class OtherLeadTimes:
+    """Each other lead time alone; of a network, of every place by itself."""
+
+    lead_time_change: tuple[OtherLeadTime, ...]
+
+
+def measure(run: StudyRun) -> OtherLeadTimes:
+    """A period less and a period more, as far as a case may have them."""
+    rows = []
+    for place, lead, other, case in _other_cases(run.setup):
+        if 0 <= other <= LONGEST_LEAD:
+            change = _change(run, make_setup(case, run.setup.engines.name))
+            rows.append(OtherLeadTime(place, other, change.value, change.standard_error))
+            where = f" of {place}" if place else ""
+            run.tell(f"lead time {other}{where}: {change.value:+,.4g} to that of {lead}")
+    return OtherLeadTimes(tuple(rows))
+
+
+def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
+    """(place, its lead time, the other one, the case with it); the horizon stays."""
+    if isinstance(setup.problem.simulator, NetworkSimulator):
+        network = network_of(setup)
+        for i, place in enumerate(network.places):
+            for other in (place.lead - 1, place.lead + 1):
+                places = list(network.places)
+                places[i] = replace(place, lead=other)
+                yield place.name, place.lead, other, replace(network, places=tuple(places))
+    else:
+        case = case_of(setup)
+        for other in (case.item.lead - 1, case.item.lead + 1):
+            item = replace(case.item, lead=other, coming=None)  # with its usual start
+            yield "", case.item.lead, other, replace(case, item=item)
+
+
+def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
+    setup = run.setup
+    paths = min(PATHS, setup.evaluation.paths)
+    evaluation = replace(
+        setup.evaluation, paths=paths, sensitivity_paths=0, smooth_paths=0, judge_paths=0
+    )
+    training = replace(setup.training, steps=min(STEPS, setup.training.steps))
+    solution = solve(
+        other.problem,
+        policy=other.policy,
+        training=training,
+        evaluation=evaluation,
+        engine=other.engines,
+    )
+    objective, source = setup.problem.objective, setup.problem.sources.evaluation
+    values = worth_of_groups(objective, solution.totals, source)
+    totals = {
+        name: total[: len(solution.totals[name])] for name, total in run.solution.totals.items()
+    }
+    return statistics.of_shares(values - worth_of_groups(objective, totals, source))
+
+
+def lead_time(run: Folder) -> Section:
+    """The section; of a run that trains no other lead times, how to ask for them."""
+    section = LEAD_TIME(run)
+    if CaseSummary.of(run).other_leads:
+        return section
+    text = "This run trains no other lead times: `lead_time = true` in [report] does."
+    return replace(section, blocks=[Missing(text)])
+
+
+def show(run: Folder, result: OtherLeadTimes) -> Sequence[Block]:
+    """The cost of a period more or less of lead time."""
+    step, rows = CaseSummary.of(run).step, result.lead_time_change
+    columns = [
+        Column("Lead time", lambda row: f"{row.lead} {step}s"),
+        Column("Cost, change", lambda row: WithError(-row.change, row.standard_error), run.unit,
+               sign=True),
+    ]  # fmt: skip
+    if any(row.place for row in rows):
+        columns.insert(0, Column("Place", "place"))
+    places = max(decimals([row.standard_error for row in rows], 2), 2)
+    text = "The rule is trained anew for each, and compared on the same paths."
+    changes = table(rows, columns, "Other lead times", places=places)
+    return [changes, Text(text, caveat=True)]
+
+
+LEAD_TIME = Chapter(
+    "lead time", "A period more or less of lead time", OtherLeadTimes, measure, show,
+    short="Lead time",
+)  # fmt: skip

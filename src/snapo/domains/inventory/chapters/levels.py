@@ -1,0 +1,170 @@
+"""The trained rule of an item: the order, and the level up to which it goes, by stock."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from matplotlib.axes import Axes
+
+from snapo.problem.policy import Policy
+from snapo.problem.simulator import at
+from snapo.problem.smooth import Exact
+from snapo.report.axes import number_axis
+from snapo.report.drawing import draw, legend_above, unit_above
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Table, Text
+from snapo.report.quantity import number
+from snapo.report.theme import LIGHT
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import Setup, StudyRun, Today
+
+from ..item.records import InventoryCase
+from ..setup import case_of
+from .about import CaseSummary
+
+POINTS = 41  # of the stock
+SHARES = (0.5, 1.0, 1.5)  # of the usual amount on its way
+COLOURS, STYLES = ("main", "withdraw", "limit"), ("-", "--", ":")
+LINES = 25  # of the table
+
+
+@dataclass(frozen=True)
+class OrderCurve:
+    """The rule with one amount on its way, spread over the lead time, at every stock.
+
+    - `orders` [n]; `levels` [n]: stock, on its way and ordered together; NaN without an order.
+    """
+
+    coming: Number
+    orders: Floats
+    levels: Floats
+
+
+@dataclass(frozen=True)
+class OrderCurves:
+    """The rule by `stock` [n], in the first period that counts."""
+
+    stock: Floats
+    curves: tuple[OrderCurve, ...]
+
+    @property
+    def places(self) -> int:
+        """Decimals of amounts: none where all of them are whole."""
+        amounts = [self.stock]
+        for curve in self.curves:
+            amounts += [np.array([curve.coming]), curve.orders, curve.levels]
+        finite = np.concatenate([x[np.isfinite(x)] for x in amounts])
+        return 0 if (finite == np.round(finite)).all() else 1
+
+
+def measure(run: StudyRun) -> OrderCurves:
+    """Orders at several stocks, without goods on their way and with the usual amounts of them."""
+    setup, case = run.setup, case_of(run.setup)
+    now = at(setup.problem.schedule.steps, case.warm_up)
+    stock = stocks(case, float(now["level"]))
+    usual = np.asarray(now["mean"], np.float64)[1 : max(case.item.lead, 1)]
+    curves, policy = [], run.solution.policy
+    assert policy is not None
+    for share in SHARES if len(usual) else (1.0,):
+        coming = share * usual
+        coming = np.round(coming) if case.item.whole else coming
+        amounts = orders(setup, policy, stock, coming)
+        levels = np.where(amounts > 0, stock + coming.sum() + amounts, np.nan)
+        curves.append(OrderCurve(float(coming.sum()), amounts, levels))
+    return OrderCurves(stock, tuple(curves))
+
+
+def stocks(case: InventoryCase, level: float) -> np.ndarray:
+    """Stocks from none, or from demand that waits, to somewhat above the level."""
+    low = 0.0 if case.item.lost else -level / 2
+    grid = np.linspace(low, 1.2 * level, POINTS)
+    return np.unique(np.round(grid)) if case.item.whole else grid
+
+
+def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) -> np.ndarray:
+    """[n] exact orders of the rule at these stocks, in the first period that counts."""
+    problem, case = setup.problem, case_of(setup)
+    simulator, fixed = problem.simulator, case.item.fixed
+    schedule = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), problem.schedule)
+    now = at(schedule.steps, case.warm_up)
+
+    @jax.jit
+    def of(stock):
+        state = {"stock": stock}
+        if case.item.lead > 1:
+            state["coming"] = jnp.asarray(coming, jnp.float32)
+        observation = simulator.observe(schedule.constants, now, state)
+        action = policy(observation, Exact())
+        return action[1] * action[2] if fixed else action[0]
+
+    return np.asarray(jax.vmap(of)(jnp.asarray(stock, jnp.float32)), np.float64)
+
+
+def today(setup: Setup, policy: Policy) -> Today:
+    """The order at the start."""
+    case, constants = case_of(setup), setup.problem.schedule.constants
+    stock, coming = float(constants["stock"]), np.asarray(constants["coming"], np.float64)
+    order = float(orders(setup, policy, np.array([stock]), coming)[0])
+    facts = [
+        ("stock", stock, case.unit),
+        ("on its way", float(coming.sum()), case.unit),
+        ("order", order, case.unit),
+    ]
+    text = f"order {order:,.4g} {case.unit}s" if order > 0 else "order nothing"
+    return Today(text, facts)
+
+
+def show(run: Folder, result: OrderCurves) -> Sequence[Block]:
+    """Orders by stock, a curve for every amount on its way."""
+    case = CaseSummary.of(run)
+    unit, curves, places = case.item_unit, result.curves, result.places
+    names = [f"{number(curve.coming, places)} {unit}s on their way" for curve in curves]
+    if len(curves) == 1:
+        names = ["Order"]
+
+    def paint(axes: Axes) -> None:
+        for name, curve, colour, style in zip(names, curves, COLOURS, STYLES):
+            axes.plot(result.stock, curve.orders, color=LIGHT[colour], linestyle=style, label=name)
+        axes.set_xlabel(f"Stock, {unit}s")
+        number_axis(axes.xaxis, 8)
+        number_axis(axes.yaxis)
+        unit_above(axes, f"Order, {unit}s")
+        legend_above(axes)
+
+    alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the least stock to none."
+    caption = "The order of the trained rule by the stock, in the first period that counts" + (
+        ", the orders on their way spread evenly over the lead time."
+        if (case.lead_time or 0) > 1
+        else "."
+    )
+    text = (
+        "A base-stock rule is a falling line with slope −1. Where demand is lost, the best rule "
+        "falls less steeply, and reacts most to the orders that arrive last."
+        if case.lost
+        else "The level up to which the rule orders is stock, orders on their way and the order "
+        "together."
+    )
+    chart = Chart(draw("rule", alt, paint, 270.0), caption)
+    return [chart, Text(text), _table(result, unit)]
+
+
+def _table(result: OrderCurves, unit: str) -> Table:
+    stock, curves, places = result.stock, result.curves, result.places
+    head = [("Stock", unit)]
+    for curve in curves:
+        coming = f" ({number(curve.coming, places)} on their way)" if len(curves) > 1 else ""
+        head += [(f"Order{coming}", unit), ("Up to", unit)]
+    lines = np.linspace(0, len(stock) - 1, min(LINES, len(stock))).round().astype(int)
+    rows = []
+    for i in np.unique(lines):
+        amounts = [stock[i], *(x for curve in curves for x in (curve.orders[i], curve.levels[i]))]
+        rows.append([number(x, places) for x in amounts])
+    return Table(head, rows, "Orders and the level up to which they go", 0, folded="All numbers")
+
+
+LEVELS = Chapter(
+    "order-up-to levels", "The rule: how much to order", OrderCurves, measure, show,
+    short="Rule", key="levels",
+)  # fmt: skip

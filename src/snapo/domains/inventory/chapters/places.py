@@ -1,0 +1,131 @@
+"""Stock, demand and fill rate of every place of a network, and what stores send one another."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Text
+from snapo.report.quantity import decimals, percent
+from snapo.report.rows import Column, WithError, table
+from snapo.study.chapter import Chapter
+from snapo.study.study import Measured, Shown, StudyRun
+
+from ..network.records import NetworkCase, Place
+from ..setup import network_of
+from . import service
+from .about import CaseSummary
+from .service import CostAndService, PathMean
+
+
+@dataclass(frozen=True)
+class PlaceService:
+    """A place: averages of a period, each with its standard error.
+
+    - `level`: up to which it orders, with a cost of an order over its orders alone.
+    - `supplier`: empty where goods come from outside.
+    - `orders`, `order_size`: in a period, where an order has a cost; `sent`, `received`: in a pool.
+    - `demand`, `fill_rate`: where it has customers.
+    """
+
+    name: str
+    level: PathMean
+    supplier: str
+    stock: PathMean
+    orders: PathMean | None = None
+    order_size: PathMean | None = None
+    demand: PathMean | None = None
+    fill_rate: PathMean | None = None
+    sent: PathMean | None = None
+    received: PathMean | None = None
+
+
+@dataclass(frozen=True)
+class NetworkService(CostAndService):
+    """Service and costs of the network, and by place."""
+
+    places: tuple[PlaceService, ...]
+
+
+def measure(run: StudyRun) -> NetworkService:
+    """Service and costs as of an item, and the places."""
+    case, paths = network_of(run.setup), service.paths_of(run)
+    optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
+    names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
+    places = tuple(_place(case, place, paths) for place in case.places)
+    return NetworkService(service.service_of(paths), service.costs_of(paths, names), places)
+
+
+def _place(case: NetworkCase, place: Place, paths: Measured) -> PlaceService:
+    name, fixed, sells = place.name, place.fixed, place.demand is not None
+    pooled, level, orders = f"sent_{name}" in paths.totals, f"level_{name}", f"orders_{name}"
+    return PlaceService(
+        name,
+        service.ratio(paths, level, orders) if fixed else service.total(paths, level),
+        "" if place.supplier is None else case.places[place.supplier].name,
+        service.total(paths, f"stock_{name}"),
+        service.total(paths, orders) if fixed else None,
+        service.ratio(paths, f"ordered_{name}", orders) if fixed else None,
+        service.total(paths, f"demand_{name}") if sells else None,
+        service.ratio(paths, f"sold_{name}", f"demand_{name}") if sells else None,
+        service.total(paths, f"sent_{name}") if pooled else None,
+        service.total(paths, f"received_{name}") if pooled else None,
+    )
+
+
+def show(run: Folder, result: NetworkService) -> Sequence[Block]:
+    """A table with a row for every place."""
+    case, places = CaseSummary.of(run), result.places
+    unit, digits = case.item_unit, decimals([place.stock.value for place in places], 4)
+
+    def mean(name: str, label: str, unit: str, decimals: int) -> Column:
+        return Column(label, lambda place: _value(getattr(place, name)), unit, places=decimals)
+
+    columns = [
+        Column("Place", "name"),
+        Column("Supplied by", lambda place: place.supplier or "outside"),
+        mean("level", "Orders up to", unit, 2),
+        Column("Stock", lambda place: WithError(place.stock.value, place.stock.standard_error),
+               unit, places=digits),
+        mean("demand", "Demand", unit, digits),
+        Column("Fill rate", lambda place: percent(_value(place.fill_rate), 2)),
+    ]  # fmt: skip
+    text = (
+        "Stock is the average on hand at the end of a period. The level up to which a place orders "
+        "is the mean over periods of all goods at the place, on their way to it and further down, "
+        "less demand that waits, with its order."
+    )
+    if any(place.sent for place in places):
+        columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]
+        text += " Sent and received is what stores send one another in a period."
+    if any(place.orders for place in places):
+        columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
+        columns.append(mean("order_size", "Order size", unit, 2))
+        text += " Where an order has a cost of its own, the level is the mean over its orders."
+    rows = table(places, columns, "Stock and service by place")
+    return [rows, Text(text, caveat=True)]
+
+
+def _value(mean: PathMean | None) -> float | None:
+    return None if mean is None else mean.value
+
+
+PLACES = Chapter("service", "Places", NetworkService, measure, show, short="Places")
+
+
+def service_and_places(run: StudyRun) -> dict[str, Any]:
+    """The part "service" of a network: a row has no entry where a place has no such number."""
+    entries = PLACES.data(measure(run))
+    rows = [{name: x for name, x in row.items() if x is not None} for row in entries["places"]]
+    return entries | {"places": rows}
+
+
+def network_tables(paths: Measured) -> list[Shown]:
+    """Service, costs and places as the live page shows them."""
+    case = network_of(paths.setup)
+    columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
+    rows = []
+    for place in (_place(case, place, paths) for place in case.places):
+        rate = place.fill_rate.times(100) if place.fill_rate else (None, None)
+        rows.append((place.name, *place.stock.times(1), *rate))
+    return [*service.live_tables(paths), Shown("Places", columns, rows)]

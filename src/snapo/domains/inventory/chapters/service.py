@@ -1,0 +1,180 @@
+"""The cost that a planner came for, with the service it buys; and the parts of the cost."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from snapo.report.evidence import notes
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Facts, Headline, Section, Table
+from snapo.report.quantity import decimals, finite, measured, number, percent, plus_minus, quantity
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapter import Chapter, Number
+from snapo.study.chapters.headline import marks
+from snapo.study.study import Measured, Shown, StudyRun
+
+from ..setup import case_of
+from .about import CaseSummary
+
+COSTS = ("holding", "shortage", "purchase", "ordering", "transshipment")
+SHARES = {
+    "fill_rate": ("Fill rate", "of demand is met from stock at once"),
+    "cycle_service": ("Cycle service", "of replenishment cycles have no unmet demand"),
+    "period_service": ("Periods without shortage", "of all periods"),
+}
+AMOUNTS = {
+    "stock": ("Average stock", "at the end of a period"),
+    "orders": ("Orders", "in a period"),
+    "order_size": ("Order size", "mean"),
+    "demand": ("Demand", "of a period, mean"),
+}
+
+
+@dataclass(frozen=True)
+class PathMean:
+    """A mean over the paths of the value, and its standard error."""
+
+    value: Number
+    standard_error: Number
+
+    def times(self, factor: float) -> tuple[float, float]:
+        """Both, in another unit."""
+        return factor * self.value, factor * self.standard_error
+
+
+@dataclass(frozen=True)
+class CostPart:
+    """A part of the cost: its mean over the paths, and the standard error."""
+
+    name: str
+    value: Number
+    standard_error: Number
+
+
+@dataclass(frozen=True)
+class CostAndService:
+    """Service and costs.
+
+    - `service`: {name: mean}, the names those of `SHARES` and `AMOUNTS`: fill rate (demand met from
+      stock at once), cycle service (replenishment cycles without unmet demand), periods without
+      unmet demand, stock at the end of a period, demand of a period, and of an item cycle service,
+      orders in a period and units of an order.
+    - `costs`: in the order of `COSTS`.
+    """
+
+    service: dict[str, PathMean]
+    costs: tuple[CostPart, ...]
+
+
+def measure(run: StudyRun) -> CostAndService:
+    """Service and costs of an item."""
+    item, paths = case_of(run.setup).item, paths_of(run)
+    orders = {"orders": total(paths, "orders"), "order_size": ratio(paths, "ordered", "orders")}
+    names = [name for name in COSTS[:4] if item.cost(name) > 0]
+    return CostAndService(service_of(paths) | orders, costs_of(paths, names))
+
+
+def paths_of(run: StudyRun) -> Measured:
+    """The outputs of the trained rule on the paths of its value."""
+    source = run.setup.problem.sources.evaluation
+    groups = source.groups(np.arange(run.solution.paths["evaluate"]))
+    return Measured(run.setup, run.solution.totals, groups)
+
+
+def total(paths: Measured, name: str) -> PathMean:
+    """The mean of an output."""
+    return PathMean(*paths.mean(paths.totals[name]))
+
+
+def ratio(paths: Measured, top: str, bottom: str) -> PathMean:
+    """One output's mean over another's."""
+    return PathMean(*paths.ratio(top, bottom))
+
+
+def service_of(paths: Measured) -> dict[str, PathMean]:
+    """What items and networks have in common, and the cycle service of an item."""
+    cycles = {}
+    if "cycles" in paths.totals:
+        cycles["cycle_service"] = ratio(paths, "cycles_met", "cycles")
+    return {
+        "fill_rate": ratio(paths, "sold", "demand"),
+        **cycles,
+        "period_service": PathMean(*paths.mean(1 - np.asarray(paths.totals["short"], np.float64))),
+        "stock": total(paths, "stock"),
+        "demand": total(paths, "demand"),
+    }
+
+
+def costs_of(paths: Measured, names: Sequence[str]) -> tuple[CostPart, ...]:
+    """These parts of the cost."""
+    return tuple(CostPart(name, *paths.mean(paths.totals[name])) for name in names)
+
+
+def headline(run: Folder) -> Section:
+    """The cost of the trained rule, and the service."""
+    title, value = "Cost and service", finite(run.result.get("value"))
+    if value is None:
+        return Section("value", title, "Cost", [lacking(run, "training")])
+    error = finite(run.result.get("standard_error"))
+    places = decimals([value], 6) if not error else max(0, decimals([error], 2))
+    if run.unit:
+        label, text = "Cost", quantity(-value, run.unit, places)
+    else:
+        label, text = "Value", number(value, places)
+    objective = CaseSummary.of(run).objective
+    note = f"{objective}; on fresh paths of the exact simulator, ± one standard error"
+    top = Headline(label, text, plus_minus(error, places), note, marks=marks(run))
+    blocks: list[Block] = [top, *notes(run), *SERVICE(run).blocks]
+    return Section("value", title, "Cost", blocks)
+
+
+def show(run: Folder, result: CostAndService) -> list[Block]:
+    """The service as key figures, and the table of costs."""
+    case, service = CaseSummary.of(run), result.service
+    facts = []
+    for name, (label, meaning) in SHARES.items():
+        if (mean := service.get(name)) is not None:
+            error = plus_minus(100 * mean.standard_error, 2)
+            note = f"{meaning} ({error})" if error else meaning
+            facts.append((label, percent(mean.value, 2), note))
+    for name, (label, meaning) in AMOUNTS.items():
+        if (mean := service.get(name)) is not None:
+            unit = "" if name == "orders" else case.item_unit
+            places = max(0, decimals([mean.value], 4))
+            facts.append((label, quantity(mean.value, unit, places), meaning))
+    return [Facts(facts), _cost_table(result.costs, case.units.get("holding", ""))]
+
+
+def _cost_table(costs: Sequence[CostPart], unit: str) -> Table:
+    everything = sum(cost.value for cost in costs) or 1.0
+    places = decimals([everything], 5)
+    rows = [
+        (
+            cost.name.capitalize(),
+            *measured(cost.value, cost.standard_error, places),
+            percent(cost.value / everything),
+        )
+        for cost in costs
+    ]
+    rows.append(("Together", number(everything, places), "", percent(1.0)))
+    head = [("Cost", ""), ("", unit), ("", ""), ("Share", "")]
+    return Table(head, rows, "Cost by part", 1, strong=frozenset([len(rows) - 1]))
+
+
+SERVICE = Chapter("service", "Cost and service", CostAndService, measure, show)
+
+
+def live_tables(paths: Measured) -> list[Shown]:
+    """Service and costs as the live page shows them."""
+    case = paths.setup.problem.simulator.case  # pyright: ignore[reportAttributeAccessIssue]
+    units = {"stock": case.unit, "demand": f"{case.unit}/{case.period}"}
+    rows = []
+    for name, mean in service_of(paths).items():
+        unit, factor = (units[name], 1) if name in units else ("%", 100)
+        rows.append((f"{name.replace('_', ' ')}, {unit}", *mean.times(factor)))
+    costs = costs_of(paths, [name for name in COSTS if name in paths.totals])
+    unit = case.value_unit
+    parts = [(f"{x.name}, {unit}", x.value, x.standard_error) for x in costs if x.value]
+    columns = (("", ""), ("mean", ""), ("± standard error", ""))
+    return [Shown("Service", columns, rows), Shown("Costs by part", columns, parts)]

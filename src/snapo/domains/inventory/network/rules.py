@@ -1,0 +1,118 @@
+"""The classical rules of a network, with their best numbers: echelon base stock and (s, S)."""
+
+from collections.abc import Iterator, Sequence
+from typing import NamedTuple
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from snapo.study.study import Setup
+
+from ..policy.search import cost_on_other_paths, search
+from ..setup import network_of
+from .estimates import first_batches
+from .policy import EchelonRule
+
+FINEST = 1 / 16  # of a level, in deviations of demand
+ENDLESS = 1e6  # deviations: nothing is sent, or an order waits for nothing
+BAND = 0.5  # deviations: where the search for one begins
+
+
+class Numbers(NamedTuple):
+    """Of a classical rule, all in deviations of the demand that a place serves.
+
+    - `above` [n]: how far its levels lie above those of the simulator.
+    - `kept`: the bands of stores; what they hold back after demand is nothing, but for `ENDLESS`.
+    - `wait` [m]: how far reorder points lie below the levels of the simulator, of each place where
+      an order has a cost of its own; None where it orders whenever it is below its level.
+    """
+
+    above: tuple[float, ...]
+    kept: float = 0.0
+    wait: tuple[float, ...] | None = None
+
+
+def network_rules(setup: Setup) -> Iterator[tuple[str, EchelonRule, dict[str, float]]]:
+    """(name, rule, its numbers in a planner's terms): echelon base stock at its first levels, and
+    at the best ones of a search on other paths; with costs of an order (s, S) of the echelons;
+    where stores may send goods, the best numbers if they send none."""
+    for name, numbers in classical(setup).items():
+        yield name, echelon_rule(setup, *numbers), _for_planner(setup, numbers)
+
+
+def classical(setup: Setup) -> dict[str, Numbers]:
+    """{name: numbers of the rule}. After demand stores hold nothing back; bands before it are one
+    more number of the search."""
+    case = network_of(setup)
+    first = Numbers((0.0,) * len(case.places), BAND if case.moving(True) else 0.0)
+    rules = {"newsvendor levels": first._replace(kept=0.0), "best levels": best(setup, first)}
+    name = "best levels"
+    if case.fixed:
+        batch, wait = first_batches(case)
+        first = first._replace(above=tuple(batch.tolist()), wait=tuple(wait.tolist()))
+        name = "(s, S) of echelons"
+        rules[name] = best(setup, first)
+    if case.pools:
+        rules[f"{name}, nothing sent"] = best(setup, first._replace(kept=ENDLESS))
+    return rules
+
+
+def echelon_rule(
+    setup: Setup,
+    above: Sequence[float],
+    kept: float = 0.0,
+    wait: Sequence[float] | None = None,
+) -> EchelonRule:
+    """The rule with these `Numbers`."""
+    problem, case = setup.problem, network_of(setup)
+    rule = EchelonRule(case, problem.action, problem.features, key=jax.random.key(0), plain=True)
+    after = len(case.moving(False))
+    keeps = [kept if kept == ENDLESS else 0.0] * after + [kept] * len(case.moving(True))
+    waits = [-ENDLESS] * len(case.fixed) if wait is None else wait
+    values = tuple(jnp.asarray(x, jnp.float32) for x in (above, keeps, waits))
+    return eqx.tree_at(lambda x: (x.first, x.kept, x.wait), rule, values)
+
+
+def best(setup: Setup, start: Numbers) -> Numbers:
+    """The best numbers from these on: levels, reorder points where it has some, and the band where
+    there is one to choose."""
+    case, cost_of = network_of(setup), cost_on_other_paths(setup)
+    waits, banded = start.wait or (), bool(case.moving(True)) and start.kept != ENDLESS
+    n = len(start.above)
+
+    def numbers(point: tuple[float, ...]) -> Numbers:
+        kept = point[-1] if banded else start.kept
+        wait = point[n : n + len(waits)] if start.wait is not None else None
+        return Numbers(point[:n], kept, wait)
+
+    def cost(point: tuple[float, ...]) -> float:
+        if banded and point[-1] < 0:
+            return np.inf
+        return cost_of(echelon_rule(setup, *numbers(point)))
+
+    # A level and its reorder point: the lot, and both together.
+    pairs = [(i, n + k) for k, i in enumerate(case.fixed)] if waits else []
+    first = (*start.above, *waits, *([start.kept] if banded else []))
+    return numbers(search(cost, first, 0.5, FINEST, together=pairs))
+
+
+def first_levels(setup: Setup) -> np.ndarray:
+    """[n] the simulator's levels in the first period that counts."""
+    schedule = setup.problem.schedule
+    if "level" in schedule.constants:
+        return np.asarray(schedule.constants["level"], np.float64)
+    return np.asarray(schedule.steps["level"][network_of(setup).warm_up], np.float64)
+
+
+def _for_planner(setup: Setup, numbers: Numbers) -> dict[str, float]:
+    """Levels and reorder points, and the band in deviations."""
+    case, level = network_of(setup), first_levels(setup)
+    unit = np.asarray(setup.problem.schedule.constants["unit"])
+    levels = level + np.array(numbers.above) * unit
+    entries = {place.name: float(x) for place, x in zip(case.places, levels)}
+    for i, wait in zip(case.fixed, numbers.wait or ()):
+        entries[f"{case.places[i].name} from"] = float(level[i] - wait * unit[i])
+    banded = case.moving(True) and numbers.kept != ENDLESS
+    return entries | ({"band": numbers.kept} if banded else {})

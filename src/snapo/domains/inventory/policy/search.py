@@ -1,0 +1,70 @@
+"""The best numbers of a classical rule, by trying neighbours on common paths."""
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+from snapo.problem.policy import Policy
+from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
+from snapo.solver.evaluate import path_totals, worth
+from snapo.study.study import Setup
+
+SEARCH_PATHS = 4096
+OTHER_PATHS = stream(EVALUATE, 1)  # of the scenarios on which rules look for their numbers
+
+
+def search(
+    cost: Callable[[tuple[float, ...]], float],
+    start: Sequence[float],
+    step: float,
+    least: float,
+    most: int = 300,
+    together: Sequence[tuple[int, int]] = (),
+) -> tuple[float, ...]:
+    """The numbers at which `cost` is smallest, among points of a grid of width `least`.
+
+    Moves by `step` along every number, and of two along both diagonals, while that helps, then by
+    half, down to `least`; at most `most` costs are asked for.
+
+    - `together`: of more than two numbers, pairs that move along their diagonals too.
+    """
+    costs: dict[tuple[float, ...], float] = {}
+
+    def of(point: tuple[float, ...]) -> float:
+        if point not in costs:
+            costs[point] = cost(point)
+        return costs[point]
+
+    steps = _steps(len(start), together)
+    best = tuple(least * round(x / least) for x in start)
+    while step >= least and len(costs) < most:
+        grid = max(1, round(step / least)) * least
+        near = [tuple(x + grid * d for x, d in zip(best, direction)) for direction in steps]
+        neighbour = min(near, key=of)
+        if of(neighbour) < of(best):
+            best = neighbour
+        else:
+            step = grid / 2 if grid > least else 0.0
+    return best
+
+
+def _steps(size: int, together: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
+    """Every neighbour of a point of two numbers; of others, those along one number, and along the
+    diagonals of the pairs that move together."""
+    if size == 2:
+        return [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
+    steps = [{i: step} for i in range(size) for step in (1, -1)]
+    steps += [{i: a, j: b} for i, j in together for a in (1, -1) for b in (1, -1)]
+    return [tuple(step.get(i, 0) for i in range(size)) for step in steps]
+
+
+def cost_on_other_paths(setup: Setup) -> Callable[[Policy], float]:
+    """The cost of a rule on scenarios other than those of its value: where it looks for numbers."""
+    sources, seed = setup.problem.sources, setup.training.seed
+    other = Sources(sources.training, sources.validation, Pseudo(seed, stream=OTHER_PATHS))
+    problem = replace(setup.problem, sources=other)
+
+    def cost(rule: Policy) -> float:
+        totals = path_totals(problem, rule, SEARCH_PATHS, engine=setup.engines.evaluate)
+        return -worth(problem.objective, totals)
+
+    return cost

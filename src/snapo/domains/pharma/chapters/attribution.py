@@ -1,0 +1,223 @@
+"""Further derivatives: by path through the flowsheet, over time, of second order."""
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from snapo.case.given import Given
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Missing, Table
+from snapo.report.quantity import number, with_unit
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import Part, StudyRun
+
+from ..derivatives import attribution
+from ..derivatives.jacobian import matrix, second
+from ..derivatives.local import local
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.process import Process
+from ..quality.design_space import parameter
+from ..shared import SOUND, process
+from ..time.profile import Profile
+from . import pictures
+from .model import stated
+from .sensitivities import MATRIX
+
+NODES = 61  # of a profile whose sensitivity over time is shown
+
+
+def with_nodes(case: PharmaCase, name: str, count: int) -> PharmaCase:
+    """The case with `count` evenly spaced nodes in the linear profile "unit.temperature".
+
+    The profile itself is the same where its old nodes are among the new ones, otherwise within
+    the chords. Parameters that are entries of the profile are left out: they are other nodes now.
+    """
+    owner, _, field = name.partition(".")
+    unit = next(each for each in case.units if each.name == owner)
+    profile = getattr(unit, field)
+    if not isinstance(profile, Profile) or profile.kind != "linear":
+        raise ValueError(f"with_nodes: {name} is no piecewise linear profile.")
+    share = np.linspace(0.0, 1.0, count)
+    values = np.interp(share, profile.share, profile.value.used())
+    labels = tuple(f"{each:.4g}" for each in share)
+    given = Given(profile.value.name, values, labels, profile.value.unit, np.arange(count))
+    finer = replace(unit, **{field: replace(profile, share=share, value=given)})
+    return replace(
+        case,
+        units=tuple(finer if each is unit else each for each in case.units),
+        parameters=tuple(each for each in case.parameters if each.input != name),
+        pairs=(),
+        design_space=None,
+        control=None,
+    )
+
+
+@dataclass(frozen=True)
+class PathShare:
+    """The effect of a parameter on an attribute along one way through the units."""
+
+    attribute: str
+    parameter: str
+    units: tuple[str, ...]
+    value: Number
+
+
+@dataclass(frozen=True)
+class UnitEffect:
+    """How much the parameters of a unit move an attribute, over half their normal ranges."""
+
+    unit: str
+    attribute: str
+    value: Number
+
+
+@dataclass(frozen=True)
+class Attributions:
+    """Every sensitivity by path; `closure`: how far the paths are from adding up to the matrix."""
+
+    closure: Number
+    paths: tuple[PathShare, ...]
+    by_unit: tuple[UnitEffect, ...]
+
+
+def measure(run: StudyRun) -> Attributions:
+    """Every sensitivity of the matrix by path, and the check that the paths add up."""
+    whole, known = process(run), MATRIX.of(run)
+    assert known is not None
+    split = attribution.split(whole.case, local(whole), known.raw)
+    effects = attribution.by_unit(whole.case, split)
+    return Attributions(
+        closure=float(split.closure.max()),
+        paths=tuple(
+            PathShare(*names, way.units, way.value)
+            for names, ways in split.paths.items()
+            for way in ways
+        ),
+        by_unit=tuple(UnitEffect(*names, value) for names, value in effects.items()),
+    )
+
+
+def show(run: Folder, result: Attributions) -> list[Block]:
+    """Which unit moves what, and every path."""
+    if not result.paths:
+        return [Missing("There is no attribution.")]
+    rows = [(x.attribute, x.parameter, " → ".join(x.units), number(x.value)) for x in result.paths]
+    head = [("Attribute", ""), ("Parameter", ""), ("Path", ""), ("Contribution", "per unit")]
+    paths = Table(head, rows, "Contributions add up to the matrix", 3, folded="Every path")
+    return [_by_unit(run, result), paths]
+
+
+def _by_unit(run: Folder, result: Attributions) -> Table:
+    units = list(dict.fromkeys(effect.unit for effect in result.by_unit))
+    values = {(x.unit, x.attribute): x.value for x in result.by_unit}
+    rows = [
+        (
+            with_unit(x.name, x.shown_unit),
+            *(number(values.get((unit, x.name), 0.0)) for unit in units),
+        )
+        for x in stated(run).attributes
+    ]
+    caption = (
+        "Which unit's parameters move which attribute: root of the summed squares over half their "
+        "normal ranges"
+    )
+    return Table([("Attribute", ""), *((unit, "") for unit in units)], rows, caption)
+
+
+ATTRIBUTION = Chapter(
+    "attribution", "Attribution by unit and path", Attributions, measure, show,
+    needs=(SOUND, MATRIX.name), key="attribution"
+)  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class ProfileSlopes:
+    """Derivatives of attributes by the temperature of a unit over time, per K held for ten minutes.
+
+    `time` in s; `slope`: {attribute that it moves: values}.
+    """
+
+    unit: str
+    time: Floats
+    temperature: Floats
+    slope: dict[str, Floats]
+
+
+def profile_slopes(case: PharmaCase) -> tuple[ProfileSlopes, ...]:
+    """One adjoint for each attribute.
+
+    The profile gets many nodes; the derivative by one is spread over the time that it stands for.
+    """
+    rows = []
+    for unit in case.units:
+        name = f"{unit.name}.temperature"
+        profile = next((x for x in unit.profiles if x.value.name == name), None)
+        if unit.time is None or profile is None or profile.kind != "linear":
+            continue
+        fine = Process(with_nodes(case, name, NODES))
+        share = np.linspace(0, 1, NODES)
+        duration = float(unit.time.values[0])
+        weight = np.gradient(share) * duration
+        weight[[0, -1]] /= 2
+        slopes = matrix(fine, entries=tuple((name, i) for i in range(NODES))).jacobian
+        rows.append(
+            ProfileSlopes(
+                unit=unit.name,
+                time=share * duration,
+                temperature=np.interp(share, profile.share, profile.value.used()),
+                slope={x: s / weight * 600 for x, s in zip(fine.names, slopes) if s.any()},
+            )
+        )
+    return tuple(rows)
+
+
+def _profiles(run: Folder, result: tuple[ProfileSlopes, ...]) -> list[Block]:
+    """Temperature over time, and the effect of one kelvin for ten minutes on each attribute."""
+    if not result:
+        text = "No unit has a temperature profile of several nodes, or it was not differentiated."
+        return [Missing(text)]
+    return [_profile(run, slopes) for slopes in result]
+
+
+def _profile(run: Folder, result: ProfileSlopes) -> Chart:
+    minutes = result.time / 60
+    units = {x.name: x.shown_unit for x in stated(run).attributes}
+
+    def paint(top, *below):
+        line = [("Temperature", result.temperature)]
+        pictures.curves(top, minutes, line, f"Temperature of the {result.unit}, K")
+        for axes, (name, values) in zip(below, result.slope.items()):
+            unit = f"{name}: {units.get(name, '')} per K held for 10 min"
+            pictures.curves(axes, minutes, [(name, values)], unit, zero=True)
+        (below[-1] if below else top).set_xlabel("Time, min")
+
+    count = len(result.slope)
+    svg = draw(f"profile-{result.unit}", "Temperature profile, and the derivative of each "
+               "attribute by the temperature at each time.", paint, 120 + 105 * count,
+               [1.3, *[1.0] * count])  # fmt: skip
+    caption = (
+        "What raising the temperature by one kelvin for ten minutes around a time does to each "
+        "attribute: one adjoint pass per attribute gives the whole curve."
+    )
+    return Chart(svg, caption)
+
+
+PROFILES = Chapter(
+    "profile sensitivities", "Profiles and their sensitivity over time", tuple[ProfileSlopes, ...],
+    lambda run: profile_slopes(process(run).case), _profiles, "Profiles", needs=(SOUND,),
+    key="profiles"
+)  # fmt: skip
+
+
+def second_derivatives(run: StudyRun) -> dict[str, Any]:
+    """Of every attribute by the pairs of parameters that the case names, in owners' units."""
+    whole, case = process(run), process(run).case
+    pairs = [(parameter(case, a), parameter(case, b)) for a, b in case.pairs]
+    rows = second(whole, tuple(((a.input, a.entry), (b.input, b.entry)) for a, b in pairs))
+    both = zip(case.pairs, pairs, rows)
+    return {"second": [{"pair": n, "values": x * a.scale * b.scale} for n, (a, b), x in both]}
+
+
+SECOND = Part("second derivatives", second_derivatives, (SOUND,))

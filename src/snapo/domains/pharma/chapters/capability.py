@@ -1,0 +1,119 @@
+"""Capability: how often batches keep their limits, and where their spread comes from."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Missing, Table, Text
+from snapo.report.quantity import finite, number, percent, with_unit
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..derivatives.sensitivities import Spread, spread
+from ..quality.capability import Capability, capability
+from ..quality.sampling import sampler
+from ..shared import MESH, SOUND, open_loop, sampled
+from .model import stated
+from .sensitivities import MATRIX
+
+BATCHES = 4096  # at most
+UNKNOWN = "Sources of variation were not computed."
+NOTHING = "Nothing differs from batch to batch, so that there is no spread."
+
+
+@dataclass(frozen=True)
+class StatisticsMesh:
+    """`steps` per piece for statistics; they move attributes by at most `gap` of their margins."""
+
+    steps: int
+    gap: Number
+
+
+def choose_mesh(run: StudyRun) -> StatisticsMesh:
+    """The mesh, and the process on it for the parts to come."""
+    loop = open_loop(run)
+    loop.coarse, entries = sampler(loop.process)
+    return StatisticsMesh(**entries)
+
+
+STATISTICS_MESH = Chapter(
+    MESH, "Mesh of statistics", StatisticsMesh, choose_mesh, lambda run, result: [],
+    needs=(SOUND,), key="sampling"
+)  # fmt: skip
+
+
+def measure(run: StudyRun) -> Capability:
+    """Spread, Cpk and shares out of specification, over fresh batches."""
+    whole = sampled(run)
+    count = min(whole.case.evaluation.paths, BATCHES)
+    return capability(whole, count, open_loop(run).seed + 1)
+
+
+def measure_spread(run: StudyRun) -> Spread:
+    """Where the spread comes from, to first order, to compare with the drawn batches."""
+    known = MATRIX.of(run)
+    assert known is not None
+    return spread(open_loop(run).case, known.varied)
+
+
+def show(run: Folder, result: Capability) -> list[Block]:
+    """Spread, Cpk and out-of-specification rates, and which source causes how much of them."""
+    sources, attributes = SPREAD.of(run), stated(run).attributes
+    linear = [None] * len(attributes) if sources is None else sources.total
+    rows = [
+        (
+            with_unit(attribute.name, attribute.shown_unit), number(result.mean[q]),
+            number(result.deviation[q]), number(linear[q]), _cpk(result.cpk_batches[q]),
+            _cpk(result.cpk_low[q], result.cpk_high[q]), _cpk(result.cpk[q]),
+            number(result.sigmas[q], 2), percent(result.outside[q], 2), percent(result.error[q], 2),
+            " – ".join(map(number, result.quantiles[q][[0, 2]])),
+        )
+        for q, attribute in enumerate(attributes)
+    ]  # fmt: skip
+    names = ("Attribute", "Mean", "Deviation", "to first order", "Cpk, batch to batch",
+             "over uncertain numbers", "Cpk, all together", "Sigmas to the edge", "Out of limits",
+             "±", "1–99 %")  # fmt: skip
+    caption = (
+        f"Over {number(result.batches, 0)} simulated batches at the set point; together "
+        f"{percent(result.joint)} ± {percent(result.joint_error)} break a limit. Cpk from "
+        "batch to batch varies only what differs between batches, with the model's numbers at "
+        "their nominal values; beside it, 5 to 95 % of it as these numbers are uncertain; all "
+        "together counts both as variation. Cpk takes an attribute for normal; the share out of "
+        "limits is counted. Where the deviation to first order is another than the counted one, "
+        "the process is not linear over its variation."
+    )
+    blocks: list[Block] = [Table([(name, "") for name in names], rows, caption)]
+    if result.failed > 0:
+        blocks.append(Text(f"{number(result.failed, 0)} batches gave no finite result."))
+    if sources is None or not sources.sources:
+        return [*blocks, Missing(UNKNOWN if sources is None else NOTHING)]
+    return [*blocks, _sources(run, sources)]
+
+
+def _cpk(*ends: float | None) -> str:
+    """Two decimals, which tell a capable process; none where it, or its interval, is far beyond."""
+    places = 2 if all(abs(finite(x) or 0.0) < 100 for x in ends) else 0
+    return " – ".join(number(x, places) for x in ends)
+
+
+def _sources(run: Folder, result: Spread) -> Table:
+    parts = result.part
+    share = np.divide(parts**2, (parts**2).sum(1, keepdims=True), out=np.zeros_like(parts),
+                      where=parts.any(1, keepdims=True))  # fmt: skip
+    rows = [
+        (source, *(percent(x, 0) if x else "0" for x in share[:, v]))
+        for v, source in enumerate(result.sources)
+    ]
+    head = [("Source", ""), *((name, "") for name in stated(run).attribute_names)]
+    return Table(head, rows, "Share of each attribute's variance, to first order, source by source")
+
+
+CAPABILITY = Chapter(
+    "capability", "Capability and sources of variation", Capability, measure, show, "Capability",
+    needs=(MESH,), key="capability"
+)  # fmt: skip
+SPREAD = Chapter(
+    "spread", "Sources of variation", Spread, measure_spread, lambda run, result: [],
+    needs=(MATRIX.name,), key="spread"
+)  # fmt: skip

@@ -1,0 +1,338 @@
+"""The closed loop: policy, best fixed recipe and rules on the same fresh batches."""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import jax
+import numpy as np
+
+from snapo.problem.inputs import Input
+from snapo.problem.smooth import Exact
+from snapo.report.drawing import draw
+from snapo.report.evidence import history
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Mark, Table, Text
+from snapo.report.quantity import number, percent, with_unit
+from snapo.report.theme import LIGHT
+from snapo.solver import statistics
+from snapo.solver.evaluate import path_totals
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import StudyRun
+
+from ..control.closed_loop import ClosedLoop, in_words
+from ..control.policy import Feedback
+from ..control.stages import Stage
+from ..flowsheet.case import PharmaCase
+from ..setpoints import HEADER
+from ..shared import closed_loop
+from . import pictures
+from .recipes import RULES, TunedRule, recipe
+
+LOW, HIGH = 0.1, 0.9  # quantiles over batches, of a band
+FILE = "setpoints_closed_loop.csv"
+SHOWN = 256  # batches from which the policy's trajectory is drawn
+SURE = 2.0  # standard errors from which one rival counts as better
+
+
+@dataclass(frozen=True)
+class KeptShares:
+    """Shares of batches that keep all limits, with standard errors, on the same batches.
+
+    - `value`: of the policy; `baseline`: of the best fixed recipe; `gain`: their difference;
+      `given`: of the recipe as given. `better`: "policy", "recipe", or "" where none is surely so.
+    """
+
+    value: Number
+    standard_error: Number
+    baseline: Number
+    baseline_error: Number
+    gain: Number
+    gain_error: Number
+    given: Number
+    given_error: Number
+    better: str
+
+    @property
+    def verdict(self) -> str:
+        """The one to take, in a sentence."""
+        both = f"{100 * self.value:.1f} % under the policy, {100 * self.baseline:.1f} % under "
+        both += "the best fixed recipe, on the same batches"
+        match self.better:
+            case "policy":
+                return f"The policy does better than the best fixed recipe: {both}."
+            case "recipe":
+                return (
+                    f"The best fixed recipe does better than the policy: {both}. Take the recipe."
+                )
+            case _:
+                return f"The policy is not told from the best fixed recipe: {both}."
+
+
+@dataclass(frozen=True, eq=False)
+class ControlCourse:
+    """A control after each decision, at `time` in s since its unit's start.
+
+    - `policy`, `policy_low`, `policy_high`: median and band over batches; `values`: of the best
+      fixed recipe; `given`: of the recipe as given.
+    """
+
+    input: str
+    unit: str
+    time: Floats
+    policy: Floats
+    policy_low: Floats
+    policy_high: Floats
+    values: Floats
+    given: Floats
+
+
+@dataclass(frozen=True, eq=False)
+class RuleShares:
+    """A rule on the same batches, and the surplus of policy and recipe; its settings."""
+
+    name: str
+    value: Number
+    standard_error: Number
+    policy_gain: Number
+    policy_gain_error: Number
+    recipe_gain: Number
+    recipe_gain_error: Number
+    gains_own: Floats
+    times: Floats
+    sensors: tuple[str, ...]
+    of: tuple[str, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class ClosedLoopResult(KeptShares):
+    """Policy, recipe and rules; `objective`: value of the `goal`, if not of the probability."""
+
+    goal: str
+    objective: Number
+    objective_error: Number
+    baseline_objective: Number
+    recipe: tuple[ControlCourse, ...]
+    rules: tuple[RuleShares, ...]
+    engine: str
+    paths: dict[str, int]
+    status: str
+
+
+def measure(run: StudyRun) -> ClosedLoopResult:
+    """Policy, rules and best recipe on the same fresh batches."""
+    loop, best, solution = closed_loop(run), recipe(run, "best"), run.solution
+    problem, evaluate, paths = loop.problem, loop.engines.evaluate, loop.evaluation.paths
+    fixed = path_totals(problem, best, paths, engine=evaluate)
+    first = path_totals(problem, loop.loop.baseline, paths, engine=evaluate)
+    ours, theirs, given = (np.asarray(x["success"]) for x in (solution.totals, fixed, first))
+    with jax.enable_x64(True):
+        baseline_goal = float(problem.objective.value(fixed))
+    groups, rules = problem.sources.evaluation.groups(np.arange(ours.size)), RULES.of(run) or ()
+    courses = _courses_of(loop, best, run)
+    run.write_csv(FILE, HEADER, decided(courses))
+    return ClosedLoopResult(
+        **vars(rates(ours, theirs, given, groups)), goal=in_words(loop.case.goal),
+        objective=solution.value, objective_error=solution.standard_error,
+        baseline_objective=baseline_goal, recipe=courses,
+        rules=tuple(_beside(loop, x, ours, theirs, groups) for x in rules), engine=solution.engine,
+        paths=dict(solution.paths), status=solution.status,
+    )  # fmt: skip
+
+
+def rates(
+    ours: np.ndarray, theirs: np.ndarray, given: np.ndarray, groups: np.ndarray
+) -> KeptShares:
+    """Shares of batches [N] that keep all limits, of policy, best and given recipe, with errors.
+
+    `groups` [N]: batches of one group are not independent. Limits on two sides are kept or missed
+    by both batches of an antithetic pair, so that pairs taken for two would halve the variance.
+    """
+    numbers = [
+        number for kept in (ours, theirs, ours - theirs, given) for number in _mean(kept, groups)
+    ]
+    return KeptShares(*numbers, better=better(numbers[4], numbers[5]))
+
+
+def _mean(values: np.ndarray, groups: np.ndarray) -> tuple[float, float]:
+    share = statistics.mean(values, groups)
+    return share.value, share.standard_error
+
+
+def better(gain: float, error: float) -> str:
+    """Which of both keeps all limits more often on the same batches: "policy", "recipe", ""."""
+    if abs(gain) <= SURE * error:
+        return ""
+    return "policy" if gain > 0 else "recipe"
+
+
+def _beside(loop: ClosedLoop, rule: TunedRule, ours, theirs, groups) -> RuleShares:
+    """A rule on the same batches: its share, and the differences of policy and recipe from it."""
+    paths, engine = loop.evaluation.paths, loop.engines.evaluate
+    own = np.asarray(path_totals(loop.problem, rule.policy(), paths, engine=engine)["success"])
+    numbers = [x for kept in (own, ours - own, theirs - own) for x in _mean(kept, groups)]
+    return RuleShares(
+        rule.name, *numbers, gains_own=rule.gains_own, times=rule.times, sensors=rule.sensors,
+        of=rule.of,
+    )  # fmt: skip
+
+
+def _courses_of(loop: ClosedLoop, best: Feedback, run: StudyRun) -> tuple[ControlCourse, ...]:
+    """Every control over time, of the policy and of both recipes, in the domain's units."""
+    source = loop.problem.sources.evaluation
+    block = next(iter(source.blocks(source.available(SHOWN), 1)))
+    draws = source.draws(block, loop.problem.simulator)
+    bound = loop.engines.evaluate.bind(loop.problem)
+    rolled = bound.values(run.solution.policy, draws, Exact(), record=("action",))
+    actions = [np.asarray(rolled.record["action"], float)]
+    actions += [policy.actions()[:, None] for policy in (best, loop.loop.baseline)]
+    inputs, stages = loop.loop.inputs, loop.loop.stages
+    three = (courses(loop.case, stages, inputs, x) for x in actions)
+    return tuple(
+        ControlCourse(
+            input=name, unit=inputs[name].unit, time=time, policy=np.median(policy, 1),
+            policy_low=np.quantile(policy, LOW, 1), policy_high=np.quantile(policy, HIGH, 1),
+            values=fixed[:, 0], given=first[:, 0],
+        )
+        for (name, time, policy), (*_, fixed), (*_, first) in zip(*three, strict=True)
+    )  # fmt: skip
+
+
+def courses(
+    case: PharmaCase, stages: Sequence[Stage], inputs: Mapping[str, Input], actions: np.ndarray
+) -> list[tuple[str, np.ndarray, np.ndarray]]:
+    """(name, time, values) of each control, from actions [T, N, size]: values [T, N] after each
+    decision, in the domain's units; `time` [T]: s since the unit's start. Ramps hold over the
+    nominal duration."""
+    assert case.control is not None
+    rows = []
+    for stage in stages:
+        seconds = None
+        if stage.unit is not None:
+            seconds = float(inputs[stage.unit.duration.name].value[0]) / stage.horizon
+        for place, i in enumerate(stage.decided):
+            item = case.control.manipulated[i]
+            part = actions[stage.before : stage.before + stage.horizon, :, place]
+            values = item.low + np.asarray(part, float) * (item.high - item.low)
+            if item.ramp is not None and seconds is not None:
+                values = _within(values, float(inputs[item.input].value[0]), item.ramp * seconds)
+            rows.append((item.input, (np.arange(stage.horizon) + 1) * (seconds or 0.0), values))
+    return rows
+
+
+def _within(values: np.ndarray, start: float, most: float) -> np.ndarray:
+    """Values that move by at most `most` from one decision to the next."""
+    limited, last = np.empty_like(values), np.full(values.shape[1], start)
+    for t, target in enumerate(values):
+        limited[t] = last = np.clip(target, last - most, last + most)
+    return limited
+
+
+def decided(rows: Sequence[ControlCourse]) -> list[tuple]:
+    """Setpoints of the best fixed recipe: its value at the end of each decision."""
+    return [
+        (x.input.partition(".")[0], x.input, "linear" if len(x.time) > 1 else "once",
+         float(time), float(value), x.unit)
+        for x in rows
+        for time, value in zip(x.time, x.values)
+    ]  # fmt: skip
+
+
+def show(run: Folder, result: ClosedLoopResult) -> list[Block]:
+    """The policy against the best fixed recipe, on the same fresh batches."""
+    sure = result.gain > 3 * result.gain_error
+    rows = [
+        ("Trained policy", percent(result.value), percent(result.standard_error, 2)),
+        ("Best fixed recipe", percent(result.baseline), percent(result.baseline_error, 2)),
+        ("Recipe as given", percent(result.given), percent(result.given_error, 2)),
+        ("Policy less best recipe", percent(result.gain), percent(result.gain_error, 2)),
+    ]
+    head = [("", ""), ("Probability of all limits", ""), ("Standard error", "")]
+    batches = number(result.paths.get("evaluate"), 0)
+    caption = f"On the same {batches} fresh batches, exact limits"
+    clear = Mark(sure, "yes" if sure else "no")
+    blocks: list[Block] = [
+        Text(str(run.result.get("verdict", ""))),
+        Table(head, rows, caption),
+        Table([], [("Gain above three standard errors", clear)], "", 2),
+    ]
+    if result.rules:
+        blocks += _rules(result.rules)
+    if (run.result.get("references") or {}).get("goal") is not None:
+        blocks.append(_goal(result))
+    blocks += [_course(x) for x in result.recipe if len(x.time) > 1]
+    once = [x for x in result.recipe if len(x.time) == 1]
+    if once:
+        blocks.append(_once(once))
+    return [*blocks, *history(run, "objective").blocks]
+
+
+def _goal(result: ClosedLoopResult) -> Table:
+    """What was made large, where that is not the probability itself."""
+    rows = [
+        ("Trained policy", number(result.objective), number(result.objective_error)),
+        ("Best fixed recipe", number(result.baseline_objective), ""),
+    ]
+    head = [("", ""), ("Goal", ""), ("Standard error", "")]
+    return Table(head, rows, f"The goal: {result.goal}")
+
+
+def _rules(rules: Sequence[RuleShares]) -> list[Block]:
+    """PI controllers: their shares on the same batches, and their settings."""
+    names = ("value", "standard_error", "policy_gain", "policy_gain_error", "recipe_gain",
+             "recipe_gain_error")  # fmt: skip
+    shares = [(x.name, *(percent(getattr(x, name), 2) for name in names)) for x in rules]
+    settings = [
+        (x.name, sensor, number(gain), number(time / 60))
+        for x in rules
+        for sensor, gain, time in zip(x.sensors, x.gains_own, x.times)
+    ]
+    head = ("", "All limits", "Standard error", "Policy less rule", "Standard error",
+            "Recipe less rule", "Standard error")  # fmt: skip
+    own = ("Rule", "Measured", "Gain, in the units of the domain", "Integral time, min")
+    return [
+        Table([(name, "") for name in head], shares, "Rules on the same batches, paired"),
+        Table([(name, "") for name in own], settings, "Settings of the rules", 2),
+        Text("First settings are those of the case or of its formula; a rule of that name without "
+             "these words was trained from there, with its recipe, as long as the policy."),
+    ]  # fmt: skip
+
+
+def _course(result: ControlCourse) -> Chart:
+    """A control over time: the policy's median and band, and both recipes."""
+    minutes = result.time / 60
+    lines = [
+        ("Policy, median", result.policy),
+        ("Best fixed recipe", result.values),
+        ("Recipe as given", result.given),
+    ]
+
+    def paint(axes):
+        band = result.policy_low, result.policy_high
+        axes.fill_between(minutes, *band, color=LIGHT["inject-soft"], linewidth=0)
+        pictures.curves(axes, minutes, lines, with_unit(result.input, result.unit))
+        axes.set_xlabel("Time at the end of each decision, min")
+
+    svg = draw(f"course-{result.input}", "A control over time: the policy's median and its band "
+               "over batches, the best fixed recipe, and the recipe as given.", paint,
+               220)  # fmt: skip
+    text = "The band holds the middle four fifths of the policy's decisions over batches."
+    return Chart(svg, f"{result.input}: {text}")
+
+
+def _once(rows: Sequence[ControlCourse]) -> Table:
+    """What is decided once in a batch."""
+    cells = [
+        (
+            with_unit(x.input, x.unit), *(number(y[0]) for y in (x.policy, x.values, x.given)),
+            f"{number(x.policy_low[0])} – {number(x.policy_high[0])}",
+        )
+        for x in rows
+    ]  # fmt: skip
+    names = ("Decided once", "Policy, median", "Best fixed recipe", "As given", "Policy, 10–90 %")
+    return Table([(name, "") for name in names], cells, "Decisions of one number")
+
+
+CLOSED_LOOP = Chapter(
+    "closed loop", "Closed loop", ClosedLoopResult, measure, show, key="closed_loop",
+    table="control"
+)  # fmt: skip

@@ -1,0 +1,332 @@
+"""The design space: the map, the largest box inside, and where the space ends."""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.patches import Rectangle
+
+from snapo.report.axes import number_axis
+from snapo.report.drawing import draw, legend_above, unit_above
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Table, Text
+from snapo.report.quantity import finite, number, percent, quantity, with_unit
+from snapo.report.theme import LIGHT
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import StudyRun
+
+from ..flowsheet.process import Process
+from ..quality import design_space, ranges
+from ..quality.boundary import Boundary
+from ..quality.design_space import Box, owners
+from ..quality.interval import draws_for
+from ..shared import MESH, open_loop, sampled
+from . import pictures
+from .model import place, stated
+
+MAP, ENDS = "design_space.csv", "design_space_boundary.csv"
+
+
+@dataclass(frozen=True, eq=False)
+class SpaceMap:
+    """The map over two or three parameters, in their owners' units.
+
+    - `axes`, `units`, `grid`: of each axis; `nominal`: set point; `normal`: normal range.
+    - At every point of the map the fields of `quality.design_space.Point`; `samples`: draws there.
+    - `levels`: of contours; `required`: probability. `box`: the largest inside, None where the set
+      point itself does not do. `ends`: of the space along the lines of the map.
+    """
+
+    axes: tuple[str, ...]
+    units: tuple[str, ...]
+    grid: tuple[Floats, ...]
+    probability: Floats
+    error: Floats
+    each: Floats
+    mean: Floats
+    binding: Floats
+    failed: Floats
+    low: Floats
+    high: Floats
+    samples: int
+    levels: tuple[Number, ...]
+    required: Number
+    nominal: tuple[Number, ...]
+    normal: tuple[tuple[Number, Number], ...]
+    box: Box | None
+    ends: tuple[Boundary, ...] | None = None
+
+    @property
+    def headers(self) -> list[str]:
+        """The axes with their units, for the header of a file."""
+        return [f"{name} [{unit}]" for name, unit in zip(self.axes, self.units)]
+
+
+def measure(run: StudyRun) -> SpaceMap:
+    """The map and its ends, which are tables of their own too."""
+    result, loop = space_map(sampled(run), open_loop(run).seed), open_loop(run)
+    names = [attribute.name for attribute in loop.case.attributes]
+    run.write_csv(MAP, *map_rows(result, names))
+    run.write_csv(ENDS, *boundary_rows(result, names))
+    return result
+
+
+def space_map(process: Process, seed: int) -> SpaceMap:
+    """The map, its sampling error and binding attribute, and the largest box inside."""
+    case = process.case
+    result = design_space.probability_map(process, seed)
+    space = case.design_space
+    assert space is not None
+    axes = [design_space.parameter(case, name) for name in space.axes]
+    here = [float(owners(p, ranges.set_point(process, p))) for p in axes]
+    return SpaceMap(
+        axes=tuple(result.axes), units=tuple(p.unit for p in axes), grid=tuple(result.grid),
+        **result.at._asdict(), samples=result.samples, levels=tuple(space.levels),
+        required=space.required, nominal=tuple(here),
+        normal=tuple((owners(p, p.normal_low), owners(p, p.normal_high)) for p in axes),
+        box=design_space.largest_box(result, here, space.required), ends=tuple(result.ends),
+    )  # fmt: skip
+
+
+def map_rows(
+    result: SpaceMap, attributes: Sequence[str]
+) -> tuple[tuple[str, ...], Iterable[tuple]]:
+    """Header and rows of `design_space.csv`: one row per point of the map."""
+    grid = [_rounded(x.ravel()) for x in np.meshgrid(*result.grid, indexing="ij")]
+    numbers = (result.probability, result.error, result.low, result.high)
+    columns = [x.tolist() for x in (*grid, *map(np.ravel, numbers))]
+    binding = np.ravel(result.binding).astype(int).tolist()
+    which = [attributes[i] if i >= 0 else "" for i in binding]
+    names = ("probability", "standard_error", "low", "high", "binding")
+    return (*result.headers, *names), zip(*columns, which)
+
+
+def _rounded(places) -> np.ndarray:
+    """Places on the axes of the map to ten significant digits, which leaves out round-off."""
+    return np.array([float(f"{x:.10g}") for x in places])
+
+
+def boundary_rows(
+    result: SpaceMap, attributes: Sequence[str]
+) -> tuple[tuple[str, ...], Iterable[tuple]]:
+    """Header and rows of `design_space_boundary.csv`: one row for every end of the space."""
+    names, rows = result.headers, []
+    for end in result.ends or ():
+        at = [grid[i] if i >= 0 else end.place for grid, i in zip(result.grid, end.at)]
+        side = "above" if end.side > 0 else "below"
+        numbers = _rounded((*at, end.place, end.inner, end.outer)).tolist()
+        at, numbers = numbers[: len(at)], numbers[len(at) :]
+        rows.append((*at, names[end.axis], side, *numbers, attributes[end.binding]))
+    return (*names, "along", "ends", "boundary", "inner", "outer", "binding"), rows
+
+
+def show(run: Folder, result: SpaceMap) -> list[Block]:
+    """The probability that all limits hold over the axes, and the attribute that breaks them."""
+    names = stated(run).attribute_names
+    blocks: list[Block] = [_in_words(result)]
+    blocks += [_map(result, at, position, names) for at, position in _slices(result)]
+    return [*blocks, *boundary(result, names)]
+
+
+def _slices(result: SpaceMap) -> list[tuple[Any, str]]:
+    """A third axis is shown at its ends and in the middle."""
+    if result.probability.ndim == 2:
+        return [(slice(None), "")]
+    grid, name, unit = result.grid[2], result.axes[2], result.units[2]
+    shown = sorted({0, len(grid) // 2, len(grid) - 1})
+    return [((slice(None), slice(None), k), f"{name} {quantity(grid[k], unit)}") for k in shown]
+
+
+def _in_words(result: SpaceMap) -> Text:
+    share, sure = (float((x >= result.required).mean()) for x in (result.probability, result.low))
+    text = (
+        f"At {percent(share, 0)} of the points of the map all limits hold with a probability of "
+        f"{number(result.required)} or more; {number(result.samples, 0)} batches per point, the "
+        f"same draws at every point, standard error at most {percent(result.error.max())}. At "
+        f"{percent(sure, 0)} of the points this is so even at the lower end of the 95 % "
+        "interval, within the dotted line of the map."
+    )
+    few = [level for level in result.levels if result.samples < draws_for(level)]
+    if few:
+        needed = " and ".join(f"{number(draws_for(level), 0)} for {level:g}" for level in few)
+        text += (
+            f" So few draws cannot make every contour sure: it takes {needed} at a point, all of "
+            "them good."
+        )
+    if result.box is None:
+        return Text(text + " No box around the set point keeps the required probability.")
+    sides = [
+        f"{name} {place(low)} to {place(high, unit)}"
+        for name, unit, low, high in zip(result.axes, result.units, result.box.low, result.box.high)
+    ]
+    return Text(f"{text} The largest box inside: {', '.join(sides)}.")
+
+
+def _map(result: SpaceMap, at: Any, position: str, names: list[str]) -> Chart:
+    """A slice `at` of the map; `position`: of a third axis, as text."""
+
+    def paint(upper, lower):
+        _contours(upper, result, result.probability[at], (result.low[at], result.high[at]))
+        upper.set_xlabel("")  # the axis below has the same name, and its numbers
+        _binding(lower, result, result.binding[at].astype(int), names)
+
+    key = position.replace(" ", "").replace(".", "-").replace("\N{NO-BREAK SPACE}", "")
+    svg = draw(f"space{key}", "Probability that all limits hold, with contours; below, the "
+               "attribute that most often breaks its limits.", paint, 560, (1.2, 1.0))  # fmt: skip
+    where = f" at {position}" if position else ""
+    caption = (
+        f"Above: probability that a batch keeps all limits{where}, deeper is better, with its "
+        "contours; the boundary of the required probability lies between the dotted lines at 95 %: "
+        "it is sure within the inner one, and possible up to the outer one. Below: the "
+        "attribute that most often breaks its limits."
+    )
+    return Chart(svg, caption)
+
+
+def boundary(result: SpaceMap, names: list[str]) -> list[Block]:
+    """The ends of the space along the lines of the map that are nearest to the set point."""
+    if result.ends is None:
+        return []
+    near = [int(np.abs(grid - here).argmin()) for grid, here in zip(result.grid, result.nominal)]
+    rows = [
+        _end(result, end, near, names)
+        for end in result.ends
+        if all(i in (-1, k) for i, k in zip(end.at, near))
+    ]
+    required = number(result.required)
+    if not rows:
+        text = (
+            f"On the lines of the map next to the set point the probability crosses {required} "
+            "nowhere: there the space does not end within the studied ranges, or does not begin."
+        )
+        return [Text(text + f" {ENDS} has the other lines." * bool(result.ends))]
+    head = ("Along", "At", "Ends", "Limit beyond it", "Boundary", "95 % interval")
+    text = (
+        f"Where the probability falls below {required} along the lines of the map next to the set "
+        "point, with the interval in which that place lies at 95 % for the "
+        f"{number(result.samples, 0)} batches per point (Wilson's interval of the share, "
+        "inverted); “beyond” where so many batches do not tell, or the line ends. "
+        f"{ENDS} has all lines."
+    )
+    table = Table([(name, "") for name in head], rows, "Where the design space ends", 4)
+    return [table, Text(text, True)]
+
+
+def _end(result: SpaceMap, end: Boundary, near: list[int], names: list[str]) -> tuple:
+    """One row: an end of the space along a line through the grid point `near` the set point."""
+    axis, span = end.axis, [finite(end.inner), finite(end.outer)]
+    others = [
+        f"{name} {place(grid[k], unit)}"
+        for j, (name, unit, grid, k) in enumerate(zip(result.axes, result.units, result.grid, near))
+        if j != axis
+    ]
+    if end.side < 0:
+        span.reverse()
+    return (
+        with_unit(result.axes[axis], result.units[axis]), ", ".join(others),
+        "above" if end.side > 0 else "below", names[end.binding], place(end.place),
+        " – ".join("beyond" if x is None else place(x) for x in span),
+    )  # fmt: skip
+
+
+def _contours(
+    axes: Axes,
+    result: SpaceMap,
+    probability: np.ndarray,
+    band: tuple[np.ndarray, np.ndarray],
+) -> None:
+    """Probability of all limits over two parameters: contours, set point, boxes; dotted, where the
+    lower and the upper ends `band` of its interval reach what is required."""
+    x, y = result.grid[:2]
+    levels = sorted({0.5, *result.levels, result.required})
+    shades = ["panel", "reach", "main-soft", "inject-soft", "inject"]
+    fill = [-0.001, *levels, 1.001]
+    picked = [LIGHT[shades[min(i, len(shades) - 1)]] for i in range(len(fill) - 1)]
+    axes.contourf(x, y, probability.T, levels=fill, colors=picked)
+    if np.ptp(probability) > 0:
+        inside = [k for k in levels if probability.min() < k < probability.max()]
+        if inside:
+            drawn = axes.contour(x, y, probability.T, levels=inside, colors=LIGHT["ink"],
+                                 linewidths=0.9)  # fmt: skip
+            _labels(axes, drawn)
+    for end in band:
+        if end.min() < result.required < end.max():
+            axes.contour(x, y, end.T, levels=[result.required], colors=LIGHT["good"],
+                         linestyles="dotted", linewidths=1.6)  # fmt: skip
+    _boxes(axes, result)
+    axes.set_xlabel(with_unit(result.axes[0], result.units[0]))
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis, 8)
+    axes.grid(False)
+    unit_above(axes, with_unit(result.axes[1], result.units[1]))
+    legend_above(axes)
+
+
+def _labels(axes: Axes, drawn: Any) -> None:
+    """The level of each contour where the other labels are farthest away, off the edges."""
+    x, y = (np.array(ends) for ends in (axes.get_xlim(), axes.get_ylim()))
+    corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
+    taken: list[np.ndarray] = []
+    for lines in drawn.allsegs:
+        points = np.concatenate([_along((each - corner) / size) for each in lines])
+        inner = points[((points > 0.06) & (points < 0.94)).all(1)]
+        points = inner if len(inner) else points
+        others = np.array(taken or [[0.5, 0.5]])
+        away = np.linalg.norm(points[:, None] - others, axis=-1).min(1)
+        taken.append(points[int(away.argmax() if taken else away.argmin())])
+    axes.clabel(drawn, fmt=lambda value: f"{value:g}", fontsize=8,
+                manual=[tuple(corner + each * size) for each in taken])  # fmt: skip
+
+
+def _along(line: np.ndarray, parts: int = 8) -> np.ndarray:
+    """Points on a broken line [n, 2], some between every two of its corners."""
+    share = np.arange(parts)[:, None] / parts
+    between = line[:-1, None] + share * (line[1:] - line[:-1])[:, None]
+    return np.concatenate([between.reshape(-1, 2), line[-1:]])
+
+
+def _boxes(axes: Axes, result: SpaceMap) -> None:
+    """Set point, normal operating range, and the largest box of the required probability."""
+    (left, right), (low, high) = result.normal[:2]
+    style: dict[str, Any] = {"fill": False, "linewidth": 1.4}
+    axes.add_patch(Rectangle((left, low), right - left, high - low, edgecolor=LIGHT["ink"],
+                             label="Normal range", **style))  # fmt: skip
+    if result.box is not None:
+        (left, low), (right, high) = result.box.low[:2], result.box.high[:2]
+        style |= {"linestyle": (0, (5, 2)), "edgecolor": LIGHT["good"], "label": "Largest box"}
+        axes.add_patch(Rectangle((left, low), right - left, high - low, **style))
+    here = result.nominal
+    axes.plot(here[0], here[1], "o", color=LIGHT["ink"], markersize=6, label="Set point")
+
+
+def _binding(axes: Axes, result: SpaceMap, which: np.ndarray, attributes) -> None:
+    """Which attribute most often breaks its limits at each point; a dot where none does."""
+    x, y = result.grid[:2]
+    marks = "osD^vP"
+    for i in np.unique(which):
+        row, column = np.nonzero(which == i)
+        if i < 0:
+            axes.plot(x[row], y[column], ".", color=LIGHT["other"], label="None", markersize=3,
+                      clip_on=False)  # fmt: skip
+            continue
+        style: Any = {
+            "color": LIGHT[pictures.CURVES[int(i) % len(pictures.CURVES)]],
+            "linestyle": "none",
+        }
+        axes.plot(x[row], y[column], marker=marks[int(i) % len(marks)], label=attributes[int(i)],
+                  markersize=5, clip_on=False, **style)  # fmt: skip
+    axes.set_xlabel(with_unit(result.axes[0], result.units[0]))
+    number_axis(axes.xaxis, 8)
+    number_axis(axes.yaxis, 8)
+    axes.tick_params(axis="y", pad=7)  # off the marks on the edge
+    axes.grid(False)
+    unit_above(axes, with_unit(result.axes[1], result.units[1]))
+    legend_above(axes)
+
+
+SPACE = Chapter(
+    "design space", "Design space", SpaceMap, measure, show, needs=(MESH,), key="design_space",
+    table="design_space"
+)  # fmt: skip

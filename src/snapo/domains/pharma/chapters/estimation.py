@@ -1,0 +1,336 @@
+"""Estimation: numbers fitted to measurements, and the model against batches held out of the fit."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+
+import jax
+import numpy as np
+from scipy.stats import chi2
+from scipy.stats import t as student
+
+from snapo.report.drawing import draw
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, percent, power, with_unit
+from snapo.report.sections.lacking import lacking
+from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.study import StudyRun
+
+from ..flowsheet.case import PharmaCase
+from ..flowsheet.process import Process
+from ..given import every_given
+from ..quality.estimation import Fit, fit, model_of, numbers_of, variables_of
+from ..quality.interval import interval
+from ..quality.records import Estimation
+from ..read.entries import Numbers
+from ..read.fitted import COLUMNS
+from ..shared import SOUND, open_loop
+from . import pictures
+
+FITTED = "fitted.csv"
+DOUBT = 0.01  # tail below which a batch is not as the model expects
+
+
+@dataclass(frozen=True)
+class Agreement:
+    """One batch: `points` measured, of which `inside` lie in their intervals; `chi2` of all of them
+    together, and `tail`, the chance of more than that."""
+
+    experiment: str
+    points: int
+    inside: int
+    chi2: Number
+    tail: Number
+
+
+@dataclass(frozen=True, eq=False)
+class Validation:
+    """[n] measurements held out, in the domain's units.
+
+    - `measured`, `predicted`; `deviation` of the prediction by what the fit does not know; `half`:
+      of the interval about the prediction that holds a measurement.
+    - `coverage`: share inside, with its 95 % interval `low` to `high` as of independent points.
+    """
+
+    measured: Floats
+    predicted: Floats
+    deviation: Floats
+    half: Floats
+    coverage: Number
+    low: Number
+    high: Number
+    batches: tuple[Agreement, ...]
+
+
+def validate(process: "Process", estimation: Estimation, fit: Fit) -> Validation | None:
+    """The batches that were held out; None where there are none."""
+    if not estimation.held_out:
+        return None
+    model = model_of(process, estimation, estimation.held_out)
+    log = np.array(estimation.logarithm)
+
+    def both(x):
+        found = model(numbers_of(x, log))
+        return found, found
+
+    with jax.enable_x64(True):
+        slope, found = jax.jit(jax.jacfwd(both, has_aux=True))(variables_of(fit.values, log))
+    slope, predicted = np.asarray(slope), np.asarray(found)
+    measured = np.concatenate([each.value for each in estimation.held_out])
+    error = np.concatenate([each.error for each in estimation.held_out])
+    if estimation.errors == "relative":
+        error = error * np.sqrt(fit.scale)
+    spread = slope @ fit.covariance @ slope.T
+    deviation = np.sqrt(np.diag(spread))
+    factor = student.ppf((1 + estimation.level) / 2, max(fit.freedom, 1))
+    half = factor * np.sqrt(deviation**2 + error**2)
+    inside = np.abs(measured - predicted) <= half
+    low, high = interval(inside.mean(), inside.size)
+    batches, start = [], 0
+    for each in estimation.held_out:
+        at = slice(start, start + len(each.time))
+        off, whole = (measured - predicted)[at], spread[at, at] + np.diag(error[at] ** 2)
+        size = float(off @ np.linalg.solve(whole, off))
+        tail = float(chi2.sf(size, len(off)))
+        batches.append(Agreement(each.name, len(off), int(inside[at].sum()), size, tail))
+        start += len(each.time)
+    share = float(inside.mean())
+    return Validation(
+        measured, predicted, deviation, half, share, float(low), float(high), tuple(batches)
+    )
+
+
+@dataclass(frozen=True, eq=False, kw_only=True)
+class Estimates(Fit):
+    """A fit with the further entries of its report.
+
+    - `measured_own`, `fitted_own`: in the owner's units, of `state`s in `state_unit`s at `time` of
+      an `experiment`. `start`: the case's own numbers; `units`, `scales`: of the fitted numbers.
+    - `level`: of the intervals; `errors`: how those of the measurements are known.
+    """
+
+    measured_own: Floats
+    fitted_own: Floats
+    start: Floats
+    level: Number
+    validation: Validation | None
+    errors: str
+    units: tuple[str, ...]
+    scales: tuple[tuple[float, float], ...]
+    state: tuple[str, ...]
+    state_unit: tuple[str, ...]
+    time: Floats
+    experiment: tuple[str, ...]
+
+
+def measure(run: StudyRun) -> Estimates:
+    """The fit, and the file that a case may name to go on with it."""
+    loop = open_loop(run)
+    result = estimates(loop.process)
+    rows = fitted_rows(loop.case, result)
+    if rows:
+        run.write_csv(FITTED, COLUMNS, rows)
+    return result
+
+
+def estimates(process: Process) -> Estimates:
+    """The fit that a case asks for."""
+    asked = process.case.estimation
+    assert asked is not None
+    result, experiments = fit(process, asked), asked.experiments
+    scale, offset = np.array([x for experiment in experiments for x in experiment.scales]).T
+    return Estimates(
+        **{x.name: getattr(result, x.name) for x in fields(result)},
+        measured_own=(np.asarray(result.measured) - offset) / scale,
+        fitted_own=(np.asarray(result.fitted) - offset) / scale,
+        start=np.array([process.inputs[x][i] for x, i in zip(asked.inputs, asked.entries)]),
+        level=asked.level, validation=validate(process, asked, result), errors=asked.errors,
+        units=tuple(asked.units), scales=tuple((float(a), float(b)) for a, b in asked.scales),
+        state=tuple(state for x in experiments for state in x.state),
+        state_unit=tuple(unit for x in experiments for unit in x.units),
+        time=np.concatenate([x.time for x in experiments]),
+        experiment=tuple(x.name for x in experiments for _ in x.time),
+    )  # fmt: skip
+
+
+def not_handed_on(result: Fit) -> list[str]:
+    """Why the numbers of a fit are not handed on with their covariance, in sentences."""
+    reasons = [] if result.converged else [f"The fit did not converge: {result.message}."]
+    reasons += [f"{text[:1].upper()}{text[1:]}." for text in result.unidentified]
+    for name, bound in zip(result.names, result.at_bound):
+        if bound:
+            end = "lower" if bound == "low" else "upper"
+            reasons.append(
+                f"{name} is at its {end} bound, and chi² would fall beyond it; its interval is "
+                "one-sided, and those of the others hold it there."
+            )
+    for numbers, size in zip(result.minima, result.minima_chi2):
+        listed = ", ".join(f"{name} {x:.6g}" for name, x in zip(result.names, numbers))
+        reasons.append(
+            f"Other numbers, far from the fitted ones, fit as well (chi² {size:.4g}): {listed}, in "
+            "the units of the domain; bounds that leave one of them out, or data that differ, tell."
+        )
+    return reasons
+
+
+def fitted_rows(case: PharmaCase, result: Fit) -> list[tuple]:
+    """Rows of `fitted.csv`, which a case may name under `fitted`; none where the fit is not one."""
+    asked = case.estimation
+    if asked is None or not_handed_on(result):
+        return []
+    inputs = every_given((case.network, case.feeds, case.units))
+    numbers = Numbers({x.name: x for x in inputs}, case.network)
+    deviation = np.sqrt(np.diag(np.asarray(result.covariance, float)))
+    rows = []
+    for i, entry in enumerate(zip(asked.inputs, asked.entries)):
+        unit = numbers.unit(*entry)
+        unit = "" if unit == "1" else f" {unit}"
+        log = asked.logarithm[i]
+        size = f"{float(deviation[i])!r}{'' if log else unit}"
+        correlation = " ".join(repr(float(x)) for x in result.correlation[i])
+        value = f"{float(result.values[i])!r}{unit}"
+        rows.append((result.names[i], value, "true" if log else "false", size, correlation))
+    return rows
+
+
+def show(run: Folder, result: Estimates) -> list[Block]:
+    """Fitted numbers with intervals, their correlation, and agreement with the data."""
+    rows, level, names = [], percent(result.level, 0), result.names
+    for i, (name, unit, (scale, offset)) in enumerate(zip(names, result.units, result.scales)):
+        columns = (result.start, result.values, result.low, result.high)
+        cells = (number((column[i] - offset) / scale) for column in columns)
+        rows.append((name, "" if unit == "1" else unit, *cells))
+    head = ("Number", "Unit", "Before", "Fitted", f"{level} from", "to")
+    blocks: list[Block] = [
+        Text(
+            f"Weighted least squares, {'converged' if result.converged else result.message}: "
+            f"chi² {number(result.chi2)} at {number(result.freedom, 0)} degrees of freedom, "
+            f"condition {power(result.condition)}; the best of {number(result.starts, 0)} "
+            f"starts. {_weighed(result)}"
+        ),
+        Table([(name, "") for name in head], rows, "Fitted numbers", 2),
+    ]
+    reasons = not_handed_on(result)
+    blocks += [Text(text) for text in reasons]
+    if len(names) > 1:
+        rows = [
+            (name, *(number(x, 2) for x in row)) for name, row in zip(names, result.correlation)
+        ]
+        head = [("", ""), *((name, "") for name in names)]
+        blocks.append(Table(head, rows, "Correlation of the fit"))
+    return [*blocks, _agreement(result), Text(_use(reasons))]
+
+
+def _agreement(result: Estimates) -> Chart:
+    """Fitted over measured, one panel for each unit of measure."""
+    rows = np.asarray(result.state_unit)
+    units = list(dict.fromkeys(result.state_unit))
+
+    def paint(*panels):
+        for axes, unit in zip(panels, units):
+            states = dict.fromkeys(s for s, x in zip(result.state, rows) if x == unit)
+            label = ", ".join(states) if len(states) <= 2 else f"{len(states)} states"
+            measured, fitted = result.measured_own[rows == unit], result.fitted_own[rows == unit]
+            pictures.agreement(axes, measured, fitted, f"{label}{with_unit('', unit)}")
+
+    svg = draw("agreement", "Fitted over measured values.", paint, 60 + 220 * len(units),
+               [1.0] * len(units))  # fmt: skip
+    worst = float(np.abs(result.residuals).max())
+    caption = f"The largest residual is {number(worst, 1)} standard deviations of its measurement."
+    return Chart(svg, caption)
+
+
+def _weighed(result: Fit) -> str:
+    """How the covariance follows from the errors of the measurements."""
+    scale = number(result.scale)
+    if finite(result.tail) is None:
+        return (
+            "Errors are known up to a factor alone, so the covariance is chi² per degree of "
+            f"freedom, {scale}, times that of the errors as they stand."
+        )
+    text = f"Chi² is exceeded by chance in {percent(result.tail)} of all cases"
+    if result.scale == 1:
+        return f"{text}; the covariance is that of the errors as they stand."
+    return (
+        f"{text}: the model does not describe the data, or their errors are too small. The "
+        f"covariance was multiplied by chi² per degree of freedom, {scale}."
+    )
+
+
+def _use(reasons: Sequence[str]) -> str:
+    """How the fit is used from here on."""
+    if reasons:
+        return "As not all numbers are identified, there is no fitted.csv to go on with."
+    return (
+        "The other parts of this run take the numbers of the case as they stand. fitted.csv of "
+        "this run has the fitted ones with their covariance: copied beside the case and named "
+        'there, fitted = "fitted.csv", they take the place of these numbers and of their '
+        "[[uncertainty]]."
+    )
+
+
+ESTIMATION = Chapter(
+    "estimation", "Estimation", Estimates, measure, show, needs=(SOUND,), key="estimation",
+    table="estimation"
+)  # fmt: skip
+
+
+def validation(run: Folder) -> Section:
+    """Coverage of the prediction intervals, batch by batch, and every point."""
+    title, short = "Model validation", "Validation"
+    result = ESTIMATION.of(run)
+    if result is None:
+        reason = lacking(run, ESTIMATION.name, ESTIMATION.table)
+        return Section("validation", title, short, [reason])
+    if result.validation is None:
+        text = (
+            "No batch was held out of a fit: `held_out = true` of an experiment under "
+            "`[[estimation.experiments]]` keeps it for this."
+        )
+        return Section("validation", title, short, [Missing(text)])
+    tests, level = result.validation, percent(result.level, 0)
+    low, high = percent(tests.low, 0), percent(tests.high, 0)
+    blocks: list[Block] = [
+        Text(
+            f"Of {len(tests.measured)} measurements of batches held out of the fit "
+            f"{percent(tests.coverage)} lie within their {level} prediction intervals ({low} to "
+            f"{high} as of independent points). An interval adds the measurement's error to what "
+            "the fit does not know; points of one batch err together, which chi² of the batch "
+            "takes into account."
+        ),
+        _batches(tests.batches),
+        _points(tests),
+    ]
+    if finite(result.tail) is not None:
+        good = result.tail >= DOUBT
+        text = (
+            f"Of the fit itself chi² is exceeded by chance in {percent(result.tail)} of all cases"
+        )
+        end = "." if good else ": the errors of the measurements, or the model, fall short."
+        blocks.append(Text(text + end))
+    return Section("validation", title, short, blocks)
+
+
+def _batches(batches: Sequence[Agreement]) -> Table:
+    rows = [
+        (
+            x.experiment, f"{x.inside} of {x.points}", number(x.chi2), percent(x.tail),
+            Mark(x.tail >= DOUBT, "as expected" if x.tail >= DOUBT else "differs"),
+        )
+        for x in batches
+    ]  # fmt: skip
+    head = [("Batch held out", ""), ("Inside", ""), ("Chi²", ""), ("By chance above", ""), ("", "")]
+    return Table(head, rows, "Every batch as a whole", 1)
+
+
+def _points(tests: Validation) -> Chart:
+    """Measured less predicted over the half width of the interval: inside is -1 to 1."""
+    share = (tests.measured - tests.predicted) / tests.half
+    svg = draw("validation", "Prediction errors of the batches held out.",
+               lambda axes: pictures.residuals(axes, share), 200)  # fmt: skip
+    worst = number(float(np.abs(share).max()), 2)
+    caption = (
+        "Measured less predicted over the half width of the interval, in the order of the data: "
+        f"inside from −1 to 1; the largest is {worst}."
+    )
+    return Chart(svg, caption)

@@ -1,0 +1,367 @@
+"""The best recipe of the nominal model: decisions, limits, and the conditions that it meets."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Facts, Mark, Missing, Table, Text
+from snapo.report.quantity import (
+    decimals,
+    finite,
+    number,
+    percent,
+    plus_minus,
+    power,
+    quantity,
+    seconds,
+)
+from snapo.solver.statistics import proportion
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..given import Entry
+from ..quality import batches
+from ..quality.limits import Limits
+from ..recipe.optimise import Optimum, optimise
+from ..recipe.optimum import TOLERANCE
+from ..recipe.records import Optimise, Term
+from ..setpoints import HEADER, setpoints
+from ..shared import MESH, open_loop, sampled
+
+BATCHES = 1024  # fresh ones, for the chance to keep all limits before and after
+FILE = "setpoints_best.csv"
+
+
+@dataclass(frozen=True)
+class GoalTerm:
+    """A term of the goal: `weight` times `of`, which is in `unit`."""
+
+    of: str
+    unit: str
+    weight: float
+
+
+@dataclass(frozen=True)
+class DecisionResult:
+    """A number that was chosen, in its `unit`, between `low` and `high`.
+
+    - `slope`: of the goal; `at_low`, `at_high`: the multipliers of its bounds, 0 inside.
+    """
+
+    name: str
+    unit: str
+    start: Number
+    value: Number
+    low: Number
+    high: Number
+    slope: Number
+    at_low: Number
+    at_high: Number
+
+
+@dataclass(frozen=True)
+class LimitResult:
+    """A limit of an attribute; `worth`: what the goal gains by one unit more room."""
+
+    attribute: str
+    unit: str
+    side: Literal["at least", "at most"]
+    limit: Number
+    start: Number
+    value: Number
+    room: Number
+    worth: Number
+
+
+@dataclass(frozen=True)
+class RampResult:
+    """A piece of a profile: the share of its ramp that is used, and its multiplier."""
+
+    piece: str
+    most: Number
+    unit: str
+    used: Number
+    worth: Number
+
+
+@dataclass(frozen=True)
+class KeptChance:
+    """The probability that a batch keeps all limits, and its standard error."""
+
+    probability: Number
+    error: Number
+
+
+@dataclass(frozen=True)
+class BestRecipe:
+    """The answer to `[optimise]`; `chance`: before and after; `ends`: of every start."""
+
+    sense: Literal["maximise", "minimise"]
+    terms: tuple[GoalTerm, ...]
+    per: tuple[GoalTerm, ...]
+    unit: str
+    reserve: float
+    deviations: float
+    before: Number
+    value: Number
+    decisions: tuple[DecisionResult, ...]
+    limits: tuple[LimitResult, ...]
+    ramps: tuple[RampResult, ...]
+    chance: tuple[KeptChance, KeptChance]
+    batches: int
+    stationarity: Number
+    violation: Number
+    tolerance: Number
+    converged: bool
+    message: str
+    iterations: int
+    evaluations: int
+    ends: tuple[Number, ...]
+    mode: str
+    compiling: Number
+    solving: Number
+
+
+def measure(run: StudyRun) -> BestRecipe:
+    """The best recipe, and its setpoints as a table of their own where it converged."""
+    loop = open_loop(run)
+    asked = loop.case.optimise
+    assert asked is not None
+    result = best_recipe(run, optimise(loop.process, loop.seed), asked)
+    if result.converged:
+        changed = optimal(asked, [decision.value for decision in result.decisions])
+        run.write_csv(FILE, HEADER, setpoints(loop.case, changed))
+    return result
+
+
+def optimal(asked: Optimise, values: Sequence[float]) -> dict[Entry, float]:
+    """The numbers of the best recipe in the domain's units, from those in user units."""
+    return {
+        (x.input, x.entry): value * x.scale + x.offset
+        for x, value in zip(asked.decisions, values, strict=True)
+    }
+
+
+def best_recipe(run: StudyRun, found: Optimum, asked: Optimise) -> BestRecipe:
+    """Decisions, limits and ramps with their multipliers, the chance to keep all limits before and
+    after, and how the answer was found. User units."""
+    recipe, conditions = found.recipe, found.recipe.conditions
+    start = np.array([decision.start for decision in asked.decisions])
+    (first, before), (last, after) = (_at(run, asked, x) for x in (start, recipe.x))
+    return BestRecipe(
+        sense="maximise" if asked.sense > 0 else "minimise",
+        terms=_terms(asked.terms),
+        per=_terms(asked.per),
+        unit=_unit(asked),
+        reserve=asked.reserve,
+        deviations=asked.deviations,
+        before=found.before,
+        value=recipe.value,
+        decisions=tuple(
+            DecisionResult(
+                d.name, d.unit, *map(d.owners, (d.start, float(x), d.low, d.high)),
+                *(float(slope) * d.scale for slope in slopes),
+            )
+            for d, x, *slopes in zip(
+                asked.decisions, recipe.x, recipe.gradient, conditions.low, conditions.high
+            )
+        ),
+        limits=_limit_rows(found, first, last),
+        ramps=_ramp_rows(found),
+        chance=(before, after),
+        batches=BATCHES,
+        stationarity=conditions.stationarity,
+        violation=conditions.violation,
+        tolerance=TOLERANCE,
+        converged=recipe.converged,
+        message=recipe.message,
+        iterations=recipe.iterations,
+        evaluations=recipe.evaluations,
+        ends=tuple(found.ends),
+        mode=found.mode,
+        compiling=found.compiling,
+        solving=found.solving,
+    )  # fmt: skip
+
+
+def _at(run: StudyRun, asked: Optimise, x: np.ndarray) -> tuple[np.ndarray, KeptChance]:
+    """[Q] nominal attributes, and the chance to keep all limits with its standard error."""
+    process, seed = sampled(run), open_loop(run).seed + 2
+    changes: dict[Entry, float] = {(d.input, d.entry): v for d, v in zip(asked.decisions, x)}
+    rows = batches.drawn(process, changes, BATCHES, seed)
+    nominal = np.repeat(batches.nominally(process, changes), batches.CHUNK, 0)
+    inputs, entries = batches.moved(process, changes), batches.varied(process.case)
+    both = np.concatenate([nominal, rows])
+    values = process.batch(entries, both, chunk=batches.CHUNK, inputs=inputs).values
+    kept = Limits.of(process.case).hold(values[batches.CHUNK :]).all(-1)
+    share, error = proportion(kept.sum(), BATCHES)
+    return values[0], KeptChance(float(share), float(error))
+
+
+def _limit_rows(found: Optimum, start: np.ndarray, after: np.ndarray) -> tuple[LimitResult, ...]:
+    """One row for each limit."""
+    above = found.recipe.conditions.above
+    return tuple(
+        LimitResult(
+            attribute=bound.name, unit=bound.unit, side="at least" if bound.sign > 0 else "at most",
+            limit=bound.limit, start=start[bound.which], value=after[bound.which],
+            room=bound.sign * (after[bound.which] - bound.limit),
+            worth=float(above[i]) / bound.size,
+        )
+        for i, bound in enumerate(found.bounds)
+    )  # fmt: skip
+
+
+def _ramp_rows(found: Optimum) -> tuple[RampResult, ...]:
+    """One row for each piece of a profile."""
+    rows, recipe = [], found.recipe
+    for i, ramp in enumerate(found.ramps):
+        both = slice(len(found.bounds) + 2 * i, len(found.bounds) + 2 * i + 2)
+        used = float(1 - recipe.constraints[both].min())
+        worth = float(recipe.conditions.above[both].max())
+        rows.append(RampResult(ramp.name, 60 * ramp.most, f"{ramp.unit}/min", used, worth))
+    return tuple(rows)
+
+
+def _terms(terms: Sequence[Term]) -> tuple[GoalTerm, ...]:
+    return tuple(GoalTerm(term.of, term.unit, term.weight) for term in terms)
+
+
+def _unit(asked: Optimise) -> str:
+    """The goal's unit where its terms share one, "kg/h"."""
+    units = [{term.unit for term in terms} - {"1"} for terms in (asked.terms, asked.per)]
+    if any(len(names) > 1 for names in units):
+        return ""
+    above, below = ("".join(names) for names in units)
+    return f"{above or '1'}/{below}" if below else above
+
+
+def show(run: Folder, result: BestRecipe) -> list[Block]:
+    """The goal, the numbers chosen, the limits that hold them, and the conditions."""
+    blocks: list[Block] = [Text(_goal(result)), _facts(result), _decisions(result), _limits(result)]
+    if result.ramps:
+        blocks.append(_ramps(result))
+    return [*blocks, _conditions(result)]
+
+
+def _goal(result: BestRecipe) -> str:
+    """The problem in a sentence."""
+    goal = _sum(result.terms)
+    if result.per:
+        goal = f"({goal}) / ({_sum(result.per)})"
+    kept = "all limits of the nominal model are kept"
+    if result.reserve:
+        kept += f", with {number(result.reserve)} margins to spare"
+    if result.deviations:
+        kept += f", and {number(result.deviations)} standard deviations of the batches to spare"
+    return f"{'Largest' if result.sense == 'maximise' else 'Smallest'} {goal} such that {kept}."
+
+
+def _sum(terms: Sequence[GoalTerm]) -> str:
+    return " + ".join(
+        ("" if x.weight == 1 else f"{number(x.weight)} ") + x.of + _in_brackets(x.unit)
+        for x in terms
+    )
+
+
+def _in_brackets(unit: str) -> str:
+    return "" if unit == "1" else f" [{unit}]"
+
+
+def _facts(result: BestRecipe) -> Facts:
+    before, value, unit = result.before, result.value, result.unit
+    change = (value - before) / abs(before) if before else 0.0
+    note = f"{percent(abs(change))} {'more' if change > 0 else 'less'}" if change else ""
+    facts = [
+        ("Goal, recipe as given", quantity(before, unit), ""),
+        ("Goal, best recipe", quantity(value, unit), note),
+    ]
+    for name, chance in zip(("as given", "best recipe"), result.chance):
+        error = plus_minus(100 * chance.error, 1)
+        facts.append((f"Chance of all limits, {name}", percent(chance.probability), error))
+    return Facts(facts)
+
+
+def _fine(value: float, unit: str = "") -> str:
+    """Five significant digits, so that 273.15 K keeps its digits."""
+    return quantity(value, "" if unit == "1" else unit, decimals([value]))
+
+
+def _multiplier(worth: float) -> str:
+    return number(worth) if worth else "0"
+
+
+def _decisions(result: BestRecipe) -> Table:
+    rows = []
+    for x in result.decisions:
+        worth = x.at_low or x.at_high
+        side = "at its lower bound" if x.at_low else "at its upper bound"
+        rows.append(
+            (
+                x.name, f"{_fine(x.low)} to {_fine(x.high, x.unit)}", side if worth else "inside",
+                _fine(x.start, x.unit), _fine(x.value, x.unit), _multiplier(worth),
+            )
+        )  # fmt: skip
+    head = [("Decision", ""), ("Bounds", ""), ("Where", ""), ("As given", ""), ("Best", ""),
+            ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
+    caption = "The numbers chosen; a multiplier is the gain of the goal if its bound moves one unit"
+    return Table(head, rows, caption, 3)
+
+
+def _limits(result: BestRecipe) -> Table | Missing:
+    rows = [
+        (
+            x.attribute, f"{x.side} {quantity(x.limit, '' if x.unit == '1' else x.unit)}",
+            "holds it" if x.worth else "free", _fine(x.start, x.unit), _fine(x.value, x.unit),
+            _multiplier(x.worth),
+        )
+        for x in result.limits
+    ]  # fmt: skip
+    if not rows:
+        return Missing("No attribute has a limit, so that only the bounds hold the recipe.")
+    head = [("Attribute", ""), ("Limit", ""), ("", ""), ("As given", ""), ("Best", ""),
+            ("Multiplier", f"{result.unit} per unit")]  # fmt: skip
+    caption = "Limits; a multiplier is the gain of the goal if the limit yields by one unit"
+    return Table(head, rows, caption, 3)
+
+
+def _ramps(result: BestRecipe) -> Table:
+    rows = [
+        (x.piece, quantity(x.most, x.unit), percent(x.used, 0), _multiplier(x.worth))
+        for x in result.ramps
+    ]
+    head = [("Piece of a profile", ""), ("Ramp", ""), ("Used", ""), ("Multiplier", result.unit)]
+    return Table(head, rows, "Ramps; a multiplier is per whole ramp more", 2)
+
+
+def _conditions(result: BestRecipe) -> Table:
+    tolerance = power(result.tolerance)
+
+    def small(value: float) -> Mark:
+        good = finite(value) is not None and value <= result.tolerance
+        return Mark(good, f"{power(value)}, at most {tolerance}")
+
+    ends = result.ends
+    starts = "one start" if len(ends) == 1 else f"{len(ends)} starts, which ended at "
+    if len(ends) > 1:
+        starts += ", ".join(map(number, ends))
+    rows = [
+        ("Solver", Mark(result.converged, result.message)),
+        ("Gradient that no multiplier of the right sign explains", small(result.stationarity)),
+        ("Largest violation of a limit, a ramp or a bound", small(result.violation)),
+        ("Work", f"{result.iterations} iterations, {result.evaluations} evaluations with all "
+                 f"derivatives; {starts}"),
+        ("Derivatives", result.mode),
+        ("Time", f"{seconds(result.solving)}, and {seconds(result.compiling)} to compile"),
+    ]  # fmt: skip
+    return Table([], rows, "First-order conditions (Karush, Kuhn and Tucker), relative to the goal "
+                 "at the start and to the width of the bounds", 2)  # fmt: skip
+
+
+OPTIMUM = Chapter(
+    "best recipe", "Best recipe", BestRecipe, measure, show, needs=(MESH,), key="optimise",
+    table="optimise"
+)  # fmt: skip

@@ -1,0 +1,170 @@
+"""Proven ranges: of one parameter at a time, and of two at once."""
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Mark, Missing, Table
+from snapo.report.quantity import SPACE, finite, number, percent, quantity, with_unit
+from snapo.study.chapter import Chapter
+from snapo.study.study import StudyRun
+
+from ..quality import pairs, ranges
+from ..quality.pairs import Pair, Together
+from ..quality.ranges import AcceptableRange, ProvenRange
+from ..quality.records import Parameter
+from ..shared import MESH, open_loop, sampled
+from .model import Statement, place, stated
+
+SAMPLES = 128
+SHOWN = 15  # pairs in the report, those with the least room first
+
+
+def measure(run: StudyRun) -> tuple[ProvenRange, ...]:
+    """Both proven ranges of every parameter."""
+    whole = sampled(run)
+    space = whole.case.design_space
+    assert space is not None
+    return tuple(ranges.proven_ranges(whole, space.required, SAMPLES, open_loop(run).seed))
+
+
+def measure_pairs(run: StudyRun) -> tuple[Pair, ...]:
+    """The proven ranges of every two parameters at once."""
+    whole, proven = sampled(run), RANGES.of(run)
+    space = whole.case.design_space
+    assert space is not None and proven is not None
+    parameters = {x.name: x for x in whole.case.parameters}
+    nominal = {x.parameter: _ends(parameters[x.parameter], x.nominal) for x in proven}
+    probable = {x.parameter: _ends(parameters[x.parameter], x.probable) for x in proven}
+    seed = open_loop(run).seed
+    return tuple(pairs.pairs(whole, nominal, probable, space.required, SAMPLES, seed))
+
+
+def _ends(parameter: Parameter, proven: AcceptableRange) -> tuple[float, float] | None:
+    """The ends of a range in the domain's unit; None where the set point itself fails."""
+    if proven.low is None or proven.high is None:
+        return None
+    scale, offset = parameter.scale, parameter.offset
+    return scale * proven.low + offset, scale * proven.high + offset
+
+
+def show(run: Folder, result: tuple[ProvenRange, ...]) -> list[Block]:
+    """Proven acceptable ranges one at a time, and whether normal operation stays inside."""
+    normal = {x.name: x.normal for x in stated(run).parameters}
+    if not result:
+        return [Missing("The case has no parameters.")]
+    rows = [
+        (
+            with_unit(x.parameter, x.unit), _edges(x.nominal), _edges(x.probable),
+            _verdict(x.probable), _span(normal.get(x.parameter, ())), _range(x.nominal),
+            _range(x.probable), _span(x.probable.sure), _span(x.probable.possible),
+        )
+        for x in result
+    ]  # fmt: skip
+    required = percent(result[0].required, 0)
+    names = ("Parameter", "Edge, nominal model", f"Edge, at {required}", "Normal range",
+             "Normal range", "Nominal model", f"Probability {required}", f"sure at 95{SPACE}%",
+             f"possible at 95{SPACE}%")  # fmt: skip
+    caption = (
+        "How far one parameter may move with all others at their set point: by the model at its "
+        "nominal numbers, and with the required probability under all variation "
+        f"({number(result[0].samples, 0)} batches per point). An edge names the attribute "
+        "that fails beyond it; “studied range” where none does. Sure and possible: as far as the "
+        "95 % interval of the probability lies above, or reaches, what is required."
+    )
+    return [Table([(name, "") for name in names], rows, caption, 4)]
+
+
+def _verdict(proven: AcceptableRange) -> Mark:
+    if not proven.holds_normal:
+        return Mark(False, "not inside")
+    return Mark(proven.sure_normal, "inside" if proven.sure_normal else "inside, not surely")
+
+
+def _span(ends: tuple[float, ...] | None) -> str:
+    return "–" if ends is None else " – ".join(map(place, ends))
+
+
+def _range(proven: AcceptableRange) -> str:
+    if proven.low is None:
+        return "set point fails"
+    return f"{place(proven.low)} – {place(proven.high)}"
+
+
+def _edges(proven: AcceptableRange) -> str:
+    if proven.low is None:
+        return proven.low_edge or "set point fails"
+    low, high = (edge or "studied range" for edge in (proven.low_edge, proven.high_edge))
+    return low if low == high else f"{low} | {high}"
+
+
+def show_pairs(run: Folder, result: tuple[Pair, ...]) -> list[Block]:
+    """Proven ranges of two parameters at once."""
+    if not result:
+        return [Missing("There is one parameter alone, so that there are no pairs.")]
+    order = sorted(result, key=lambda pair: (_least(pair), -(finite(pair.used) or 0.0)))
+    names, case = stated(run).attribute_names, stated(run)
+    rows = [
+        (
+            " and ".join(pair.names), _share(pair.nominal), _corner(pair, names),
+            _share(pair.probable), _sure(pair.probable),
+            Mark(pair.holds_normal, "keep" if pair.holds_normal else "break"),
+            _interaction(case, pair),
+        )
+        for pair in order[:SHOWN]
+    ]  # fmt: skip
+    head = ("Parameters", "Share of both, nominal model", "First corner",
+            "With the required probability", "sure – possible at 95 %",
+            "Corners of normal ranges", "Interaction")  # fmt: skip
+    caption = (
+        "A proven range holds with all other parameters at their set point. Here both move, "
+        "from the set point to each of the four corners of their proven ranges: up to this share "
+        "of both ranges no corner breaks a limit (100 %: the ranges may be used together). "
+        "Interaction: half of the difference that one parameter makes to the effect of the other, "
+        "between the ends of the normal ranges, of the attribute whose room it uses most."
+    )
+    if len(result) > SHOWN:
+        caption += f" The {SHOWN} pairs with the least room of {len(result)}."
+    return [Table([(name, "") for name in head], rows, caption, frozenset({0, 2, 5, 6}))]
+
+
+def _least(pair: Pair) -> float:
+    return min((x.share for x in (pair.nominal, pair.probable) if x is not None), default=2.0)
+
+
+def _share(together: Together | None) -> str:
+    return "–" if together is None else percent(together.share, 0)
+
+
+def _sure(together: Together | None) -> str:
+    if together is None:
+        return "–"
+    return f"{percent(together.sure, 0)} – {percent(together.possible, 0)}"
+
+
+def _corner(pair: Pair, names: list[str]) -> str:
+    """The corner of the nominal ranges that fails first, and by which attribute."""
+    together = pair.nominal
+    if together is None or together.fails < 0:
+        return "–"
+    sides = [
+        f"{name} {'high' if side > 0 else 'low'}" for name, side in zip(pair.names, together.corner)
+    ]
+    return f"{', '.join(sides)}: {names[together.fails]}"
+
+
+def _interaction(case: Statement, pair: Pair) -> str:
+    if pair.most < 0:
+        return "–"
+    attribute, effect = case.attributes[pair.most], pair.interaction[pair.most]
+    if not effect:
+        return "none"
+    size = quantity(effect, attribute.shown_unit)
+    return f"{attribute.name} {size}, {percent(pair.used)} of its room"
+
+
+RANGES = Chapter(
+    "proven ranges", "Proven acceptable ranges and edge of failure", tuple[ProvenRange, ...],
+    measure, show, "Ranges", needs=(MESH,), key="ranges", table="design_space"
+)  # fmt: skip
+PAIRS = Chapter(
+    "pairs of ranges", "Proven ranges of two parameters at once", tuple[Pair, ...],
+    measure_pairs, show_pairs, "Pairs", needs=(RANGES.name,), key="pairs", table="design_space"
+)  # fmt: skip

@@ -1,0 +1,296 @@
+"""The checks of the numbers: balances, convergence, adjoint against differences."""
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import chain
+
+import numpy as np
+
+from snapo.report.folder import Folder
+from snapo.report.page import Block, Mark, Missing, Section, Table, Text
+from snapo.report.quantity import finite, number, power
+from snapo.study.chapter import Chapter, Number
+from snapo.study.study import StudyRun
+
+from ..derivatives.certify import certify
+from ..derivatives.convergence import Convergence, ConvergenceRow, convergence
+from ..derivatives.grids import Cells, on_finer_cells
+from ..flowsheet.flow import leaving, sources
+from ..flowsheet.ledger import Ledger
+from ..flowsheet.process import Process
+from ..flowsheet.stream import Stream
+from ..quality.design_space import owners
+from ..shared import SOUND, open_loop, process
+from .attribution import ATTRIBUTION
+from .batch import ONE_BATCH
+from .model import stated
+
+CLOSED = 1e-10  # relative gap of a balance
+
+
+@dataclass(frozen=True)
+class Balance:
+    """`relative`: (inflow + made - outflow - accumulation) over the largest; 0 where all are 0.
+
+    What a unit has not taken in counts as accumulation. It cannot be less than nothing, so the
+    balance of a unit that takes more than there is stays open.
+
+    Of one batch. "mass" in kg; a species: kmol; `inflow` with seed, `made` by reactions, below 0
+    where they use it (of mass: what molar masses of few digits leave over); "solvent": kg with
+    anti-solvent and wash liquid; "energy": J, sensible heat above 0 K and of vapour its latent
+    heat, `inflow` with what reactions release.
+    """
+
+    unit: str
+    quantity: str
+    inflow: Number
+    made: Number
+    outflow: Number
+    accumulation: Number
+    relative: Number
+
+
+def balances(process: Process, inputs=None) -> list[Balance]:
+    """The balances of every unit but tests of the product, and of the whole as unit "process"."""
+    case = process.case
+
+    def make(own: bool):
+        def everything(given):
+            found = process.flow(given, own=own)
+            ledgers = {name: each.finish.ledger for name, each in found.outcomes.items()}
+            return found.streams, ledgers, found.measures
+
+        return everything
+
+    streams, ledgers, _ = process.either(
+        "balances", make, process.given(inputs), of=lambda found: found[2]
+    )
+    fed, found = sources(case), []
+    for unit in case.units:
+        out = [streams[f"{unit.name}.{port}"] for port in unit.outlets]
+        if out:
+            into = [streams[name] for name in fed[unit.name]]
+            found += unit_balances(process, unit.name, into, out, [ledgers[unit.name]])
+    into = [streams[each.name] for each in case.feeds]
+    out = [streams[name] for name in leaving(case)]
+    return found + unit_balances(process, "process", into, out, list(ledgers.values()))
+
+
+def unit_balances(process: Process, name: str, into, out, ledgers: list[Ledger]) -> list[Balance]:
+    """The balances of the units with these `ledgers`, between the streams into and out of them."""
+    network = process.case.network
+    made = np.sum([each.made for each in ledgers], axis=0)
+    added = np.sum([each.added for each in ledgers], axis=0)
+    held = np.sum([each.held + np.maximum(each.left, 0.0) for each in ledgers], axis=0)
+    liquid = sum(each.solvent_added for each in ledgers)
+    kept = sum(max(float(each.solvent_left), 0.0) for each in ledgers)
+    fed, left = _species(into) + added, _species(out)
+    solvent_in, solvent_out = _solvent(into) + liquid, _solvent(out)
+    found = [
+        _balance(
+            name,
+            "mass",
+            network.molar_mass @ fed + solvent_in,
+            network.molar_mass @ left + solvent_out,
+            network.molar_mass @ held + kept,
+            network.molar_mass @ made,
+        )
+    ]
+    for s, species in enumerate(network.species):
+        found.append(_balance(name, species, fed[s], left[s], held[s], made[s]))
+    found.append(_balance(name, "solvent", solvent_in, solvent_out, kept))
+    if name != "process" and ledgers[0].energy is not None:
+        found.append(_balance(name, "energy", *ledgers[0].energy))
+    return found
+
+
+def _balance(unit: str, quantity: str, inflow, outflow, accumulation, made=0.0) -> Balance:
+    gap = inflow + made - outflow - accumulation
+    size = max(map(abs, (inflow, made, outflow, accumulation)))
+    relative = float(gap / size) if size != 0 else 0.0
+    stays = float(accumulation)
+    return Balance(unit, quantity, float(inflow), float(made), float(outflow), stays, relative)
+
+
+def _species(streams: Iterable[Stream]) -> np.ndarray:
+    """[S] kmol dissolved and in crystals."""
+    return np.sum([each.species + each.solid for each in streams], axis=0)
+
+
+def _solvent(streams: Iterable[Stream]) -> float:
+    return sum(float(each.solvent + each.antisolvent) for each in streams)
+
+
+@dataclass(frozen=True)
+class CheckedPoint:
+    """A point of operation: the largest gap of the adjoint, and where it is.
+
+    - `at`: values of the parameters. `kinks`: entries whose one-sided derivatives differ.
+    """
+
+    point: str
+    at: tuple[Number, ...]
+    worst: Number
+    attribute: str
+    parameter: str
+    kinks: int
+    passed: bool
+
+
+def closed(balance: Balance) -> bool:
+    """Whether a balance closes; one that is not a number does not."""
+    return balance.quantity == "energy" or abs(balance.relative) <= CLOSED
+
+
+def largest_gap(row: ConvergenceRow) -> float:
+    """The larger gap of a row; one that is not a number is largest."""
+    gaps = (row.halving_gap, row.adaptive_gap)
+    return max(math.inf if math.isnan(gap) else abs(gap) for gap in gaps)
+
+
+def examine(run: StudyRun) -> Convergence:
+    """In time, and on cells along a length and over sizes where there are any."""
+    whole = process(run)
+    return replace(convergence(whole), cells=on_finer_cells(whole))
+
+
+def check_points(run: StudyRun) -> tuple[CheckedPoint, ...]:
+    """The adjoint against differences."""
+    whole, rows = process(run), []
+    names = [attribute.name for attribute in whole.case.attributes]
+    parameters = whole.case.parameters
+    for i, checked in enumerate(certify(whole, open_loop(run).seed)):
+        worst = np.unravel_index(int(checked.error.argmax()), checked.error.shape)
+        rows.append(
+            CheckedPoint(
+                point="set point" if i == 0 else f"random point {i}",
+                at=tuple(float(owners(p, x)) for p, x in zip(parameters, checked.point)),
+                worst=float(checked.error.max()), attribute=names[int(worst[0])],
+                parameter=parameters[int(worst[1])].name, kinks=int(checked.kink.sum()),
+                passed=checked.passed,
+            )
+        )  # fmt: skip
+    return tuple(rows)
+
+
+def _balances(run: Folder, result: tuple[Balance, ...]) -> list[Block]:
+    rows = [
+        (
+            x.unit, x.quantity, Mark(closed(x), "closes" if closed(x) else "open"),
+            number(x.inflow), number(_made(x)), number(x.outflow), number(x.accumulation),
+            power(abs(x.relative)),
+        )
+        for x in result
+    ]  # fmt: skip
+    names = ("Unit", "Balance of", "", "In", "Made", "Out", "Stays", "Relative gap")
+    caption = (
+        "Balances of one batch: mass and solvent in kg, species in kmol, energy in J. Made: by "
+        "reactions, below 0 where they use a species; of mass, what rounded molar masses leave over"
+    )
+    return [Table([(name, "") for name in names], rows, caption, 3)]
+
+
+def _made(balance: Balance) -> float:
+    """The amount made; round-off counts as zero."""
+    through = max(abs(balance.inflow), abs(balance.outflow))
+    return balance.made if abs(balance.made) > 1e-12 * through else 0.0
+
+
+def _convergence(run: Folder, result: Convergence) -> list[Block]:
+    rows, numerics = result.rows, stated(run).numerics
+    if not rows:
+        return [Missing("Convergence in time was not examined in this run.")]
+    worst = max(finite(abs(row.halving_gap)) or 0.0 for row in rows)
+    other = max(finite(abs(row.adaptive_gap)) or 0.0 for row in rows)
+    cells = [
+        (
+            x.attribute, x.parameter, *map(number, (x.mesh, x.finer, x.adaptive)),
+            power(x.halving_gap), power(x.adaptive_gap),
+        )
+        for x in rows
+    ]  # fmt: skip
+    controlled = numerics is not None and numerics.method == "adaptive"
+    finer = "A tenth of the tolerance" if controlled else "Half the mesh"
+    names = ("Attribute", "By", "As in this run", finer, "Error-controlled", "Finer gap",
+             "Adaptive gap")  # fmt: skip
+    text = (
+        f"{'With' if controlled else 'On'} {finer.lower()} no value or derivative moves by more "
+        f"than {power(worst)} (values relative to themselves, "
+        "derivatives to the largest in their row); the "
+        f"error-controlled solution differs by at most {power(other)}."
+    )
+    head = [(name, "") for name in names]
+    caption = "Values and derivatives in three ways"
+    table = Table(head, cells, caption, 2, folded="Every number")
+    return [Text(text), table, *_cells(result.cells)]
+
+
+def _cells(cells: tuple[Cells, ...]) -> list[Block]:
+    if not cells:
+        return []
+    rows = [
+        (
+            x.attribute, Mark(x.passed, "within its margin" if x.passed else "moves"),
+            number(x.value), number(x.finer), number(x.margins),
+        )
+        for x in cells
+    ]  # fmt: skip
+    names = ("Attribute", "", "Value", "Twice the cells", "Change in margins")
+    caption = "Attributes on twice as many cells along tubes and over the sizes of crystals"
+    return [Table([(name, "") for name in names], rows, caption, 2)]
+
+
+def _certificate(run: Folder, result: tuple[CheckedPoint, ...]) -> list[Block]:
+    rows = [
+        (
+            x.point, Mark(x.passed, "agrees" if x.passed else "differs"),
+            f"{x.attribute} by {x.parameter}", number(x.kinks, 0), power(x.worst),
+        )
+        for x in result
+    ]  # fmt: skip
+    names = ("Point", "", "Worst entry", "Kinks", "Gap")
+    caption = (
+        "Adjoint against fourth-order central differences, every attribute by every parameter; "
+        "gap over the largest of the row; at a kink both one-sided derivatives differ"
+    )
+    return [Table([(name, "") for name in names], rows, caption, 3)]
+
+
+BALANCES = Chapter(
+    "balances", "Balances", tuple[Balance, ...], lambda run: tuple(balances(process(run))),
+    _balances, needs=(SOUND,), key="balances"
+)  # fmt: skip
+CONVERGENCE = Chapter(
+    "convergence", "Convergence", Convergence, examine, _convergence, needs=(SOUND,),
+    key="convergence"
+)  # fmt: skip
+DIFFERENCES = Chapter(
+    "certificate", "Certificate", tuple[CheckedPoint, ...], check_points, _certificate,
+    needs=(SOUND,), key="certificate"
+)  # fmt: skip
+
+
+def verification(run: Folder) -> Section:
+    """Every check that this very run was put to."""
+    batch, attribution = ONE_BATCH.of(run), ATTRIBUTION.of(run)
+    loops = [
+        Text(
+            f"The loop {x.loop} is at its steady state: one more turn changes its torn "
+            f"streams by {power(x.change)} of themselves, after {x.rounds} rounds of "
+            "Newton's method."
+        )
+        for x in (batch.loops if batch else ())
+        if x.change is not None
+    ]
+    first, *others = (part(run).blocks for part in (BALANCES, CONVERGENCE, DIFFERENCES))
+    blocks: list[Block] = [*first, *loops, *chain(*others)]
+    if attribution is not None and finite(attribution.closure) is not None:
+        blocks.append(
+            Text(
+                "Sensitivities put together from the units' own derivatives along every path agree "
+                f"with those of the whole to {power(attribution.closure)} of the largest in their "
+                "row."
+            )
+        )
+    return Section("verification", "Verification", "Verification", blocks)

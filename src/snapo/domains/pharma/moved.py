@@ -1,0 +1,194 @@
+"""A process without a policy, calculated at other inputs: what the live page shows of it.
+
+Every number is that of a run of the moved case, to the bits: the same functions on the same draws.
+"""
+
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import fields, is_dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from snapo.case.error import CaseError
+from snapo.case.given import Given
+from snapo.problem.inputs import Input
+from snapo.report.quantity import unit_words
+from snapo.study.study import Shown
+
+from .chapters.capability import BATCHES
+from .derivatives.jacobian import matrix
+from .flowsheet.case import PharmaCase
+from .flowsheet.inputs import pharma_inputs
+from .flowsheet.process import Process
+from .flowsheet.stiffness import with_stiff_steps
+from .given import every_entry
+from .quality import batches
+from .quality.capability import Capability, from_values
+from .quality.limits import Limits
+from .quality.sampling import sampler
+
+PARTS = (
+    "network", "feeds", "units", "connections", "parameters", "attributes", "uncertainty", "held",
+    "numerics",
+)  # fmt: skip
+
+
+def alike(one: PharmaCase, other: PharmaCase) -> bool:
+    """Whether the cases differ in numbers of their inputs alone.
+
+    Which of them are zero must be the same: a term whose factor is nothing may be left out.
+    """
+    held = one.held | other.held
+    return all(_same(getattr(one, name), getattr(other, name), held) for name in PARTS)
+
+
+def _same(one: Any, other: Any, held: Iterable[str]) -> bool:
+    if type(one) is not type(other):
+        return False
+    if isinstance(one, Given):
+        if (one.name, one.labels, one.unit) != (other.name, other.labels, other.unit):
+            return False
+        if not np.array_equal(one.index, other.index):
+            return False
+        if one.name in held:
+            return np.array_equal(one.values, other.values)
+        return np.array_equal(one.values != 0, other.values != 0)
+    if isinstance(one, np.ndarray):
+        return np.array_equal(one, other)
+    if isinstance(one, tuple | list):
+        return len(one) == len(other) and all(map(lambda a, b: _same(a, b, held), one, other))
+    if isinstance(one, dict):
+        return one.keys() == other.keys() and all(_same(one[k], other[k], held) for k in one)
+    if is_dataclass(one):
+        return all(
+            _same(getattr(one, each.name), getattr(other, each.name), held) for each in fields(one)
+        )
+    return bool(one == other)
+
+
+COLUMNS = (
+    ("attribute", ""), ("limits", ""), ("at the set point", ""), ("mean of batches", ""),
+    ("standard deviation", ""), ("within limits", "%"), ("± standard error", "%"),
+)  # fmt: skip
+
+
+class Recipe:
+    """The recipe as it stands, at any numbers of its inputs; nothing is compiled twice."""
+
+    def __init__(self, case: PharmaCase):
+        self.case, self._named = case, pharma_inputs(case)
+
+    @property
+    def named(self) -> Mapping[str, Input]:
+        return self._named
+
+    @cached_property
+    def _process(self) -> Process:
+        return Process(self.case)
+
+    @cached_property
+    def _meshes(self) -> dict[int, Process]:
+        """The processes for statistics by their steps: they differ in nothing else."""
+        return {}
+
+    def stages(self, case: PharmaCase) -> Iterator[tuple[str, Any]]:
+        """ "value", "sections" and "deltas"; see `snapo.study.study.Recalculated`.
+
+        **Raises:** `CaseError` where the batch cannot be integrated.
+        """
+        process = self._at(case)
+        one = process.run()
+        if one.status != "ok":
+            raise CaseError("the batch", "", None, one.status)
+        sampled = self._sampled(process)
+        count = min(case.evaluation.paths, BATCHES)
+        rows = batches.drawn(sampled, {}, count, case.training.seed + 1)
+        values = batches.attributes(sampled, rows)
+        found = from_values(sampled.case, values)
+        kept = Limits.of(case).hold(values).all(-1).astype(float)
+        yield (
+            "value",
+            {
+                "value": 1 - found.joint,
+                "standard_error": found.joint_error,
+                "paths": found.batches,
+                "kept": kept,
+            },
+        )
+        at = np.array([one.attributes[each.name] for each in case.attributes])
+        yield "sections", [attributes(case, found, at)._asdict()]
+        yield "deltas", list(_deltas(process))
+
+    def _at(self, case: PharmaCase) -> Process:
+        """The process of a case, with the code of the first one where they are one program."""
+        first = self._process
+        numerics = replace(case.numerics, steps=first.case.numerics.steps, open=False)
+        case = with_stiff_steps(replace(case, numerics=numerics))
+        return _with(first, case) if alike(first.case, case) else Process(case)
+
+    def _sampled(self, process: Process) -> Process:
+        """On the mesh for statistics; its code is kept where the process's is."""
+        coarse, _ = sampler(process, self._coarser if self._shares(process) else None)
+        return coarse
+
+    def _shares(self, process: Process) -> bool:
+        return process._compiled is self._process._compiled
+
+    def _coarser(self, process: Process, steps: int) -> Process:
+        numerics = replace(process.case.numerics, steps=steps)
+        case = with_stiff_steps(replace(process.case, numerics=numerics))
+        known = self._meshes.setdefault(steps, Process(case))
+        return _with(known, case) if alike(known.case, case) else Process(case)
+
+
+def _with(process: Process, case: PharmaCase) -> Process:
+    """A process of `case` with the compiled functions of another that is the same program."""
+    found = object.__new__(Process)
+    found.__dict__.update(process.__dict__)
+    found.case = case
+    found.inputs = {name: each.value for name, each in pharma_inputs(case).items()}
+    return found
+
+
+def limits(low: float | None, high: float | None, unit: str) -> str:
+    """As "at least 75 %", "70 to 100 µm"."""
+    own = "" if unit in ("", "1") else f"\u00a0{unit_words(unit)}".replace(" ", "\u00a0")
+    if low is not None and high is not None:
+        return f"{low:.6g} to {high:.6g}{own}"
+    if low is not None:
+        return f"at least {low:.6g}{own}"
+    return f"at most {high:.6g}{own}" if high is not None else "none"
+
+
+def attributes(case: PharmaCase, found: Capability, at: np.ndarray) -> Shown:
+    """Every attribute with its limits, and how often batches keep them."""
+    rows: list[Sequence[Any]] = [
+        (
+            each.name, limits(each.low, each.high, each.unit), at[i], found.mean[i],
+            found.deviation[i], 100 * (1 - found.outside[i]), 100 * found.error[i],
+        )
+        for i, each in enumerate(case.attributes)
+    ]  # fmt: skip
+    words = f"{100 * (1 - found.joint):.4g} % of {found.batches:,} batches keep all limits"
+    return Shown("Attributes and their limits", COLUMNS, rows, words)
+
+
+def _deltas(process: Process) -> Iterator[dict[str, Any]]:
+    """Every attribute by every number, per unit of the input, at the set point."""
+    entries = every_entry(process.inputs)
+    jacobian = matrix(process, entries=entries, mode="adjoint").jacobian
+    given = pharma_inputs(process.case)
+    for attribute, row in zip(process.case.attributes, jacobian):
+        by = dict(zip(entries, row.tolist()))
+        for name, each in given.items():
+            slope = np.array([by[name, i] for i in range(each.value.size)])
+            move = 0.01 * each.value if each.move is None else np.full(each.value.size, each.move)
+            rows = [
+                {"label": label, "value": value, "low": None, "high": None}
+                for label, value in zip(each.names(), slope.tolist())
+            ]
+            yield {
+                "of": attribute.name, "of_unit": attribute.unit, "input": name,
+                "effect": float(slope @ move.ravel()), "low": None, "high": None, "rows": rows,
+            }  # fmt: skip

@@ -1,1 +1,0 @@
-"""Tables of a run as plain data."""

@@ -1,0 +1,62 @@
+"""A recipe as a table of setpoints: what a control system is given, and from which second on."""
+
+from collections.abc import Iterable, Mapping
+
+from .flowsheet.case import PharmaCase
+from .given import Entry, every_given
+from .time.profile import Profile, weights
+from .units.operation import Unit
+
+HEADER = ("unit", "setpoint", "kind", "time_s", "value", "value_unit")
+
+
+def setpoints(case: PharmaCase, changed: Mapping[Entry, float] | None = None) -> Iterable[tuple]:
+    """One row for each node of a profile, and for each other number that may be chosen.
+
+    `changed`: numbers in place of the case's own, in the domain's units. `kind` "linear": the
+    setpoint goes straight to the next; "constant": it stays until the next; "once": it holds.
+    """
+    changed = changed or {}
+    chosen = {(each.input, each.entry) for each in case.parameters if each.control} | set(changed)
+    for unit in case.units:
+        inside = {profile.value.name for profile in unit.profiles}
+        seconds = 0.0
+        if unit.time is not None:
+            seconds = changed.get((unit.time.name, 0), float(unit.time.used()))
+            yield unit.name, unit.time.name, "once", 0.0, seconds, "s"
+            inside.add(unit.time.name)
+        for profile in unit.profiles:
+            given = profile.value
+            values = [
+                changed.get((given.name, int(i)), float(given.values[i])) for i in given.index
+            ]
+            values = _flow(case, unit, profile, values, seconds, changed)
+            for share, value in zip(profile.share, values):
+                row = unit.name, given.name, profile.kind
+                yield *row, float(share) * seconds, value, given.unit
+        yield from _once(unit, inside, chosen, changed)
+    for feed in case.feeds:
+        yield from _once(feed, set(), chosen, changed)
+
+
+def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, changed) -> list[float]:
+    """The values of a dose that a feed brings, as the flow that adds up to the feed's volume."""
+    inlet = next((each.name for each in unit.inlets if each.dosed is profile), None)
+    source = [c.source for c in case.connections if (c.target, c.inlet) == (unit.name, inlet)]
+    feed = next((each for each in case.feeds if each.name in source), None)
+    mean = float(weights(profile) @ values)
+    if feed is None or mean <= 0:
+        return values
+    volume = changed.get((feed.volume.name, 0), float(feed.volume.used()))
+    return [value * volume / (seconds * mean) for value in values]
+
+
+def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tuple]:
+    """The chosen numbers of a unit or a feed but those that are `known`."""
+    for given in every_given(record):
+        for i, value in enumerate(given.values.tolist()):
+            if given.name not in known and (given.name, i) in chosen:
+                many = len(given.values) > 1
+                label = f"{given.name}[{given.labels[i]}]" if many else given.name
+                now = changed.get((given.name, i), value)
+                yield record.name, label, "once", 0.0, now, given.unit

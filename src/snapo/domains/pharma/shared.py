@@ -1,0 +1,59 @@
+"""Shared by the parts of a run: the process of the recipe, and the closed loop."""
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+from snapo.study.study import Study, StudyRun
+
+from .control.closed_loop import ClosedLoop
+from .flowsheet.case import PharmaCase
+from .flowsheet.process import Process
+from .quality.sampling import on_steps
+
+BATCH, SOUND, MESH = "one batch", "integration", "mesh of statistics"  # names of parts
+
+
+class OpenLoop:
+    """The recipe of the case: a process that is compiled once, and its mesh for statistics."""
+
+    def __init__(self, case: PharmaCase):
+        self.case, self.seed = case, case.training.seed
+        self.coarse: Process | None = None
+
+    @cached_property
+    def process(self) -> Process:
+        return Process(self.case)
+
+
+@dataclass(frozen=True, eq=False)
+class PharmaStudy(Study):
+    """A study with the objects that its parts share; `loop`: None where nothing is decided."""
+
+    recipe: OpenLoop = field(kw_only=True)
+    loop: ClosedLoop | None = field(default=None, kw_only=True)
+
+
+def open_loop(run: StudyRun) -> OpenLoop:
+    """The recipe of the run's case."""
+    assert isinstance(run.study, PharmaStudy)
+    return run.study.recipe
+
+
+def closed_loop(run: StudyRun) -> ClosedLoop:
+    """The closed loop of the run's case."""
+    assert isinstance(run.study, PharmaStudy) and run.study.loop is not None
+    return run.study.loop
+
+
+def process(run: StudyRun) -> Process:
+    """The process on its own mesh."""
+    return open_loop(run).process
+
+
+def sampled(run: StudyRun) -> Process:
+    """The process for statistics, on the mesh that was found to do for them."""
+    loop = open_loop(run)
+    if loop.coarse is None:
+        steps = int(run.get("sampling.steps", loop.process.case.numerics.steps))
+        loop.coarse = on_steps(loop.process, steps)
+    return loop.coarse

@@ -1,0 +1,181 @@
+"""A number declared once: its range in words and in numbers, its reading, its positions."""
+
+import datetime
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from snapo.case.error import CaseError
+from snapo.case.given import Given, SheetCell
+from snapo.case.quantity import (
+    ANY,
+    BELOW_ONE,
+    NOT_NEGATIVE,
+    POSITIVE,
+    Quantity,
+    Range,
+    choice,
+    numbers_in,
+    on_dates,
+    quantity_of,
+    stacked,
+)
+from snapo.case.table import Table, parse
+
+ENDS = ("[]", "[)", "(]", "()")
+NUMBERS = st.floats(-1e6, 1e6)
+COST = Quantity("{money}/{volume}", group="cost", move=0.01, by="date", before=0.0)
+SHARE = Quantity("1", BELOW_ONE, limits=Range(0.0, 0.9))
+
+
+class Example(Table):
+    """A table with a number of each kind."""
+
+    volume: str = "MWh"
+    money: str = "EUR"
+    cost: Given = COST("per unit", 0.0)
+    share: Given = SHARE("of the volume")
+    cap: Given | None = Quantity("{volume}", POSITIVE)("the largest volume", None)
+    rule: str = choice("linear", "step")
+
+
+def read(data, folder=Path(), notes=None):
+    return parse(Example, data, str(folder / "case.toml"), "table", notes)
+
+
+@given(st.tuples(NUMBERS, NUMBERS).map(sorted), st.sampled_from(ENDS), NUMBERS)
+def test_a_range_holds_its_closed_interval_and_no_more(ends, kind, number):
+    low, high = ends
+    interval = Range(low, high, kind)
+    first, last = interval.closed
+    assert interval.holds(number) == (first <= number <= last)
+    assert interval.holds(low) == (kind == "[]" or (kind == "[)" and low < high))
+    assert not interval.holds(math.nan)
+    if first <= last:
+        assert interval.holds(first) and interval.holds(last)
+
+
+@given(st.integers(-999, 999), st.integers(1, 999), st.sampled_from(ENDS))
+def test_the_words_of_a_range_name_both_ends_and_differ_by_kind(low, width, kind):
+    words = str(Range(low, low + width, kind, note=" a day"))
+    assert f"{low:,}" in words and f"{low + width:,}" in words and words.endswith(" a day")
+    assert len({str(Range(low, low + width, other)) for other in ENDS}) == len(ENDS)
+
+
+@pytest.mark.parametrize(
+    ("interval", "words", "keys"),
+    [
+        (ANY, "a number", {}),
+        (NOT_NEGATIVE, "a number of at least 0", {"minimum": 0.0}),
+        (POSITIVE, "a number above 0", {"exclusiveMinimum": 0.0}),
+        (BELOW_ONE, "a number from 0 up to but not 1", {"minimum": 0.0, "exclusiveMaximum": 1.0}),
+        (Range(high=5.0), "a number of at most 5", {"maximum": 5.0}),
+        (Range(high=5.0, ends="[)"), "a number below 5", {"exclusiveMaximum": 5.0}),
+        (Range(0.0, 9.0, noun="jumps a year"), "jumps a year from 0 to 9",
+         {"minimum": 0.0, "maximum": 9.0}),
+    ],
+)  # fmt: skip
+def test_a_range_in_words_and_as_a_schema(interval, words, keys):
+    assert str(interval) == words
+    assert interval.json() == {"type": "number", **keys}
+
+
+@given(st.floats(0.0, 0.9, allow_subnormal=False))
+def test_a_number_keeps_its_bits_and_gets_all_of_its_declaration(number):
+    table = read({"share": number, "money": "USD"})
+    assert table.share.values.tolist() == [number] and table.share.used() == number
+    assert table.share.places == (("table", "share"),) and table.share.written == number
+    assert (table.cost.unit, table.cost.words, table.cost.move) == ("USD/MWh", "per unit", 0.01)
+    assert table.cap is None
+    assert [x.name for x in numbers_in((table,))] == ["cost", "share"]
+
+
+@given(st.one_of(st.floats(), st.integers(), st.booleans(), st.text(max_size=5)))
+def test_anything_else_is_refused_in_the_words_of_the_range(value):
+    inside = isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 0.9
+    if inside:
+        assert read({"share": value}).share.values == [value]
+        return
+    with pytest.raises(CaseError) as refused:
+        read({"share": value})
+    error = refused.value
+    assert error.where == "table.share" and "a number from 0 " in error.allowed
+
+
+def test_every_mistake_of_a_table_is_named_at_once():
+    with pytest.raises(CaseError) as refused:
+        read({"share": 1.0, "cap": 0, "cost": "", "rule": 1, "shares": 2})
+    errors = [refused.value, *refused.value.others]
+    keys = {"table.share", "table.cap", "table.cost", "table.rule", "table.shares"}
+    assert {error.where for error in errors} == keys
+    assert "no such key" in str(refused.value) and "the name of a CSV file" in str(refused.value)
+
+
+def test_limits_are_refused_with_their_own_reason():
+    with pytest.raises(CaseError, match=r"0\.95; no market has this; allowed is .* to 0\.9"):
+        read({"share": 0.95})
+
+
+def test_a_csv_gives_a_number_for_each_date_and_its_cell(tmp_path):
+    (tmp_path / "cost.csv").write_text("# of 2024\ndate,value\n2024-01-03,1.5\n2024-01-05,2.5\n")
+    notes = []
+    table = read({"share": 0, "cost": "cost.csv"}, tmp_path, notes)
+    assert table.cost.places == (
+        SheetCell("cost.csv", 3, "value"),
+        SheetCell("cost.csv", 4, "value"),
+    )
+    assert table.cost.written == "cost.csv"
+    days = [datetime.date(2024, 1, n) for n in range(1, 7)]
+    daily = on_dates(table, days, notes)["cost"]
+    assert daily.used().tolist() == [0.0, 0.0, 1.5, 1.5, 2.5, 2.5]
+    assert daily.labels == ("before 2024-01-03", "2024-01-03", "2024-01-05")
+    assert daily.places[0] is None and len(daily.places) == 3
+    assert notes == ["cost.csv begins on 2024-01-03; until then cost is 0."]
+    assert on_dates(table, days[2:], [])["cost"].used().tolist() == [1.5, 1.5, 2.5, 2.5]
+
+
+def test_numbers_that_begin_too_late_are_refused_where_nothing_holds_before(tmp_path):
+    (tmp_path / "level.csv").write_text("date,value\n2024-01-03,1.5\n")
+
+    class Dated(Table):
+        level: Given = Quantity("MWh", by="date")("a level")
+
+    table = parse(Dated, {"level": "level.csv"}, str(tmp_path / "case.toml"), "table")
+    with pytest.raises(CaseError, match=r"level\.csv, line 2, column date: .*2024-01-01 on"):
+        on_dates(table, [datetime.date(2024, 1, 1)], [])
+
+
+@given(st.lists(st.lists(st.floats(0, 1), min_size=1, max_size=3), min_size=1, max_size=3))
+def test_several_numbers_are_one_with_an_index_into_all(parts):
+    quantity = Quantity("1", meaning="a factor")
+    several = [
+        quantity.given("x", values, [f"{i}" for i in range(len(values))]) for values in parts
+    ]
+    firsts = [x.values[0] for x in several]
+    heads = [replace_index(x) for x in several]
+    together = stacked("xs", heads)
+    assert together.used().tolist() == firsts
+    assert together.values.tolist() == [number for values in parts for number in values]
+    assert len(set(together.labels)) == len(together.labels)
+
+
+def replace_index(numbers: Given) -> Given:
+    import dataclasses
+
+    return dataclasses.replace(numbers, index=np.array(0))
+
+
+def test_a_table_of_declarations_has_a_schema_and_a_documentation():
+    schema = Example.model_json_schema()["properties"]
+    assert schema["share"] | {"type": "number", "minimum": 0.0} == schema["share"]
+    assert schema["share"]["description"] == "a number from 0 up to but not 1"
+    fields = Example.model_fields
+    assert quantity_of(fields["cost"]) is not None and quantity_of(fields["rule"]) is None
+    assert fields["cost"].description == (
+        "a number, or the name of a CSV file with columns date,value"
+    )
+    assert fields["cost"].default == 0.0 and fields["share"].is_required()
