@@ -87,7 +87,7 @@ def problem(count: int) -> tuple[Problem, StoragePolicy]:
     bare = bare_problem(case)
     found = marginal_values(bare.schedule, factors(bare), case.contract.ratchets.interpolation)
     fixed = {name: entry.value for name, entry in bare.named.items()}
-    year = Year(case, ValueTable.of(found), fixed=fixed)
+    year = replace(Year.of(case, ValueTable.of(found)), fixed=fixed)
     inputs = {"factors": Input(np.ones(count))}
     policy = StoragePolicy(bare.features, key=jax.random.key(0))
     return Problem(year, inputs, bare.objective), policy

@@ -11,6 +11,7 @@ import numpy as np
 from .error import CaseError
 
 if TYPE_CHECKING:
+    from snapo.problem.form import Use
     from snapo.problem.inputs import Input
 
 SAID = ("bump", "move", "trade_unit", "trade_factor", "group", "words")
@@ -89,6 +90,12 @@ class Given:
     def used(self) -> np.ndarray:
         """`values[index]`, the numbers where they are used."""
         return self.values[self.index]
+
+    def use(self) -> "Use":
+        """Where the numbers are used, for a simulator: see `snapo.problem.form`."""
+        from snapo.problem.form import Use
+
+        return Use.of(self.name, len(self.values), self.index)
 
     @property
     def written(self) -> float | str:

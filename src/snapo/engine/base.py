@@ -191,7 +191,7 @@ class Engine(abc.ABC):
 
         `controls`: whether the outputs that are control variates alone are computed too.
         """
-        simulator = problem.simulator
+        simulator = problem.simulator.on_paths()
         if not controls:
             simulator = uncontrolled(simulator, problem.objective.outputs)
         return BoundEngine(self, simulator, problem.schedule)

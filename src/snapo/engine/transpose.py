@@ -26,12 +26,13 @@ def pull_back(
     The transpose of `prepare`.
     """
     given, version = inputs_.values(inputs), of_preparation(simulator, inputs)
+    bare = inputs_.unnamed(inputs)
 
     def one(schedule: PyTree) -> PyTree:
         # Both are each thread's own.
         with jax.enable_x64(True), following(version):
             cotangent = jax.tree.map(lambda leaf: np.asarray(leaf, np.float64), schedule)
-            return jax.tree.map(np.asarray, _pull_back(simulator, inputs, given, cotangent))
+            return jax.tree.map(np.asarray, _pull_back(simulator, bare, given, cotangent))
 
     # One by one: all at once is compiled anew for every number of them, in far more time than the
     # calls take. The first compiles; the others share the processors.

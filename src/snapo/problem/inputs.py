@@ -117,6 +117,12 @@ def plain(inputs: PyTree) -> PyTree:
     return jax.tree.map(lambda x: x.value if is_input(x) else x, inputs, is_leaf=is_input)
 
 
+def unnamed(inputs: PyTree) -> PyTree:
+    """The same module with inputs of numbers without labels and units, so that code compiled for it
+    serves other ones too."""
+    return jax.tree.map(lambda x: Input(x.value) if is_input(x) else x, inputs, is_leaf=is_input)
+
+
 def named(inputs: PyTree) -> list[Named]:
     """All inputs in tree order with their names."""
     found = jax.tree_util.tree_flatten_with_path(inputs, is_leaf=is_input)[0]

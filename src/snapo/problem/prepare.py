@@ -16,7 +16,7 @@ def prepare(simulator: Simulator, inputs: PyTree) -> Schedule:
     """The schedule in float64 NumPy."""
     with jax.enable_x64(True), following(of_preparation(simulator, inputs)):
         part, completed = simulator.prepared_apart()
-        schedule = _prepare(part, inputs, inputs_.values(inputs))
+        schedule = _prepare(part, inputs_.plain(inputs))
         return jax.tree.map(np.asarray, completed(schedule))
 
 
@@ -31,5 +31,5 @@ def all_versions(simulator: Simulator, inputs: PyTree) -> Hashable:
 
 
 @compiled_sooner
-def _prepare(simulator: Simulator, inputs: PyTree, values: list):
-    return simulator.prepare(inputs_.replace(inputs, values))
+def _prepare(simulator: Simulator, plain: PyTree):
+    return simulator.prepare(plain)

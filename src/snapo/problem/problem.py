@@ -1,6 +1,6 @@
 """A problem: all that `solve` needs to know, in one object that everything above takes."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Sequence
 from dataclasses import dataclass, field, replace
 from html import escape
 from typing import Any, Generic, TypeVar
@@ -13,6 +13,7 @@ from . import inputs as inputs_
 from .actions import Actions
 from .code.lost import lost
 from .code.version import Version, following, of_preparation, of_rollout, reading_once
+from .form import form_of
 from .noise import base as noise
 from .objective import Limit, Objective, as_constraints, as_objective, priced
 from .prepare import prepare
@@ -89,6 +90,12 @@ class Problem:
         schedule, version = self.schedule, self.version
         with following(version):
             return self._kept("interface", version, lambda: self.simulator.interface(schedule))
+
+    @property
+    def form(self) -> Hashable:
+        """All that code compiled for its paths depends on: problems of one form share that code,
+        whatever their numbers, labels and units."""
+        return form_of((self.simulator, inputs_.unnamed(self.inputs)))
 
     @property
     def version(self) -> Version:

@@ -11,12 +11,13 @@ simulator holds one, so that the same price serves a gas store, a battery and a 
 """
 
 import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float, PyTree
+from jaxtyping import Array, Float, Int, PyTree
 
 from .inputs import Input
 from .simulator import Schedule, State
@@ -115,6 +116,33 @@ class FactorStep(NamedTuple):
     next_shock: Array
 
 
+class Gaps(eqx.Module):
+    """The different intervals between times, the first of which begins today.
+
+    - `length` [n]: of each; `none`: whether it is 0.
+    - `which` [T]: the interval that leads to each time.
+    """
+
+    length: Float[np.ndarray, " n"]
+    which: Int[np.ndarray, " T"]
+    none: tuple[bool, ...] = eqx.field(static=True)
+
+    @classmethod
+    def of(cls, times: Sequence[float] | Array) -> "Gaps":
+        """Between times that rise; those before today are today."""
+        gaps = np.diff(np.maximum(times, 0.0), prepend=0.0)
+        _, first, which = np.unique(np.round(gaps, 12), return_index=True, return_inverse=True)
+        length = gaps[first]
+        return cls(length, which, tuple(each <= 0 for each in length.tolist()))
+
+    def shocks(self, correlation, pair) -> list[Float[Array, "F F"]]:
+        """Of each, the lower Cholesky factor of the covariance that it adds; 0 where it is none."""
+        return [
+            jnp.zeros_like(pair) if none else jnp.linalg.cholesky(correlation * integral(pair, gap))
+            for none, gap in zip(self.none, jnp.asarray(self.length))
+        ]
+
+
 class FactorPrice(Process):
     """A positive price around its forward curve, moved by correlated mean-reverting factors.
 
@@ -130,12 +158,17 @@ class FactorPrice(Process):
     - `time_scale`: the time after which a factor's standard deviation counts as its typical size.
     """
 
-    times: eqx.AbstractVar[tuple[float, ...]]
+    times: eqx.AbstractVar[Sequence[float] | Array]
     time_scale: eqx.AbstractVar[float]
 
     @abc.abstractmethod
     def parameters(self, inputs: PyTree) -> Factors:
         """The factors' numbers, from inputs with plain arrays."""
+
+    @property
+    def gaps(self) -> "Gaps":
+        """The intervals between the times; a subclass whose times are arguments keeps its own."""
+        return Gaps.of(self.times)
 
     @property
     def martingale(self) -> bool:
@@ -150,10 +183,10 @@ class FactorPrice(Process):
 
     def schedule(self, p: Factors) -> Schedule:
         """Constants and steps of given numbers."""
-        gap, which = _gaps(self.times)
+        gaps = self.gaps
         pair = p.mean_reversion[:, None] + p.mean_reversion[None, :]
-        shock = jnp.stack([_shock(p.correlation, pair, each) for each in gap])[which]
-        decay = jnp.exp(-p.mean_reversion * gap[which][:, None])
+        shock = jnp.stack(gaps.shocks(p.correlation, pair))[gaps.which]
+        decay = jnp.exp(-p.mean_reversion * gaps.length[gaps.which][:, None])
         variance = jnp.einsum("ti,tij,tj->t", p.loading, self.covariance(p), p.loading)
         # Nothing follows the last time: its row repeats the transition that led to it.
         after = np.minimum(np.arange(1, len(self.times) + 1), len(self.times) - 1)
@@ -164,7 +197,7 @@ class FactorPrice(Process):
     def covariance(self, p: Factors) -> Float[Array, "T F F"]:
         """Of the factors at each time."""
         pair = p.mean_reversion[:, None] + p.mean_reversion[None, :]
-        return p.correlation * integral(pair, np.asarray(self.times)[:, None, None])
+        return p.correlation * integral(pair, jnp.asarray(self.times)[:, None, None])
 
     def initial(self, constants, noise):
         return constants.first_shock @ noise
@@ -215,17 +248,3 @@ def integral(rate, time):
     small = jnp.abs(x) < 1e-5
     safe = jnp.where(small, 1.0, x)
     return time * jnp.where(small, 1 - x / 2 + x * x / 6, -jnp.expm1(-safe) / safe)
-
-
-def _gaps(times: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
-    """The different intervals between times, the first from today, and which leads to each [T]."""
-    gaps = np.diff(np.maximum(times, 0.0), prepend=0.0)
-    _, first, which = np.unique(np.round(gaps, 12), return_index=True, return_inverse=True)
-    return gaps[first], which
-
-
-def _shock(correlation, pair, gap: float):
-    """The lower Cholesky factor of the covariance that an interval adds; 0 without an interval."""
-    if gap <= 0:
-        return jnp.zeros_like(pair)
-    return jnp.linalg.cholesky(correlation * integral(pair, gap))

@@ -7,7 +7,7 @@ simulator has the way from the inputs to a schedule (`prepare`), the start of a 
 
 import abc
 from collections.abc import Callable, Mapping
-from dataclasses import FrozenInstanceError, fields
+from dataclasses import FrozenInstanceError, fields, replace
 from functools import wraps
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -85,6 +85,10 @@ class Simulator(eqx.Module):
         guide: the compiled `prepare` of the part serves before the guide is fitted, and after.
         """
         return self, lambda schedule: schedule
+
+    def on_paths(self) -> "Simulator":
+        """This simulator as the engines roll it: without the arrays that only `prepare` reads."""
+        return self
 
     @abc.abstractmethod
     def initial(self, constants: PyTree, noise: Float[Array, " initial_noise"]) -> State:
@@ -177,6 +181,9 @@ class Around(Simulator):
 
     def prepare(self, inputs):
         return self.own.prepare(inputs)
+
+    def on_paths(self):
+        return replace(self, own=self.own.on_paths())
 
     def initial(self, constants, noise):
         return self.own.initial(constants, noise)

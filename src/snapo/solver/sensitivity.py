@@ -16,6 +16,7 @@ import jax
 import numpy as np
 
 from snapo.engine import Engine, Xla
+from snapo.engine.base import Uncontrolled
 from snapo.engine.xla import weighted_sum
 from snapo.problem import inputs as inputs_
 from snapo.problem.code.version import following, of_preparation, of_rollout, reading_once
@@ -265,7 +266,7 @@ def sensitivities_and_totals(
     source = problem.sources.evaluation
     paths = source.available(paths)
     blocks = source.blocks(paths, int(np.clip(paths // LEAST, BLOCKS, MOST)))
-    if bound.simulator is not problem.simulator:
+    if isinstance(bound.simulator, Uncontrolled):
         totals = None  # a program without control variates may round in another way
     held = Way(problem, bound, policy, Exact(), True, actions, totals=totals).derivatives(blocks)
     moved = None
@@ -351,7 +352,7 @@ def second_order(
     totals = float64(engine.bind(problem).values(policy, draws, smooth).totals)
     weights = problem.objective.weights(totals)
     names, values = list(problem.named), inputs_.values(inputs)
-    results = []
+    bare, results = inputs_.unnamed(inputs), []
     for direction in directions:
         unknown = set(direction) - set(names)
         if unknown:
@@ -362,9 +363,7 @@ def second_order(
         ]
         version = of_preparation(simulator, inputs), of_rollout(simulator, policy, problem.schedule)
         with engine.numbers(), following(version):
-            moved = _second(
-                engine, simulator, inputs, policy, draws, smooth, weights, values, along
-            )
+            moved = _second(engine, simulator, bare, policy, draws, smooth, weights, values, along)
             results.append({name: np.asarray(x) for name, x in zip(names, moved)})
     return results
 

@@ -30,6 +30,7 @@ class Setup(NamedTuple):
 
     `recipe`: of `policy`, where it is a general one, so that training begins as `snapo.solve` does;
     None: training begins from `policy` as it is.
+    `case`: the one that was made ready, where the problem's simulator does not hold it.
     """
 
     problem: Problem
@@ -38,6 +39,7 @@ class Setup(NamedTuple):
     evaluation: Evaluation
     engines: Engines
     recipe: Policy | None = None
+    case: Any = None
 
 
 class Today(NamedTuple):

@@ -48,7 +48,7 @@ def tables_of(folder: Path, **tables: dict[str, Any]) -> tuple[Path, dict[str, A
 
 def bare(case: StorageCase):
     """Simulator without a guide, inputs and schedule: enough for any decisions."""
-    simulator, inputs = StorageSimulator(case), storage_inputs(case)
+    simulator, inputs = StorageSimulator.of(case), storage_inputs(case)
     return simulator, inputs, prepare(simulator, inputs)
 
 

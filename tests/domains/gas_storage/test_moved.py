@@ -2,6 +2,9 @@
 
 from tests.domains.gas_storage.storage_cases import read
 
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.problem.form import form_of, formed
+
 
 def two_factors(first: float, second: float):
     """A store with two price factors of these mean reversions."""
@@ -14,18 +17,12 @@ def two_factors(first: float, second: float):
     return read("quick", model=model | {"factors": factors, "correlation": correlation}).model
 
 
-def test_the_same_program_as_long_as_the_same_factor_is_the_fast_one():
-    model = two_factors(12.0, 3.0)
-    assert model.same_program(two_factors(10.0, 4.0))
-    assert not model.same_program(two_factors(2.0, 3.0))
+def test_the_same_form_as_long_as_the_same_factor_is_the_fast_one():
+    form = form_of(formed(two_factors(12.0, 3.0)))
+    assert form == form_of(formed(two_factors(10.0, 4.0)))
+    assert form != form_of(formed(two_factors(2.0, 3.0)))
 
 
 def test_the_scales_of_the_features_are_those_of_the_moved_case():
-    from snapo.domains.gas_storage.contract.simulator import (
-        StorageSimulator,
-        largest_rate,
-        values_of,
-    )
-
-    simulator = StorageSimulator(read("quick", contract={"max_withdrawal": 12.0}))
-    assert simulator.rate_scale == largest_rate(simulator.case, values_of(simulator.case)) == 12.0
+    simulator = StorageSimulator.of(read("quick", contract={"max_withdrawal": 12.0}))
+    assert simulator.rate_scale == 12.0

@@ -1,5 +1,8 @@
 """What the engine says when it cannot, and arrays without elements."""
 
+import sys
+from collections import OrderedDict
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -81,6 +84,7 @@ def test_an_accident_in_the_emitter_is_a_reason(monkeypatch):
         raise IndexError("out of range")
 
     monkeypatch.setattr(operations, "single", broken)
+    monkeypatch.setattr(sys.modules[unsupported.__module__], "_reasons", OrderedDict())
     store = Store()
     reason = unsupported(store, store.prepare(None), POLICY, Exact())
     assert reason is not None and "out of range" in reason and "problems.py:" in reason

@@ -24,7 +24,7 @@ from .bounds.value_iteration import FittedValue, fit_guide
 from .contract.inputs import storage_inputs
 from .contract.records import StorageCase
 from .contract.schedule import of_prices
-from .contract.simulator import StorageSimulator, largest_rate, mean_price, simulator_of
+from .contract.simulator import StorageSimulator, simulator_of
 from .policy.fitted_guide import FittedKnots
 from .policy.network import StoragePolicy
 from .policy.surprise import Surprises
@@ -40,7 +40,7 @@ BESIDE, HEDGE = 1, 2  # streams of the evaluation: of the figures beside the val
 
 def bare_problem(case: StorageCase) -> Problem:
     """The contract without a guide and without a hedge."""
-    simulator = StorageSimulator(case)  # pyright: ignore[reportCallIssue]
+    simulator = StorageSimulator.of(case)
     return Problem(simulator, storage_inputs(case), make_objective(case.objective, OUTPUT))
 
 
@@ -55,19 +55,19 @@ def make_setup(
     problem = _guided(replace(problem, sources=sources, rebuild=rebuilt), fitted)
     policy = StoragePolicy(problem.features, key=jax.random.key(seed))
     engines = engines_for(engine, problem, policy)
-    return _hedged(Setup(problem, policy, training, evaluation, engines))
+    return _hedged(Setup(problem, policy, training, evaluation, engines, case=case))
 
 
 def moved_setup(setup: Setup, case: StorageCase) -> Setup:
-    """The setup of a case that differs in the numbers of its inputs alone: `make_setup(case)`.
+    """The setup of a case that differs only in its numbers: `make_setup(case)`.
 
-    Nothing is compiled where the price process is the same program.
+    Nothing is compiled where the case has the same form.
     """
-    simulator = simulator_of(setup.problem)
-    if not simulator.process.same_program(case.model):
-        return make_setup(case, setup.engines, fitted_value(bare_problem(case)))
-    values = {name: given.value for name, given in storage_inputs(case).items()}
-    return _hedged(setup._replace(problem=setup.problem.moved(values)))
+    bare = bare_problem(case)
+    if case.model.sources(setup.training.seed) or bare.form != _bare(setup.problem).form:
+        return make_setup(case, setup.engines, fitted_value(bare))
+    moved = replace(setup.problem, simulator=bare.simulator, inputs=bare.inputs)
+    return _hedged(setup._replace(problem=rebuilt(moved), case=case))
 
 
 def rebuilt(problem: Problem) -> Problem:
@@ -75,15 +75,16 @@ def rebuilt(problem: Problem) -> Problem:
 
     The hedge, a control variate that no value depends on, is set to zero.
     """
-    simulator, case = simulator_of(problem), case_of_problem(problem)
+    problem = _bare(problem)
     values = {name: given.value for name, given in problem.named.items()}
-    scales = {
-        "price_scale": np.asarray(mean_price(case, values)),
-        "rate_scale": np.asarray(largest_rate(case, values)),
-    }
-    bare = replace(simulator, guide=None, hedge=None, surprises=None, **scales)
-    problem = replace(problem, simulator=bare)
+    problem = replace(problem, simulator=simulator_of(problem).scaled(values))
     return _guided(problem, fitted_value(problem))
+
+
+def _bare(problem: Problem) -> Problem:
+    """The problem without a guide and without a hedge."""
+    bare = replace(simulator_of(problem), guide=None, hedge=None, surprises=None)
+    return replace(problem, simulator=bare)
 
 
 def _guided(problem: Problem, fitted: FittedValue | None) -> Problem:
@@ -113,7 +114,7 @@ def _hedged(setup: Setup) -> Setup:
 
 def fitted_value(problem: Problem) -> FittedValue | None:
     """The value for guide and control variate, where the prices have Gaussian factors."""
-    found, kind = factors(problem), case_of_problem(problem).contract.ratchets.interpolation
+    found, kind = factors(problem), simulator_of(problem).interpolation
     return None if found is None else fit_guide(problem.schedule, found, kind)
 
 
@@ -122,18 +123,14 @@ def guide(problem: Problem, fitted: FittedValue | None) -> ValueTable:
     found, schedule = factors(problem), problem.schedule
     if fitted is not None and 1 < len(fitted.basis.kept) <= MOST_FACTORS:
         return ValueTable(FittedKnots(*fitted_marginal(schedule, fitted)))  # pyright: ignore
-    kind = case_of_problem(problem).contract.ratchets.interpolation
+    kind = simulator_of(problem).interpolation
     return ValueTable.of(marginal_values(schedule, found, kind))
-
-
-def case_of_problem(problem: Problem) -> StorageCase:
-    """The case of a problem."""
-    return simulator_of(problem).case
 
 
 def case_of(setup: Setup) -> StorageCase:
     """The case that was made ready."""
-    return simulator_of(setup.problem).case
+    assert isinstance(setup.case, StorageCase)
+    return setup.case
 
 
 def policy_of(solution: Solution) -> StoragePolicy:
@@ -169,6 +166,5 @@ def _hedge(setup: Setup) -> np.ndarray:
     way = Way(on, engine.bind(on), policy.guide, Exact(), held=True)
     found = way.derivatives([np.arange(HEDGE_PATHS)])  # one block: its error is nobody's
     simulator = simulator_of(problem)
-    curve = simulator.case.market.forward_curve.name
-    deltas = found.inputs[curve].value[: simulator.horizon]
+    deltas = found.inputs[simulator.curve.name].value[: simulator.horizon]
     return deltas / problem.schedule.steps.gas_discount

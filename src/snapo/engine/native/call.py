@@ -2,7 +2,7 @@
 
 import math
 from collections import OrderedDict
-from collections.abc import Sequence
+from collections.abc import Hashable, Sequence
 from time import perf_counter
 from typing import Any, NamedTuple
 
@@ -109,10 +109,7 @@ class Call:
             self.ends, clip, wrt, counter, antithetic,
         )  # fmt: skip
         like = self._state_like()
-        leaves, tree = jax.tree.flatten(like)
-        starts = tree, tuple((x.shape, x.dtype) for x in leaves)
-        kind = type(self.simulator), self.version
-        key = setup, self.shared.key(), self.steps.key(1), starts, kind
+        key = self.key(setup, like)
         if key not in _runners:
             started = perf_counter()
             kernel = self.kernel(setup, like)
@@ -122,6 +119,13 @@ class Call:
                 _runners.popitem(last=False)
         _runners.move_to_end(key)
         return _runners[key]
+
+    def key(self, setup: Setup, like) -> Hashable:
+        """All that the kernel depends on: calls with equal ones share it."""
+        leaves, tree = jax.tree.flatten(like)
+        starts = tree, tuple((x.shape, x.dtype) for x in leaves)
+        kind = type(self.simulator), self.version
+        return setup, self.shared.key(), self.steps.key(1), starts, kind
 
     def kernel(self, setup: Setup, like, stages: Stages | None = None) -> Kernel:
         """Traces and emits. An error inside the emitter is a reason, not an accident."""

@@ -1,5 +1,7 @@
 """Follows one simulator through the stages, as text; and says why one cannot be compiled."""
 
+from collections import OrderedDict
+from collections.abc import Hashable
 from dataclasses import dataclass
 
 import jax
@@ -14,11 +16,11 @@ from snapo.problem.simulator import Schedule, Simulator, probe
 from snapo.problem.smooth import Smooth
 
 from ..base import COURSE, Window
-from .call import Call
+from .available import unavailable
+from .call import KEPT, Call
 from .engine import Native
 from .functions import Setup
 from .kernel.context import Stages
-from .kernel.kernel import Kernel
 
 
 @dataclass(frozen=True)
@@ -64,7 +66,10 @@ def explain(
         policy = MLP(simulator.action, features, key=jax.random.key(0), hidden=(8,))
     stages: Stages = []
     smooth = smooth or Smooth(0.1)
-    kernel = _kernel(Native(precision), simulator, schedule, policy, smooth, stages=stages)
+    engine = Native(precision)
+    with engine.numbers():
+        call, setup = _whole(engine, simulator, schedule, policy, smooth)
+        kernel = call.kernel(setup, None, stages)
     rows = [f"{name:16} {layout.stride}" for name, layout in kernel.layouts.items()]
     processor = host()
     target = (
@@ -81,30 +86,38 @@ def unsupported(
     """Why a simulator cannot be compiled: the primitive and the line of user code.
 
     None where it can: its value and gradient, with every record, and clipped by `state_scale`.
-    Nothing is compiled; tracing takes some tenths of a second.
+    Nothing is compiled; tracing takes some tenths of a second, once for all simulators of one form.
     """
+    if (missing := unavailable()) is not None:
+        return missing
+    engine = Native(precision)
+    with engine.numbers():
+        call, setup = _whole(engine, simulator, schedule, policy, smooth, COURSE, True)
+        key = call.key(setup, None)
+        if key not in _reasons:
+            _reasons[key] = _reason(call, setup)
+            while len(_reasons) > KEPT:
+                _reasons.popitem(last=False)
+        return _reasons[key]
+
+
+_reasons: OrderedDict[Hashable, str | None] = OrderedDict()
+
+
+def _reason(call: Call, setup: Setup) -> str | None:
     try:
-        _kernel(Native(precision), simulator, schedule, policy, smooth, COURSE, True)
+        call.kernel(setup, None)
     except Unsupported as reason:
         return str(reason)
     return None
 
 
-def _kernel(
-    engine: Native,
-    simulator,
-    schedule,
-    policy,
-    smooth,
-    record=(),
-    clip: bool = False,
-    stages: Stages | None = None,
-) -> Kernel:
-    """The kernel of a whole adjoint."""
-    with engine.numbers():
-        draws = Pseudo(0).draws(np.arange(2), simulator)
-        window = Window(0, simulator.horizon)
-        call = Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
-        wrt = ("policy", "schedule", "start")
-        setup = Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)
-        return call.kernel(setup, None, stages)
+def _whole(
+    engine: Native, simulator, schedule, policy, smooth, record=(), clip: bool = False
+) -> tuple[Call, Setup]:
+    """The call of a whole adjoint, and its kernel's setup."""
+    draws = Pseudo(0).draws(np.arange(2), simulator)
+    window = Window(0, simulator.horizon)
+    call = Call(engine, simulator, policy, schedule, draws, smooth, None, window, None)
+    wrt = ("policy", "schedule", "start")
+    return call, Setup(engine.precision, True, record, False, False, True, clip, wrt, True, True)

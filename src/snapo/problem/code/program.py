@@ -32,10 +32,10 @@ def preparation(simulator: Any, inputs: PyTree) -> Text:
     return text(lambda v: simulator.prepare(inputs_.replace(inputs, v)), inputs_.values(inputs))
 
 
-def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
-    """The program of one step and of the end, exact and smooth, with all that is declared."""
+def path(simulator: Any, policy: Any) -> Callable[..., Any]:
+    """One path's start, step and end, exact and smooth."""
 
-    def path(constants, now, initial, noise, action) -> Any:
+    def whole(constants, now, initial, noise, action) -> Any:
         state = simulator.initial(constants, initial)
         made = [state, simulator.state_scale(constants)]
         for smooth in (Exact(), Smooth(0.1)):
@@ -46,8 +46,15 @@ def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
             made.append(dict(simulator.slack(constants, now, after, outputs)))
         return eqx.filter(made, eqx.is_array)
 
+    return whole
+
+
+def rollout(simulator: Any, policy: Any, schedule: Any) -> Any:
+    """The program of one step and of the end, exact and smooth, with all that is declared."""
     sizes = simulator.initial_noise_size, simulator.noise_size, simulator.action.size
     now = jax.tree.map(lambda leaf: jnp.asarray(leaf)[0], schedule.steps)
     vectors = [jnp.zeros(size) for size in sizes]
-    made = text(path, jax.tree.map(jnp.asarray, schedule.constants), now, *vectors)
+    made = text(
+        path(simulator, policy), jax.tree.map(jnp.asarray, schedule.constants), now, *vectors
+    )
     return made, sizes, dict(simulator.totals()), simulator.control_variates()

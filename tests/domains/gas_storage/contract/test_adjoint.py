@@ -107,7 +107,7 @@ def prepared(case, nudge=off_ties):
     found = marginal_values(
         problem.schedule, factors(problem), case.contract.ratchets.interpolation
     )
-    problem = replace(problem, simulator=StorageSimulator(case, ValueTable.of(found)))
+    problem = replace(problem, simulator=StorageSimulator.of(case, ValueTable.of(found)))
     problem = replace(problem, sources=replace(problem.sources, evaluation=Pseudo(7)))
     return nudge(problem), StoragePolicy(problem.features, key=jax.random.key(0))
 

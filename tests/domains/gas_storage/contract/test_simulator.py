@@ -169,7 +169,7 @@ def flows_of_a_day(steps, t, inventory, kind):
 @given(st.integers(0, 10**6))
 def test_reachable_is_the_longest_interval_that_can_go_on(template, seed):
     simulator, inputs, schedule = with_numbers(template, seed)
-    steps, kind = schedule.steps, simulator.case.contract.ratchets.interpolation
+    steps, kind = schedule.steps, simulator.interpolation
     with jax.enable_x64(True):
         limits = simulator.limits({name: entry.value for name, entry in inputs.items()})
     for t in reversed(range(DAYS)):
@@ -206,7 +206,7 @@ def test_any_decisions_keep_every_limit(template, seed):
     inventory[:2] = steps.low[0], steps.high[0]
     actions = random_actions(DAYS, paths, seed)
     moved = rollout(simulator, schedule, inventory, actions)
-    kind = simulator.case.contract.ratchets.interpolation
+    kind = simulator.interpolation
     for t in range(DAYS):
         before, after, injection, withdrawal = (np.asarray(x) for x in moved[t])
         assert np.all(injection >= 0) and np.all(withdrawal >= 0)

@@ -14,6 +14,7 @@ from snapo.domains.gas_storage.policy.network import StoragePolicy
 from snapo.domains.gas_storage.setup import bare_problem, make_setup
 from snapo.engine import Xla
 from snapo.engine.native import Native
+from snapo.problem.inputs import plain
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 from snapo.solver import certificate
@@ -108,10 +109,7 @@ def test_the_derivative_with_respect_to_a_probability_is_that_of_the_closed_form
     count = 65536
     rng = np.random.default_rng(4)
     first, later = (rng.standard_normal((*n, count, 2)) for n in ((), (simulator.horizon,)))
-    process = simulator.process
-    inputs = {x.name: np.asarray(x.values) for x in (
-        process.delivery.curve, process.mean_reversion, process.volatility,
-        process.tightens, process.eases, process.premium)}  # fmt: skip
+    process, inputs = simulator.process, plain(bare(case())[1])
 
     with jax.enable_x64(True):
 

@@ -342,8 +342,8 @@ def test_supplied_paths_are_rescaled_to_mean_one(folder):
     parquet.write_table(arrow.table(list(2 * paths.T), names=columns), path / "test.parquet")
     model = read_case(path).model
     assert isinstance(model, SuppliedPrices)
-    np.testing.assert_allclose(model.of.training.mean(axis=0), 1, rtol=1e-12)
-    np.testing.assert_allclose(model.of.training, model.of.evaluation, rtol=1e-12)
+    np.testing.assert_allclose(model.paths.training.mean(axis=0), 1, rtol=1e-12)
+    np.testing.assert_allclose(model.paths.training, model.paths.evaluation, rtol=1e-12)
 
 
 def test_training_has_the_defaults_of_the_training_loop():

@@ -24,7 +24,7 @@ class StoreRelaxation:
         simulator = simulator_of(problem)
         self.process, schedule = simulator.process, problem.schedule
         self.prices = of_prices(schedule)
-        kind = simulator.case.contract.ratchets.interpolation
+        kind = simulator.interpolation
         factors = self.process.factors(self.prices)
         self.fitted = None if factors is None else fit_value(schedule, factors, kind)
         self.inner = Hindsight(schedule, kind, self.fitted, inventories)

@@ -2,9 +2,9 @@
 
 import abc
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float
@@ -29,9 +29,12 @@ def _no_table() -> tuple[Array, Array]:
     return jnp.zeros(2), jnp.zeros(2)
 
 
-@dataclass(frozen=True, eq=False)
-class EndRule(abc.ABC):
-    """A rule for the end date; prices and money are those of the end date, undiscounted."""
+class EndRule(eqx.Module):
+    """A rule for the end date; prices and money are those of the end date, undiscounted.
+
+    As it is read it has the numbers of the case, and in a simulator it has none: `owed`,
+    `needs_price` and `known` are for the reader and the study.
+    """
 
     @property
     def owed(self) -> float | None:
@@ -60,7 +63,6 @@ class EndRule(abc.ABC):
         """The same in NumPy where price and inventory are known: no decision is left."""
 
 
-@dataclass(frozen=True, eq=False)
 class LevelAtEnd(EndRule):
     """The inventory that must be in store on the end date: one number, index []."""
 
@@ -84,7 +86,6 @@ class LevelAtEnd(EndRule):
         return 0.0
 
 
-@dataclass(frozen=True, eq=False)
 class PriceAtEnd(EndRule):
     """Gas left on the end date is worth `fraction` of that day's spot price: one number, index [].
 
@@ -108,7 +109,6 @@ class PriceAtEnd(EndRule):
         return float(self.fraction.used()) * inventory * price if self.needs_price else 0.0
 
 
-@dataclass(frozen=True, eq=False)
 class ValueAtEnd(EndRule):
     """Worth of the inventory on the end date: linear between M points, paid on that date.
 

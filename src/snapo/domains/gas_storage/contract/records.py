@@ -4,6 +4,7 @@ T is the number of decision days (`StorageCase.days`), K the number of ratchet r
 without ratchets). Index T stands for the end date. Days are
 integers since the valuation date and may be negative for a payment that lies before it. A
 `Given` keeps the numbers as they were given; the per-day array is `given.values[given.index]`.
+A simulator keeps contract and model without those numbers (see `snapo.problem.form`), and no more.
 """
 
 import datetime
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
 
+import equinox as eqx
 import numpy as np
 
 from snapo.case.given import Given
@@ -20,8 +22,7 @@ from ..prices.process import PriceProcess
 from .end import EndRule
 
 
-@dataclass(frozen=True, eq=False)
-class Ratchets:
+class Ratchets(eqx.Module):
     """How fast gas may move, by day and by inventory at the start of the day.
 
     Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
@@ -35,11 +36,10 @@ class Ratchets:
     inventory: Given
     withdrawal: Given
     injection: Given
-    interpolation: Literal["linear", "step"]
+    interpolation: Literal["linear", "step"] = eqx.field(static=True)
 
 
-@dataclass(frozen=True, eq=False)
-class Contract:
+class Contract(eqx.Module):
     """Rights, obligations and costs. All volumes are in `StorageCase.volume_unit`.
 
     - `inventory`: in store at the start of the first decision day, index [].
@@ -78,8 +78,7 @@ class Contract:
     fixed_cost_day: np.ndarray
 
 
-@dataclass(frozen=True, eq=False)
-class Market:
+class Market(eqx.Module):
     """Prices and discounting, seen from the valuation date.
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index

@@ -2,11 +2,16 @@
 
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax
+import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array, Float, PyTree
 
 from snapo.problem.simulator import Schedule
+
+from ..prices.process import YEAR
+from .records import StorageCase
 
 
 class Day(NamedTuple):
@@ -88,6 +93,53 @@ class Flows(NamedTuple):
     base: Array
     most: Array
     least: Array
+
+
+class Discount(eqx.Module):
+    """Discount factors of n payments: continuous zero rates, linear in days, flat outside.
+
+    - `day` [n]: of each payment since the valuation date, not negative.
+    - `weight` [n, nodes]: of each node's rate in that of the payment.
+    """
+
+    day: Float[np.ndarray, " n"]
+    weight: Float[np.ndarray, "n nodes"]
+
+    @classmethod
+    def of(cls, day: np.ndarray, nodes: np.ndarray) -> "Discount":
+        """Of payments on integer days, with rates known on the days `nodes`."""
+        later, at = np.maximum(day, 0).astype(float), nodes.astype(float)
+        weights = [np.interp(later, at, one) for one in np.eye(len(nodes))]
+        return cls(later, np.stack(weights, axis=-1))
+
+    def __call__(self, rates: Float[Array, " nodes"]) -> Float[Array, " n"]:
+        """exp(-r(d) d / 365)."""
+        return jnp.exp(-(self.weight @ rates) * self.day / YEAR)
+
+
+class Discounts(eqx.Module):
+    """Of the gas, of the flow and of its costs on every day [T], of fixed costs [n], of the end."""
+
+    gas: Discount
+    flow: Discount
+    injection_cost: Discount
+    withdrawal_cost: Discount
+    fixed: Discount
+    end: Discount
+
+    @classmethod
+    def of(cls, case: StorageCase) -> "Discounts":
+        """Those of a case."""
+        contract, market = case.contract, case.market
+        days = (
+            market.gas_day,
+            case.day,
+            contract.injection_cost_day,
+            contract.withdrawal_cost_day,
+            contract.fixed_cost_day,
+            np.asarray([case.end_day]),
+        )
+        return cls(*(Discount.of(day, market.zero_rate_day) for day in days))
 
 
 def of_prices(schedule: Schedule) -> Schedule:

@@ -10,15 +10,16 @@ valuation date.
 
 from collections.abc import Mapping
 from dataclasses import replace
-from typing import Any
+from typing import Any, Literal, Self
 
 import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
+from jaxtyping import Array, Float, Int
 
 from snapo.problem.actions import Box
+from snapo.problem.form import Use, formed
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Schedule, Simulator
 from snapo.problem.smooth import Exact
@@ -26,52 +27,96 @@ from snapo.problem.smooth import Exact
 from ..policy.observation import curve_ahead, observation
 from ..policy.surprise import Surprises, of_day, of_end
 from ..policy.value_table import ValueTable
-from ..prices.process import YEAR, PriceProcess, use
+from ..prices.process import PriceProcess, use
 from .end import EndTerms
 from .reachable import Limits, reachable
-from .records import StorageCase
-from .schedule import Day, Flows, State, Terms
+from .records import Contract, StorageCase
+from .schedule import Day, Discounts, Flows, State, Terms
 
 
 class StorageSimulator(Simulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
+    It holds no case: all in which two contracts of one form differ is an array, or an input.
+
     **Arguments:**
 
-    - `case`: the resolved case, with its price process.
+    - `contract`, `process`: of the case, `formed`; `curve`, `rate`: where its prices and rates are
+      used; `discounts`: of its payments.
+    - `day` [T]: integer days since the valuation date; `end_day`: of the end date.
     - `guide`: the marginal values that the policy starts from (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
     - `surprises`: of a fitted value of the store: the control variate `value_surprise` in place of
       that of a hedge; its total is zero on average too.
     - `price_scale`, `rate_scale`: of the features: the mean forward price and the largest daily
-      rate; by default those of the case.
+      rate.
     """
 
-    case: StorageCase = eqx.field(static=True)
+    contract: Contract
+    process: PriceProcess
+    curve: Use
+    rate: Use
+    discounts: Discounts
+    day: Int[np.ndarray, " T"]
+    end_day: Int[np.ndarray, ""]
+    price_scale: Float[np.ndarray, ""]
+    rate_scale: Float[np.ndarray, ""]
     guide: ValueTable | None = None
     hedge: Float[np.ndarray, " T"] | None = None
     surprises: Surprises | None = None
     action: Box = eqx.field(static=True, default=Box(0.0, 1.0, 2))
-    # Arrays, so that code compiled for one curve serves another.
-    price_scale: Float[np.ndarray, ""] | None = None
-    rate_scale: Float[np.ndarray, ""] | None = None
     fully_observed = True
 
-    def __post_init__(self):
-        if self.price_scale is None:
-            self.price_scale = np.asarray(mean_price(self.case, values_of(self.case)))
-        if self.rate_scale is None:
-            self.rate_scale = np.asarray(largest_rate(self.case, values_of(self.case)))
+    @classmethod
+    def of(cls, case: StorageCase, guide: ValueTable | None = None) -> Self:
+        """The contract of a case, with the scales of its own numbers."""
+        contract, market = case.contract, case.market
+        rows = contract.ratchets
+        scaled = (market.forward_curve, rows.withdrawal, rows.injection)
+        numbers = {series.name: series.values for series in scaled}
+        made = cls(  # pyright: ignore[reportCallIssue]
+            formed(contract),
+            formed(case.model),
+            market.forward_curve.use(),
+            market.zero_rate.use(),
+            Discounts.of(case),
+            case.day,
+            np.asarray(case.end_day),
+            np.zeros(()),
+            np.zeros(()),
+            guide,
+        )
+        return made.scaled(numbers)
+
+    def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
+        """With the scales of features of these inputs: the mean size of forward prices, and the
+        largest volume that may move on a day."""
+        rows: Any = self.contract.ratchets
+        prices = self.curve.in_numpy(values)
+        rates = [
+            np.max(each.in_numpy(values), initial=0.0) for each in (rows.withdrawal, rows.injection)
+        ]
+        return replace(
+            self,
+            price_scale=np.asarray(np.mean(np.abs(prices))),
+            rate_scale=np.asarray(max(*rates, 1e-9)),
+        )
 
     @property
-    def process(self) -> PriceProcess:
-        """The price process of the case."""
-        return self.case.model
+    def interpolation(self) -> Literal["linear", "step"]:
+        """Of the rates between ratchet rows: "linear" or "step"."""
+        return self.contract.ratchets.interpolation
+
+    def on_paths(self):
+        # What the policy sees of guide and surprises is in the schedule.
+        names = ("contract", "process", "curve", "rate", "discounts", "guide", "surprises")
+        bare = jax.tree.map(lambda leaf: None, [getattr(self, name) for name in names])
+        return replace(self, **dict(zip(names, bare)))
 
     @property
     def horizon(self) -> int:
-        return len(self.case.days)
+        return len(self.day)
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
@@ -102,17 +147,16 @@ class StorageSimulator(Simulator):
         return Schedule(schedule.constants._replace(surprise=end), steps)
 
     def _days(self, inputs: dict[str, Any], prices) -> Day:
-        case, contract, market = self.case, self.case.contract, self.case.market
-        t, discount = self.horizon, _discounts(case, inputs)
-        forward, limits = use(inputs, market.forward_curve)[:t], self.limits(inputs)
-        low, high = reachable(limits, *self.end_interval(inputs), contract.ratchets.interpolation)
+        contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)
+        forward, limits = use(inputs, self.curve)[: self.horizon], self.limits(inputs)
+        low, high = reachable(limits, *self.end_interval(inputs), self.interpolation)
         return Day(
-            day=jnp.asarray(case.day, float),
+            day=jnp.asarray(self.day, float),
             forward=forward,
-            gas_discount=discount(market.gas_day),
-            flow_discount=discount(case.day),
-            injection_cost_discount=discount(contract.injection_cost_day),
-            withdrawal_cost_discount=discount(contract.withdrawal_cost_day),
+            gas_discount=discounts.gas(rates),
+            flow_discount=discounts.flow(rates),
+            injection_cost_discount=discounts.injection_cost(rates),
+            withdrawal_cost_discount=discounts.withdrawal_cost(rates),
             inventory_loss=limits.inventory_loss,
             levels=limits.levels,
             withdrawal_rate=limits.withdrawal_rate,
@@ -129,19 +173,18 @@ class StorageSimulator(Simulator):
         )
 
     def _terms(self, inputs: dict[str, Any], constants, last) -> Terms:
-        case, contract = self.case, self.case.contract
-        discount = _discounts(case, inputs)
+        contract, discounts, rates = self.contract, self.discounts, use(inputs, self.rate)
         end = contract.at_end.terms(inputs)
-        fixed = use(inputs, contract.fixed_costs) * discount(contract.fixed_cost_day)
+        fixed = use(inputs, contract.fixed_costs) * discounts.fixed(rates)
         return Terms(
             inventory=use(inputs, contract.inventory),
             end_levels=end.levels,
             end_values=end.values,
             end_fraction=end.fraction,
-            end_forward=use(inputs, case.market.forward_curve)[-1],
-            end_discount=discount(np.asarray([case.end_day]))[0],
+            end_forward=use(inputs, self.curve)[-1],
+            end_discount=discounts.end(rates)[0],
             fixed_costs=jnp.sum(fixed),
-            last_day=jnp.asarray(float(case.end_day)),
+            last_day=jnp.asarray(self.end_day, float),
             price=constants,
             end_price=last,
             price_scale=jnp.asarray(self.price_scale),
@@ -150,7 +193,7 @@ class StorageSimulator(Simulator):
 
     def limits(self, inputs: dict[str, Any]) -> Limits:
         """Inventory limits, rates after outages, losses and forced flows per day."""
-        contract, rows = self.case.contract, self.case.contract.ratchets
+        contract, rows = self.contract, self.contract.ratchets
         out, into = contract.withdrawal_factor[:, None], contract.injection_factor[:, None]
         return Limits(
             minimum=use(inputs, contract.min_inventory)[:-1],
@@ -165,7 +208,7 @@ class StorageSimulator(Simulator):
 
     def end_interval(self, inputs: dict[str, Any]) -> tuple[Array, Array]:
         """The inventories allowed on the end date."""
-        contract = self.case.contract
+        contract = self.contract
         low, high = (
             use(inputs, each)[-1] for each in (contract.min_inventory, contract.max_inventory)
         )
@@ -228,7 +271,7 @@ class StorageSimulator(Simulator):
             return self.process.level(constants.price, constants.end_price, state.price)
 
         terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
-        worth = self.case.contract.at_end.worth(terms, state.inventory, price)
+        worth = self.contract.at_end.worth(terms, state.inventory, price)
         outputs = {"cash_flow": worth * constants.end_discount}
         if constants.surprise is not None:
             factors = self.process.gaussian(state.price)
@@ -241,7 +284,7 @@ class StorageSimulator(Simulator):
 
     def flows(self, now: Day, state: State, smooth, scale: Any = 1.0) -> Flows:
         """The day's forced net flow, and the least and the most that is feasible."""
-        kind = self.case.contract.ratchets.interpolation
+        kind = self.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
         injection = rate(now.levels, now.injection_rate, state.inventory, kind, smooth)
         keep = state.inventory * (1 - now.inventory_loss)
@@ -280,32 +323,6 @@ def simulator_of(problem: Problem) -> StorageSimulator:
     return simulator
 
 
-Values = Mapping[str, np.ndarray]  # {input: its numbers}
-
-
-def values_of(case: StorageCase) -> Values:
-    """The numbers of the inputs that the scales of features are made from."""
-    rows = case.contract.ratchets
-    scaled = (case.market.forward_curve, rows.withdrawal, rows.injection)
-    return {series.name: series.values for series in scaled}
-
-
-def mean_price(case: StorageCase, values: Values) -> float:
-    """The mean size of the forward prices."""
-    curve = case.market.forward_curve
-    return float(np.mean(np.abs(values[curve.name][curve.index])))
-
-
-def largest_rate(case: StorageCase, values: Values) -> float:
-    """The largest volume that may move on a day."""
-    rows = case.contract.ratchets
-    rates = (
-        np.max(values[series.name][series.index], initial=0.0)
-        for series in (rows.withdrawal, rows.injection)
-    )
-    return float(max(*rates, 1e-9))
-
-
 _PER_DAY = (
     "injection_cost",
     "withdrawal_cost",
@@ -327,17 +344,3 @@ def rate(levels, rates, inventory, interpolation: str, smooth):
     width = jnp.diff(levels)
     slope = jnp.where(width > 0, jnp.diff(rates) / jnp.where(width > 0, width, 1.0), 0.0)
     return rates[0] + jnp.sum(slope * jnp.clip(inventory - levels[:-1], 0.0, width))
-
-
-def _discounts(case: StorageCase, inputs: dict[str, Any]):
-    """Discount factors of payments on integer days: continuous zero rates, linear in days."""
-    nodes = case.market.zero_rate_day.astype(float)
-    rates = use(inputs, case.market.zero_rate)
-
-    def discount(day: np.ndarray):
-        day = np.maximum(day, 0).astype(float)
-        # The days are known, so the weights of the nodes are numbers: one product, soon compiled.
-        weights = np.stack([np.interp(day, nodes, one) for one in np.eye(len(nodes))], axis=-1)
-        return jnp.exp(-(weights @ rates) * day / YEAR)
-
-    return discount

@@ -1,17 +1,16 @@
 """The common part of all Gaussian factor prices; each kind says which parameters it has."""
 
-import abc
-from typing import NamedTuple, Self
+from typing import NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
-from snapo.problem.process import FactorPrice
+from snapo.problem.process import FactorPrice, Gaps
 from snapo.problem.simulator import Schedule
 
-from .process import Delivery, GaussianFactors, PriceProcess
+from .process import GaussianFactors, PriceProcess, Times
 
 
 class StorageStep(NamedTuple):
@@ -28,21 +27,18 @@ class StorageStep(NamedTuple):
 class FactorPrices(FactorPrice, PriceProcess):
     """Correlated mean-reverting factors around the forward curve; see the core's `FactorPrice`."""
 
-    delivery: eqx.AbstractVar[Delivery]
+    delivery: eqx.AbstractVar[Times]
+    fast_factor: eqx.AbstractVar[int]  # which reverts fastest, among those that move prices
     proportional = True
     time_scale = 1.0
 
     @property
-    @abc.abstractmethod
-    def fast_factor(self) -> int:
-        """The index of the factor that reverts fastest, among those that move prices."""
-
-    def same_program(self, other: Self) -> bool:
-        return self.fast_factor == other.fast_factor
+    def times(self):  # pyright: ignore[reportIncompatibleVariableOverride]
+        return self.delivery.years
 
     @property
-    def times(self) -> tuple[float, ...]:
-        return self.delivery.years
+    def gaps(self) -> Gaps:
+        return self.delivery.gaps
 
     def prepare(self, inputs) -> Schedule:
         numbers = self.parameters(inputs)

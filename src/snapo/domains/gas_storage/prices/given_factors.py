@@ -12,7 +12,7 @@ from snapo.case.table import Section, Table
 from snapo.problem.process import Factors
 
 from .factor_prices import FactorPrices
-from .process import REVERSION, VOLATILITY, Delivery, use
+from .process import REVERSION, VOLATILITY, Delivery, Times, use
 
 
 class FactorTable(Table):
@@ -35,50 +35,32 @@ class GivenFactors(FactorPrices):
     - `correlation`: the strict lower triangle, row by row, index [F (F - 1) / 2].
     """
 
-    delivery: Delivery = eqx.field(static=True)
-    mean_reversion: Given = eqx.field(static=True)
-    volatility: Given = eqx.field(static=True)
-    correlation: Given = eqx.field(static=True)
+    delivery: Times
+    mean_reversion: Given
+    volatility: Given
+    correlation: Given
+    noise_size: int = eqx.field(static=True)
+    fast_factor: int = eqx.field(static=True)
 
     @classmethod
     def read(cls, section: Section, table: FactorTable, delivery: Delivery):
-        return cls.of([table], [], [], section, delivery)
+        return cls.of(delivery, **read_factors(section, [table], [], [], delivery))
 
     @classmethod
-    def of(
-        cls,
-        factors: Sequence[FactorTable],
-        correlation: Sequence[float],
-        places: Sequence[FilePosition],
-        section: Section,
-        delivery: Delivery,
-    ):
-        """The process of several factors, with the strict lower triangle of their correlations."""
-        count, dates = len(factors), delivery.dates
-        volatilities = [factor.volatility.on(dates, section.notes) for factor in factors]
-        pairs = [f"{i},{j}" for i in range(2, count + 1) for j in range(1, i)]
-        return cls(  # pyright: ignore[reportCallIssue]
-            delivery,
-            stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
-            stacked("volatility", volatilities),
-            CORRELATION.given("correlation", correlation, pairs, places=tuple(places)),
-        )
-
-    @property
-    def noise_size(self) -> int:
-        return len(self.mean_reversion.values)
-
-    @property
-    def fast_factor(self) -> int:
-        moves = self.volatility.used().max(axis=0) > 0
-        return int(np.argmax(np.where(moves, self.mean_reversion.used(), -1.0)))
+    def of(cls, delivery: Delivery, mean_reversion: Given, volatility: Given, correlation: Given):
+        """With the number of factors, and the fast one among them."""
+        moves = volatility.used().max(axis=0) > 0
+        fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
+        numbers = mean_reversion, volatility, correlation
+        size = len(mean_reversion.values)
+        return cls(delivery.times, *numbers, size, fast)  # pyright: ignore[reportCallIssue]
 
     def parameters(self, inputs) -> Factors:
         size = self.noise_size
         lower = jnp.zeros((size, size))
         lower = lower.at[np.tril_indices(size, -1)].set(use(inputs, self.correlation))
         return Factors(
-            use(inputs, self.delivery.curve)[self.delivery.places],
+            self.delivery.forward(inputs),
             use(inputs, self.mean_reversion),
             use(inputs, self.volatility),
             lower + lower.T + jnp.eye(size),
@@ -90,3 +72,22 @@ class GivenFactors(FactorPrices):
         lower = np.zeros((size, size))
         lower[np.tril_indices(size, -1)] = self.correlation.values
         return lower + lower.T + np.eye(size)
+
+
+def read_factors(
+    section: Section,
+    factors: Sequence[FactorTable],
+    correlation: Sequence[float],
+    places: Sequence[FilePosition],
+    delivery: Delivery,
+) -> dict[str, Given]:
+    """The numbers of several factors, with the strict lower triangle of their correlations."""
+    count, dates = len(factors), delivery.dates
+    volatilities = [factor.volatility.on(dates, section.notes) for factor in factors]
+    pairs = [f"{i},{j}" for i in range(2, count + 1) for j in range(1, i)]
+    numbers = (
+        stacked("mean_reversion", [factor.mean_reversion for factor in factors]),
+        stacked("volatility", volatilities),
+        CORRELATION.given("correlation", correlation, pairs, places=tuple(places)),
+    )
+    return {given.name: given for given in numbers}

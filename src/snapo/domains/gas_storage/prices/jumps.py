@@ -20,6 +20,7 @@ from .process import (
     GaussianFactors,
     PriceProcess,
     SingleFactorTable,
+    Times,
     register,
     use,
 )
@@ -85,25 +86,27 @@ class OneFactorJumps(PriceProcess):
     is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. It is continuous in
     p, so that pathwise derivatives by the intensity are those of the expectation. Source: the jump
     sizes are those of Kou (2002), upward only, around a mean-reverting spot as in Merton (1976).
-    The state is (f, y).
+    The state is (f, y). `gap`, `last`: days from valuation to the first and the last price.
     """
 
     kind = "one-factor-jumps"
     table = JumpTable
     martingale = True
     proportional = True
-    delivery: Delivery = eqx.field(static=True)
-    mean_reversion: Given = eqx.field(static=True)
-    volatility: Given = eqx.field(static=True)
-    jump_intensity: Given = eqx.field(static=True)
-    jump_size: Given = eqx.field(static=True)
-    jump_mean_reversion: Given = eqx.field(static=True)
+    delivery: Times
+    mean_reversion: Given
+    volatility: Given
+    jump_intensity: Given
+    jump_size: Given
+    jump_mean_reversion: Given
+    gap: int = eqx.field(static=True)
+    last: int = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=3)
 
-    @property
-    def gap(self) -> int:
-        """Days from the valuation date to the first price."""
-        return round(self.delivery.years[0] * YEAR)
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: Given):
+        gap, last = delivery.ahead[0], delivery.ahead[-1]
+        return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 
     @property
     def initial_noise_size(self) -> int:
@@ -111,17 +114,17 @@ class OneFactorJumps(PriceProcess):
 
     def prepare(self, inputs) -> Schedule:
         reversion, eta = use(inputs, self.mean_reversion), use(inputs, self.jump_size)
-        days = np.round(np.asarray(self.delivery.years) * YEAR)
+        days = jnp.round(self.delivery.years * YEAR)
         chance = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
         # Sizes that a spike has left after 0, 1, … days, and the mean of its exponential.
-        ages = np.arange(max(int(days[-1]), 1))
+        ages = np.arange(max(self.last, 1))
         left = eta * jnp.exp(-use(inputs, self.jump_mean_reversion) * ages / YEAR)
         compensator = jnp.cumsum(jnp.log1p(chance * left / (1 - left)))
         compensator = jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
         loading = use(inputs, self.volatility)
         variance = integral(2 * reversion, days / YEAR)
         constants = JumpConstants(
-            jnp.sqrt(integral(2 * reversion, days[0] / YEAR)) if days[0] > 0 else jnp.zeros(()),
+            jnp.sqrt(integral(2 * reversion, days[0] / YEAR)) if self.gap else jnp.zeros(()),
             jnp.exp(-reversion / YEAR),
             jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
             jnp.exp(-use(inputs, self.jump_mean_reversion) / YEAR),
@@ -129,7 +132,7 @@ class OneFactorJumps(PriceProcess):
             eta,
             1 / jnp.sqrt(integral(2 * reversion, 1.0)),
         )
-        forward = use(inputs, self.delivery.curve)[self.delivery.places]
+        forward = self.delivery.forward(inputs)
         return Schedule(constants, JumpStep(forward, loading, loading**2 * variance, compensator))
 
     def initial(self, constants, noise):

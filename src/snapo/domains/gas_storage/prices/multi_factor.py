@@ -8,7 +8,7 @@ from pydantic import Field
 from snapo.case.given import Copies
 from snapo.case.table import Section, Table, parse
 
-from .given_factors import FactorTable, GivenFactors
+from .given_factors import FactorTable, GivenFactors, read_factors
 from .process import Delivery, register
 
 
@@ -49,7 +49,7 @@ class MultiFactor(GivenFactors):
         key, count = (*section.keys, "correlation"), len(factors)
         pairs = [(i, j) for i in range(count) for j in range(i)]
         places = [Copies(((*key, i, j), (*key, j, i))) for i, j in pairs]
-        return cls.of(factors, correlation, places, section, delivery)
+        return cls.of(delivery, **read_factors(section, factors, correlation, places, delivery))
 
     def describe(self) -> str:
         return "Correlated mean-reverting factors"

@@ -18,7 +18,8 @@ from snapo.case.given import Given
 from snapo.case.plausible import Plausible
 from snapo.case.quantity import NOT_NEGATIVE, Quantity, Range, on_dates
 from snapo.case.table import Section, Table
-from snapo.problem.process import Process
+from snapo.problem.form import Use
+from snapo.problem.process import Gaps, Process
 from snapo.problem.scenarios import Sources
 
 YEAR = 365.0
@@ -72,14 +73,32 @@ class Delivery(NamedTuple):
         return (*self.days, self.end)
 
     @property
-    def years(self) -> tuple[float, ...]:
-        """[T + 1] time of each date from the valuation date, Act/365, not negative."""
-        return tuple(max((date - self.valuation).days, 0) / YEAR for date in self.dates)
+    def ahead(self) -> tuple[int, ...]:
+        """[T + 1] days from the valuation date to each date, not negative."""
+        return tuple(max((date - self.valuation).days, 0) for date in self.dates)
 
     @property
-    def places(self) -> np.ndarray:
-        """[T + 1] the entry of the curve of each date; an end date without a price has the last."""
-        return np.minimum(np.arange(len(self.days) + 1), max(len(self.price_days) - 1, 0))
+    def times(self) -> "Times":
+        """All of it that a process keeps."""
+        years = np.array([days / YEAR for days in self.ahead])
+        return Times(years, Gaps.of(years.tolist()), self.curve)
+
+
+class Times(eqx.Module):
+    """When a process has prices, and how they are expected today.
+
+    - `years` [T + 1]: time of each date from the valuation date, Act/365; `gaps` between them.
+    - `curve`: the forward price of each date, but for an end date that needs none.
+    """
+
+    years: Float[np.ndarray, " T+1"]
+    gaps: Gaps
+    curve: Given
+
+    def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
+        """The forward price of each date; an end date without a price has the last."""
+        prices, count = use(inputs, self.curve), len(self.years)
+        return prices[np.minimum(np.arange(count), max(len(prices) - 1, 0))]
 
 
 class GaussianFactors(NamedTuple):
@@ -103,6 +122,9 @@ class GaussianFactors(NamedTuple):
 class PriceProcess(Process):
     """A price process of a store: its answers beyond the core's `Process`.
 
+    As it is read it has the numbers of the case; in a simulator it has none of them (see
+    `snapo.problem.form`), so that methods for paths ask their `inputs`.
+
     The level is the spot price in currency per unit; the state is that of the prices alone.
     `prepare` gives T + 1 rows: the decision days, and the end date.
 
@@ -119,11 +141,12 @@ class PriceProcess(Process):
     @classmethod
     def read(cls, section: Section, table: Any, delivery: Delivery) -> Self:
         """The process from its table in the case file: its numbers, on the delivery days."""
-        return cls(delivery, **on_dates(table, delivery.dates, section.notes))  # pyright: ignore
+        return cls.of(delivery, **on_dates(table, delivery.dates, section.notes))
 
-    def same_program(self, other: Self) -> bool:
-        """Whether another process of this kind, with other numbers, is the same compiled code."""
-        return True
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: Given) -> Self:
+        """The process with these numbers, by field, on the days of a delivery."""
+        return cls(delivery.times, **numbers)  # pyright: ignore
 
     @abc.abstractmethod
     def state_at(self, constants, now, spot: Float[Array, ""]):
@@ -152,17 +175,9 @@ class PriceProcess(Process):
         return None
 
 
-def use(inputs: dict[str, Any], given: Given):
-    """The numbers of an input where they are used: its values at `given.index`."""
-    if not given.values.size:
-        return jnp.zeros(given.index.shape)
-    numbers = jnp.asarray(inputs[given.name])
-    # Most numbers hold on all days, and most curves have one for each day: nothing to gather.
-    if given.values.size == 1:
-        return jnp.broadcast_to(numbers.reshape(()), given.index.shape)
-    if np.array_equal(given.index, np.arange(given.values.size)):
-        return numbers
-    return numbers[given.index]
+def use(inputs: dict[str, Any], series: Given | Use):
+    """The numbers of an input where they are used: its values at their index."""
+    return (series if isinstance(series, Use) else series.use())(inputs)
 
 
 KINDS: dict[str, type[PriceProcess]] = {}

@@ -20,6 +20,7 @@ from .process import (
     GaussianFactors,
     PriceProcess,
     SingleFactorTable,
+    Times,
     register,
     use,
 )
@@ -89,20 +90,27 @@ class Regimes(PriceProcess):
     A path has no derivative with respect to the probabilities: the state carries its likelihood
     ratio (`weight`), and the derivative of the mean is right. Source: Hamilton (1989), "A new
     approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of
-    power spikes".
+    power spikes". `gap`, `last`: days from valuation to the first and the last price.
     """
 
     kind = "regimes"
     table = RegimeTable
     martingale = True
     proportional = True
-    delivery: Delivery = eqx.field(static=True)
-    mean_reversion: Given = eqx.field(static=True)
-    volatility: Given = eqx.field(static=True)
-    tightens: Given = eqx.field(static=True)
-    eases: Given = eqx.field(static=True)
-    premium: Given = eqx.field(static=True)
+    delivery: Times
+    mean_reversion: Given
+    volatility: Given
+    tightens: Given
+    eases: Given
+    premium: Given
+    gap: int = eqx.field(static=True)
+    last: int = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=2)
+
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: Given):
+        gap, last = delivery.ahead[0], delivery.ahead[-1]
+        return cls(delivery.times, gap=gap, last=last, **numbers)  # pyright: ignore
 
     @property
     def initial_noise_size(self) -> int:
@@ -111,17 +119,17 @@ class Regimes(PriceProcess):
     def prepare(self, inputs) -> Schedule:
         reversion, premium = use(inputs, self.mean_reversion), use(inputs, self.premium)
         up, down = use(inputs, self.tightens), use(inputs, self.eases)
-        days = np.round(np.asarray(self.delivery.years) * YEAR).astype(int)
+        days = jnp.round(self.delivery.years * YEAR).astype(int)
 
         def next_day(tight, _):
             return (1 - tight) * up + tight * (1 - down), tight
 
-        _, tight = jax.lax.scan(next_day, jnp.zeros_like(up), None, length=int(days[-1]) + 1)
+        _, tight = jax.lax.scan(next_day, jnp.zeros_like(up), None, length=self.last + 1)
         tight, loading = tight[days], use(inputs, self.volatility)
         variance = integral(2 * reversion, days / YEAR)
         gap = days[0] / YEAR
         constants = RegimeConstants(
-            jnp.sqrt(integral(2 * reversion, gap)) if gap > 0 else jnp.zeros(()),
+            jnp.sqrt(integral(2 * reversion, gap)) if self.gap else jnp.zeros(()),
             tight[0],
             jnp.exp(-reversion / YEAR),
             jnp.sqrt(integral(2 * reversion, 1 / YEAR)),
@@ -129,7 +137,7 @@ class Regimes(PriceProcess):
             premium,
             1 / jnp.sqrt(integral(2 * reversion, 1.0)),
         )
-        forward = use(inputs, self.delivery.curve)[self.delivery.places]
+        forward = self.delivery.forward(inputs)
         compensator = jnp.log1p(tight * jnp.expm1(premium))
         return Schedule(constants, RegimeStep(forward, loading, loading**2 * variance, compensator))
 

@@ -1,12 +1,12 @@
 """`[model]` of kind "supplied": price paths of one's own, from two different files."""
 
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, Self
+from typing import Literal, NamedTuple
 
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array
+from jaxtyping import Array, Float
 from pydantic import Field
 
 from snapo.case.csv import Mention, read_array
@@ -16,7 +16,7 @@ from snapo.problem.scenarios import Sources, Supplied
 from snapo.problem.simulator import Schedule
 
 from ..read.tables import FileName
-from .process import Delivery, PriceProcess, register, use
+from .process import Delivery, PriceProcess, Times, register
 
 
 class SuppliedTable(Table):
@@ -36,6 +36,9 @@ class Paths:
     training: np.ndarray
     evaluation: np.ndarray
 
+    def use(self) -> None:
+        """Scenarios, and no part of a simulator."""
+
 
 class SuppliedStep(NamedTuple):
     """The forward price of the day."""
@@ -49,24 +52,26 @@ class SuppliedPrices(PriceProcess):
 
     With `rescaled` the arrays are the noise: each day divided by its mean over the paths of its
     own file, to be multiplied by the forward curve. Without, they are prices in currency per unit,
-    and the forward curve plays no part in them.
+    and the forward curve plays no part in them, but for `scale`, its mean size.
     """
 
     kind = "supplied"
     table = SuppliedTable
     martingale = False
-    delivery: Delivery = eqx.field(static=True)
-    of: Paths = eqx.field(static=True)
+    delivery: Times
+    scale: Float[np.ndarray, ""]
+    paths: Paths
     rescaled: bool = eqx.field(static=True)
     noise_size: int = eqx.field(static=True, default=1)
 
     @classmethod
     def read(cls, section: Section, table: SuppliedTable, delivery: Delivery):
-        days = delivery.price_days
+        days, numbers = delivery.price_days, delivery.curve.used()
+        size = np.asarray(np.mean(np.abs(numbers)) or 1.0) if len(numbers) else np.ones(())
         if not days:
             # No decision is left: whatever the paths say is over.
             none = Paths(np.zeros((2, 0)), np.zeros((2, 0)))
-            return cls(delivery, none, table.rescale_to_curve)  # pyright: ignore
+            return cls(delivery.times, size, none, table.rescale_to_curve)  # pyright: ignore
         span = f"one for each day from {days[0]} to {days[-1]}"
         mentions = [
             Mention(section, key, getattr(table, key))
@@ -81,23 +86,20 @@ class SuppliedPrices(PriceProcess):
                 _noise(mention.name, array, days)
                 for mention, array in zip(mentions, arrays, strict=True)
             ]
-        return cls(delivery, Paths(*arrays), table.rescale_to_curve)  # pyright: ignore[reportCallIssue]
+        paths = Paths(*arrays)
+        return cls(delivery.times, size, paths, table.rescale_to_curve)  # pyright: ignore
 
     @property
     def proportional(self) -> bool:
         return self.rescaled
-
-    def same_program(self, other: Self) -> bool:
-        return False  # the mean of the curve is a constant of it
 
     @property
     def initial_noise_size(self) -> int:
         return 1
 
     def prepare(self, inputs) -> Schedule:
-        curve = use(inputs, self.delivery.curve)[self.delivery.places]
-        scale = float(np.mean(np.abs(self.delivery.curve.used()))) or 1.0
-        return Schedule(jnp.asarray(1.0 if self.rescaled else scale), SuppliedStep(curve))
+        scale = jnp.ones(()) if self.rescaled else jnp.asarray(self.scale)
+        return Schedule(scale, SuppliedStep(self.delivery.forward(inputs)))
 
     def initial(self, constants, noise):
         return noise
@@ -122,14 +124,14 @@ class SuppliedPrices(PriceProcess):
 
         The first day's price starts a path; the days after it are its noise.
         """
-        training = self._scenarios(self.of.training, seed)
+        training = self._scenarios(self.paths.training, seed)
         first = max(1, 3 * training.size // 4)
         validation = training.part(min(first, training.size - 1), training.size)
-        evaluation = self._scenarios(self.of.evaluation, seed)
+        evaluation = self._scenarios(self.paths.evaluation, seed)
         return Sources(training.part(0, first), validation, evaluation)
 
     def _scenarios(self, paths: np.ndarray, seed: int) -> Supplied:
-        days = len(self.delivery.days)
+        days = len(self.delivery.years) - 1
         later = np.zeros((days, len(paths), 1))
         following = paths[:, 1 : days + 1].T
         later[: len(following), :, 0] = following

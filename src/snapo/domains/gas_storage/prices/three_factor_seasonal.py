@@ -8,6 +8,7 @@ from typing import Literal
 import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
+from jaxtyping import Float
 
 from snapo.case.given import Given
 from snapo.case.plausible import Plausible
@@ -15,7 +16,7 @@ from snapo.case.table import Table
 from snapo.problem.process import Factors
 
 from .factor_prices import FactorPrices
-from .process import REVERSION, SPEED, VOLATILITY, Delivery, register, use
+from .process import REVERSION, SPEED, VOLATILITY, Delivery, Times, register, use
 
 
 class SeasonalTable(Table):
@@ -42,20 +43,19 @@ class ThreeFactorSeasonal(FactorPrices):
 
     kind = "three-factor-seasonal"
     table = SeasonalTable
-    delivery: Delivery = eqx.field(static=True)
-    spot_mean_reversion: Given = eqx.field(static=True)
-    spot_volatility: Given = eqx.field(static=True)
-    long_term_volatility: Given = eqx.field(static=True)
-    seasonal_volatility: Given = eqx.field(static=True)
+    delivery: Times
+    spot_mean_reversion: Given
+    spot_volatility: Given
+    long_term_volatility: Given
+    seasonal_volatility: Given
+    season: Float[np.ndarray, " T+1"]
     noise_size: int = eqx.field(static=True, default=3)
+    fast_factor: int = eqx.field(static=True, default=0)
 
-    @property
-    def season(self) -> np.ndarray:
-        return season(self.delivery.dates, self.delivery.valuation)
-
-    @property
-    def fast_factor(self) -> int:
-        return 0
+    @classmethod
+    def of(cls, delivery: Delivery, **numbers: Given):
+        days = season(delivery.dates, delivery.valuation)
+        return cls(delivery.times, season=days, **numbers)  # pyright: ignore
 
     def parameters(self, inputs) -> Factors:
         reversion = use(inputs, self.spot_mean_reversion)
@@ -66,7 +66,7 @@ class ThreeFactorSeasonal(FactorPrices):
             use(inputs, self.seasonal_volatility) / 2 * self.season,
         )
         return Factors(
-            use(inputs, self.delivery.curve)[self.delivery.places],
+            self.delivery.forward(inputs),
             jnp.stack([reversion, zero, zero]),
             jnp.stack(loading, axis=1),
             jnp.eye(3),

@@ -1,0 +1,141 @@
+"""What a second contract costs in a process that has solved a first one of the same shape.
+
+    python -m benchmarks.second_contract [DOMAIN …]
+
+The second contract has other prices, rates, volumes, costs and dates than the first one, but as
+many of them. Training and evaluation are as short as they may be, so that what remains is the work
+around them. Printed are processor seconds and how many programs were compiled, of JAX and of the
+native engine, and whether the numbers have the bits that a process of their own gives.
+"""
+
+import datetime
+import hashlib
+import json
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import equinox as eqx
+import jax
+import numpy as np
+
+from snapo.case.table import load
+from snapo.solver.solve import solve
+from snapo.study.study import Setup
+
+EVENTS = {"/jax/core/compile/backend_compile_duration": "XLA", "/snapo/compile": "native"}
+SHORT = {"steps": 2, "paths": 64, "validation_paths": 64}
+FEW = {"paths": 128, "sensitivity_paths": 128, "judge_paths": 0, "search_paths": 0}
+
+
+def storage(second: bool) -> Setup:
+    """The template of a gas store; the second one starts a year later, in another market."""
+    from snapo.domains.gas_storage import setup
+    from snapo.domains.gas_storage.read.case import read_case
+
+    with tempfile.TemporaryDirectory() as folder:
+        file, data = load(Path(setup.__file__).parent / "template")
+        for table in file.parent.glob("*.csv"):
+            text = table.read_text(encoding="utf-8")
+            (Path(folder) / table.name).write_text(_later(text) if second else text, "utf-8")
+        if second:
+            data["contract"] |= {
+                "start": datetime.date(2022, 4, 1),
+                "end": datetime.date(2023, 4, 1),
+                "inventory": 1200.0,
+                "max_inventory": 6800.0,
+                "injection_cost": 0.02,
+            }
+            data["market"]["valuation_date"] = datetime.date(2022, 4, 25)
+            data["market"]["settlement"] = {"months": 1, "day": 25}
+            data["model"]["spot_volatility"] = 0.7
+        data["training"], data["evaluation"] = SHORT, FEW
+        case = read_case(Path(folder) / file.name, data)
+    return setup.make_setup(case, "native", setup.fitted_value(setup.bare_problem(case)))
+
+
+def _later(text: str) -> str:
+    """A table whose dates are a year later, and whose last numbers are a twentieth larger."""
+
+    def row(line: str) -> str:
+        start, _, last = line.rpartition(",")
+        start = re.sub(r"^\d{4}", lambda year: str(int(year[0]) + 1), start)
+        return f"{start},{1.05 * float(last):.6g}"
+
+    head, *rows = text.splitlines()
+    return "\n".join([head, *map(row, rows)]) + "\n"
+
+
+DOMAINS: dict[str, Callable[[bool], Setup]] = {"gas-storage": storage}
+
+
+def solved(domain: str, second: bool) -> dict[str, Any]:
+    """One contract, made ready and solved: its seconds, its compilations, and a digest of its
+    numbers."""
+    made = dict.fromkeys(EVENTS.values(), 0)
+
+    def count(event: str, duration_secs: float, **more: Any) -> None:
+        if event in EVENTS:
+            made[EVENTS[event]] += 1
+
+    jax.monitoring.register_event_duration_secs_listener(count)
+    started = time.process_time()
+    setup = DOMAINS[domain](second)
+    solution = solve(
+        setup.problem,
+        policy=setup.policy if setup.recipe is None else setup.recipe,
+        training=setup.training,
+        evaluation=setup.evaluation,
+        engine=setup.engines,
+    )
+    spent = time.process_time() - started
+    jax.monitoring.unregister_event_duration_listener(count)
+    assert solution.sensitivities is not None
+    held = {name: found.value for name, found in solution.sensitivities.held.items()}
+    leaves = jax.tree.leaves((solution.totals, solution.policy, held))
+    arrays = b"".join(np.asarray(leaf).tobytes() for leaf in filter(eqx.is_array, leaves))
+    return {
+        "seconds": spent,
+        **made,
+        "value": solution.value,
+        "digest": hashlib.blake2b(arrays).hexdigest()[:16],
+    }
+
+
+def apart(domain: str, *which: bool) -> list[dict[str, Any]]:
+    """Contracts solved one after another in a process of their own, without kernels on disk."""
+    words = [sys.executable, "-m", "benchmarks.second_contract", "--apart", domain]
+    with tempfile.TemporaryDirectory() as empty:
+        own = os.environ | {"XDG_CACHE_HOME": empty}
+        asked = [*words, *(str(int(each)) for each in which)]
+        done = subprocess.run(asked, env=own, check=True, stdout=subprocess.PIPE, text=True)
+    return json.loads(done.stdout.splitlines()[-1])
+
+
+def table(domain: str) -> Iterator[str]:
+    """The lines of one domain."""
+    first, second = apart(domain, False, True)
+    (alone,) = apart(domain, True)
+    for name, found in (("first", first), ("second", second), ("second alone", alone)):
+        yield (
+            f"{domain:<12} {name:<13} {found['seconds']:6.2f} s of processors, "
+            f"{found['XLA']:4d} programs of XLA, {found['native']:3d} of the native engine, "
+            f"value {found['value']:,.2f}"
+        )
+    same = "the same bits" if second["digest"] == alone["digest"] else "OTHER BITS"
+    yield f"{domain:<12} the second one has {same} as in a process of its own"
+
+
+if __name__ == "__main__":
+    if sys.argv[1:2] == ["--apart"]:
+        print(json.dumps([solved(sys.argv[2], each == "1") for each in sys.argv[3:]]))
+    else:
+        for domain in sys.argv[1:] or DOMAINS:
+            for line in table(domain):
+                print(line, flush=True)

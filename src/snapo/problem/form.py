@@ -1,0 +1,86 @@
+"""The form of a case: all that code is compiled for. Its numbers are arguments of that code.
+
+A simulator of a domain holds no case, but modules with fields of two sorts: static ones (kinds,
+rules, names, sizes, flags), which JAX compares, and arrays. Traced code cannot read anything else:
+two cases with equal `form_of` are the same program, and the second one compiles nothing.
+"""
+
+from collections.abc import Hashable, Mapping
+from typing import Any, TypeVar
+
+import equinox as eqx
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jaxtyping import Array, Float, Int, PyTree
+
+T = TypeVar("T")
+ARRAYS = (np.ndarray, np.generic, jax.Array)
+
+
+class Use(eqx.Module):
+    """Where the numbers of an input are used.
+
+    - `name`: of the input; `size`: how many numbers it has.
+    - `shape`: of the numbers where they are used.
+    - `index`: integers of that shape into the input's numbers; None where they are used one by one
+      in their own order, where one number holds everywhere, and where there is none.
+    """
+
+    name: str = eqx.field(static=True)
+    size: int = eqx.field(static=True)
+    shape: tuple[int, ...] = eqx.field(static=True)
+    index: Int[np.ndarray, "..."] | None = None
+
+    @classmethod
+    def of(cls, name: str, size: int, index: Int[np.ndarray, "..."]) -> "Use":
+        """Of the input `name` with so many numbers, used at `index`."""
+        plain = size <= 1 or np.array_equal(index, np.arange(size))
+        return cls(name, size, index.shape, None if plain else index)
+
+    def __call__(self, inputs: dict[str, Any]) -> Float[Array, "..."]:
+        """The numbers where they are used; zeros where the input has none."""
+        if self.size == 0:
+            return jnp.zeros(self.shape)
+        numbers = jnp.asarray(inputs[self.name])
+        # Most numbers hold on all days, and most curves have one for each day: nothing to gather.
+        if self.size == 1:
+            return jnp.broadcast_to(numbers.reshape(()), self.shape)
+        if self.index is None:
+            return numbers
+        return numbers.at[self.index].get(mode="promise_in_bounds")
+
+    def in_numpy(self, values: Mapping[str, np.ndarray]) -> Float[np.ndarray, "..."]:
+        """The same in NumPy."""
+        if self.size <= 1:
+            return np.broadcast_to(values[self.name] if self.size else 0.0, self.shape)
+        return values[self.name] if self.index is None else values[self.name][self.index]
+
+
+def formed(record: T) -> T:
+    """A module of a case as a simulator holds it: of the inputs only their `Use`, and arrays.
+
+    A leaf with a method `use` is replaced by its result.
+
+    **Raises:** `TypeError` where there is anything else, which would be compiled in.
+    """
+
+    def without_numbers(leaf: Any) -> Any:
+        if isinstance(leaf, ARRAYS):
+            return leaf
+        if not hasattr(leaf, "use"):
+            raise TypeError(
+                f"{type(record).__name__}: {leaf!r} is neither an array nor a static field."
+            )
+        return leaf.use()
+
+    return jax.tree.map(without_numbers, record)
+
+
+def form_of(tree: PyTree) -> Hashable:
+    """All that code compiled for a tree depends on: its structure with all static fields, and the
+    shapes and types of its arrays."""
+    leaves, structure = jax.tree.flatten(tree)
+    return structure, tuple(
+        (leaf.shape, str(leaf.dtype)) if isinstance(leaf, ARRAYS) else leaf for leaf in leaves
+    )

@@ -1,0 +1,172 @@
+"""A second contract of the same form is the same program: nothing is traced or compiled for it."""
+
+import datetime
+import shutil
+
+import jax
+import numpy as np
+import pytest
+from tests.compilations import compilations
+from tests.domains.gas_storage.storage_cases import CASES, read
+from tests.domains.same_form import programs
+
+from snapo.domains.gas_storage.contract.simulator import StorageSimulator
+from snapo.domains.gas_storage.setup import bare_problem, fitted_value, make_setup
+from snapo.engine.native.call import _runners
+from snapo.solver.solve import solve
+
+FACTORS = {"mean_reversion": None, "volatility": None}
+QUICK = {
+    "training": {"steps": 2, "paths": 64, "validation_paths": 64},
+    "evaluation": {"paths": 128, "sensitivity_paths": 64, "judge_paths": 0, "search_paths": 0},
+}
+
+
+def models(draw: np.random.Generator) -> list[dict]:
+    """A price model of every kind, with numbers that are drawn."""
+    reversion, volatility = (float(x) for x in draw.uniform((5, 0.3), (25, 0.9)))
+    one = {"mean_reversion": reversion, "volatility": volatility}
+    two = [one, {"mean_reversion": float(draw.choice([1.0, 30.0])), "volatility": 0.3}]
+    correlation = float(draw.uniform(-0.5, 0.5))
+    paths = {"training_paths": "paths.npy", "evaluation_paths": "others.npy"}
+    return [
+        {"kind": "one-factor", **one},
+        {
+            "kind": "multi-factor",
+            **FACTORS,
+            "factors": two,
+            "correlation": [[1.0, correlation], [correlation, 1.0]],
+        },
+        {
+            "kind": "three-factor-seasonal",
+            **FACTORS,
+            "spot_mean_reversion": reversion,
+            "spot_volatility": volatility,
+            "long_term_volatility": 0.2,
+            "seasonal_volatility": float(draw.uniform(0, 0.3)),
+        },
+        {
+            "kind": "one-factor-jumps",
+            **one,
+            "jump_intensity": float(draw.uniform(5, 40)),
+            "jump_size": 0.3,
+            "jump_mean_reversion": 150.0,
+        },
+        {"kind": "regimes", **one, "tightens": 0.05, "eases": 0.2, "premium": 0.4},
+        {"kind": "supplied", **FACTORS, **paths, "rescale_to_curve": bool(draw.integers(2))},
+    ]
+
+
+def drawn(seed: int, folder):
+    """A problem whose every number is drawn, and few of its rules; the kinds of prices in turn."""
+    draw = np.random.default_rng(seed)
+    kind = seed % 6
+    model = models(draw)[kind]
+    gap = int(draw.choice([0, 0, 1, 5, 6]))
+    start = datetime.date(2025, 1, 1) + datetime.timedelta(int(draw.choice([0, 0, 31])))
+    end = start + datetime.timedelta(30)
+    dates = [start + datetime.timedelta(days) for days in range(-1, 32)]
+    rows = [f"{day},{draw.uniform(20, 40):.3f}" for day in dates]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    rates = [f"{day},{draw.uniform(0, 0.05):.4f}" for day in (dates[0], dates[1 + kind], dates[-1])]
+    (folder / "rates.csv").write_text("\n".join(["date,zero_rate", *rates]))
+    fees = [f"{day},{draw.uniform(1, 5):.2f}" for day in (dates[3], dates[9])]
+    (folder / "fees.csv").write_text("\n".join(["date,amount", *fees]))
+    for name in ("paths", "others"):
+        np.save(folder / f"{name}.npy", draw.uniform(20, 40, (8, 30)))
+    end_inventory = draw.choice(["free", "level"])
+    contract = {
+        "start": start,
+        "end": end,
+        "inventory": float(draw.uniform(5, 15)),
+        "max_inventory": float(draw.uniform(40, 60)),
+        "max_injection": float(draw.uniform(4, 6)),
+        "injection_cost": float(draw.uniform(0, 0.1)),
+        "injection_fuel": float(draw.uniform(0, 0.02)),
+        "inventory_loss": float(draw.uniform(0, 0.001)),
+        "fixed_costs": "fees.csv",
+        "end_inventory": "free" if end_inventory == "free" else float(draw.uniform(0, 5)),
+    }
+    if end_inventory == "free" and kind != 5:
+        contract["end_value"] = float(draw.choice([0.0, 0.5, 0.9]))
+    market = {
+        "valuation_date": start - datetime.timedelta(gap),
+        "interest_rate": "rates.csv",
+        "settlement": {"days": int(draw.integers(0, 6))},
+    }
+    (folder / "case.toml").write_text((CASES / "quick" / "case.toml").read_text())
+    return bare_problem(read(folder, contract=contract, market=market, model=model))
+
+
+@pytest.mark.parametrize("kind", range(6))
+def test_a_simulator_has_arrays_alone(kind, tmp_path):
+    problem = drawn(kind, tmp_path)
+    leaves = jax.tree.leaves(problem.simulator)
+    assert leaves and all(isinstance(leaf, np.ndarray) for leaf in leaves)
+    assert isinstance(problem.simulator, StorageSimulator)
+    assert not hasattr(problem.simulator, "case")
+
+
+def same_programs(seeds, folder) -> int:
+    """How many pairs of drawn problems have one form; all of them are one program."""
+    known: dict = {}
+    pairs = 0
+    for seed in seeds:
+        problem = drawn(seed, folder)
+        text = programs(problem)
+        for other in known.setdefault(problem.form, []):
+            assert text == other
+            pairs += 1
+        known[problem.form] = [*known[problem.form], text]
+    return pairs
+
+
+def test_equal_forms_are_equal_programs(tmp_path):
+    assert same_programs(range(0, 72, 6), tmp_path) >= 3
+
+
+@pytest.mark.prove
+def test_equal_forms_are_equal_programs_in_two_hundred_pairs(tmp_path):
+    assert same_programs(range(250), tmp_path) >= 200
+
+
+def other(case: dict, folder) -> dict:
+    """Another contract of the same form, a month later."""
+    start = datetime.date(2025, 2, 1)
+    shutil.copy(CASES / "quick" / "case.toml", folder)
+    dates = [start + datetime.timedelta(days) for days in range(31)]
+    rows = [f"{day},{30 + day.day % 7}" for day in dates]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    contract = {"start": start, "end": start + datetime.timedelta(30), "max_inventory": 45.0}
+    return case | {
+        "contract": contract | {"inventory": 12.0, "injection_cost": 0.03},
+        "market": {
+            "valuation_date": start,
+            "interest_rate": 0.02,
+            "settlement": {"days": 3},
+        },
+        "model": {"mean_reversion": 15.0, "volatility": 0.7},
+    }
+
+
+def test_a_second_contract_compiles_nothing_and_has_its_own_bits(tmp_path):
+    def solved(folder, changes):
+        case = read(folder, **changes)
+        setup = make_setup(case, "native", fitted_value(bare_problem(case)))
+        return solve(
+            setup.problem,
+            policy=setup.policy,
+            training=setup.training,
+            evaluation=setup.evaluation,
+            engine=setup.engines,
+        )
+
+    first = solved("quick", QUICK)
+    with compilations() as made:
+        second = solved(tmp_path, other(QUICK, tmp_path))
+    assert made == []
+    jax.clear_caches()
+    _runners.clear()
+    again = solved(tmp_path, other(QUICK, tmp_path))
+    assert second.value == again.value != first.value
+    assert jax.tree.all(jax.tree.map(np.array_equal, second.policy, again.policy))
