@@ -16,8 +16,8 @@ from statistics import median
 import numpy as np
 
 import snapo.domains.pharma as domain
+from snapo.domains.pharma.chapters.attribution import with_nodes
 from snapo.domains.pharma.derivatives.jacobian import gradient, matrix
-from snapo.domains.pharma.derivatives.nodes import with_nodes
 from snapo.domains.pharma.flowsheet.process import Process
 from snapo.domains.pharma.quality.draws import all_draws, all_entries
 from snapo.domains.pharma.read.case import read_case
