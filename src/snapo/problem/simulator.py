@@ -7,7 +7,7 @@ simulator has the way from the inputs to a schedule (`prepare`), the start of a 
 
 import abc
 from collections.abc import Callable, Mapping
-from dataclasses import FrozenInstanceError, fields, replace
+from dataclasses import FrozenInstanceError, fields
 from functools import wraps
 from typing import Any, ClassVar, Literal, NamedTuple
 
@@ -183,7 +183,8 @@ class Around(Simulator):
         return self.own.prepare(inputs)
 
     def on_paths(self):
-        return replace(self, own=self.own.on_paths())
+        own = self.own.on_paths()
+        return self if own is self.own else eqx.tree_at(lambda around: around.own, self, own)
 
     def initial(self, constants, noise):
         return self.own.initial(constants, noise)
