@@ -20,6 +20,7 @@ from snapo.report.folder import Folder
 from snapo.report.page import Block, Section
 from snapo.report.sections.lacking import lacking
 
+from .run_folder import plain_json
 from .study import Part, StudyRun
 from .training import TRAINING
 
@@ -62,11 +63,11 @@ class Chapter(Generic[Result]):
         return Part(self.name, lambda run: self.data(self.measure(run)), self.needs)
 
     def data(self, result: Result) -> dict[str, Any]:
-        """The result as the file of the part has it."""
+        """The result as plain data, as the file of the part has it."""
         plain: Any = asdict  # of a type that is a dataclass, which no type variable can express
         if isinstance(result, tuple):
-            return {self.key: [plain(record) for record in result]}
-        entries = plain(result)
+            return {self.key: plain_json([plain(record) for record in result])}
+        entries = plain_json(plain(result))
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
