@@ -48,7 +48,7 @@ def both(folder, demand: dict[str, Any], season: str, **place: Any):
 def test_costs_and_derivatives_are_those_of_the_item(tmp_path, demand, season, order, lead):
     """The same draws, in double precision: smooth, with whether to order drawn, and exact."""
     item, whole = both(tmp_path, demand, season, order=order, lead_time=lead)
-    kinds: list[dict[str, Any]] = [{"smooth": Smooth(jnp.asarray(0.02))}, {"held": True}]
+    kinds: list[dict[str, Any]] = [{"smooth": Smooth(jnp.asarray(0.02))}, {"decisions": "held"}]
     for kind in kinds:
         (first, one), (second, other) = (
             value_and_gradient(each.problem, each.policy, paths=64, engine=Xla("float64"), **kind)
