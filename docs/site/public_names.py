@@ -33,6 +33,9 @@ class PublicNames(SphinxDirective):
     def run(self) -> list[nodes.Node]:
         rooms = defaultdict(list)
         for name, home in _homes().items():
+            thing = getattr(snapo, name)
+            if isinstance(thing, ModuleType):  # `snapo.noise`: in the room of what it offers
+                home = getattr(thing, thing.__all__[0]).__module__
             rooms[home.split(".")[1]].append((name, home))
         found = []
         for room, names in rooms.items():
@@ -52,7 +55,7 @@ class PublicNames(SphinxDirective):
                 # A name that stands at the top too, as `Noise` does, is described there.
                 things |= {f"{name}.{n}": x for n, x in inside.items() if n not in things}
         for name, thing in things.items():
-            kind = "class" if isinstance(thing, type) else "function"
+            kind = "class" if isinstance(thing, type) else "function" if callable(thing) else "data"
             lines += [f".. auto{kind}:: snapo.{name}"]
             lines += ["   :members:", ""] if kind == "class" else [""]
         text = ["```{eval-rst}", *lines, "```"]
