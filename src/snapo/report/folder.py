@@ -121,20 +121,6 @@ class Folder:
         cells = getattr(self, table).get(name)
         return None if cells is None else array([_number(cell) for cell in cells])
 
-    def why_not(self, part: str, table: str = "") -> str:
-        """Why a part left no table, as a clause; `table`: that of the case which asks for it."""
-        state = self.parts.get(part)
-        if state is not None and state.get("note"):
-            word = "failed" if state["state"] == "failed" else "was skipped"
-            return f"its part {word} ({state['note']})"
-        if state is not None:
-            return "its file is not in the run folder"
-        if self.left_out(part):
-            return "it is not among the [report] parts"
-        if part in self.get(PLANNED, []):
-            return "the run has not come to it"
-        return f"the case has no `[{table}]`" if table else "it is no part of this run"
-
     def left_out(self, *parts: str) -> bool:
         """Whether none of these parts was asked for, nor is there from an earlier run."""
         missing = self.get(LEFT_OUT, [])

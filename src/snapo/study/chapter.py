@@ -9,7 +9,7 @@ frozen dataclass, which is saved as JSON and read back as the same type: a reade
 
 import re
 from collections.abc import Callable, Sequence
-from dataclasses import MISSING, asdict, dataclass, fields, replace
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from functools import cached_property
 from typing import Annotated, Any, Generic, TypeVar
 
@@ -20,13 +20,17 @@ from snapo.report.folder import Folder
 from snapo.report.page import Block, Section
 from snapo.report.sections.lacking import lacking
 
-from .run_folder import plain_json
 from .study import Part, StudyRun
 from .training import TRAINING
 
 Result = TypeVar("Result")
 Number = Annotated[float, BeforeValidator(lambda x: np.nan if x is None else x)]  # null is NaN
 Floats = Annotated[np.ndarray, PlainValidator(lambda x: np.array(x, np.float64))]
+
+
+def floats() -> Any:
+    """A field of `Floats` that is empty by default."""
+    return field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,11 +67,11 @@ class Chapter(Generic[Result]):
         return Part(self.name, lambda run: self.data(self.measure(run)), self.needs)
 
     def data(self, result: Result) -> dict[str, Any]:
-        """The result as plain data, as the file of the part has it."""
+        """The result by the keys of the file of the part, arrays as they are."""
         plain: Any = asdict  # of a type that is a dataclass, which no type variable can express
         if isinstance(result, tuple):
-            return {self.key: plain_json([plain(record) for record in result])}
-        entries = plain_json(plain(result))
+            return {self.key: [plain(record) for record in result]}
+        entries = plain(result)
         return {self.key: entries} if self.key else entries
 
     def of(self, run: StudyRun | Folder) -> Result | None:
@@ -77,8 +81,8 @@ class Chapter(Generic[Result]):
         else:
             # A field that the file lacks has its default; a number without one is null.
             values = {name: run.get(name) for name in self._defaults}
-            known = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
-            entries = None if all(x is None for x in values.values()) else known
+            entries = {k: x for k, x in values.items() if x is not None or not self._defaults[k]}
+            entries = None if all(x is None for x in values.values()) else entries
         if entries is None:
             return None
         try:
@@ -115,4 +119,4 @@ class Chapter(Generic[Result]):
 
     @cached_property
     def _adapter(self) -> TypeAdapter[Result]:
-        return TypeAdapter(self.result, config=None)
+        return TypeAdapter(self.result)

@@ -167,8 +167,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
         "upper_bound": bounds.upper.value if bounds else None,
     }
     errors = {} if error is None else {"reference_errors": {"dynamic_programming": error}}
-    entries = BOUND.data(bounds) if bounds else {"bound": None}
-    return trained(run, references, exact=exact) | entries | errors
+    return trained(run, references, exact=exact) | {BOUND.key: run.get(BOUND.key)} | errors
 
 
 def _expired(case: StorageCase):

@@ -145,8 +145,8 @@ def _notes(case: OwnCase) -> list[str]:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    bounds = BOUND.of(run)
-    return trained(run) | (BOUND.data(bounds) if bounds else {})
+    bounds = run.get(BOUND.key)
+    return trained(run) | ({BOUND.key: bounds} if bounds else {})
 
 
 def _relaxation(problem: Problem):

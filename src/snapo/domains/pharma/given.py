@@ -1,7 +1,6 @@
 """Numbers that the owner gave, where they are used."""
 
-from collections.abc import Iterator, Mapping
-from dataclasses import fields, is_dataclass
+from collections.abc import Mapping
 from typing import Any
 
 import jax.numpy as jnp
@@ -16,19 +15,6 @@ Entry = tuple[str, int]  # the name of a `Given`, and a position in its values
 def every_entry(inputs: Mapping[str, Any]) -> tuple[Entry, ...]:
     """All numbers, in order."""
     return tuple((name, i) for name, value in inputs.items() for i in range(np.size(value)))
-
-
-def every_given(record: Any) -> Iterator[Given]:
-    """All numbers given in a record, in the records within it and in tuples of records."""
-    if isinstance(record, Given):
-        if record.values.size:
-            yield record
-    elif isinstance(record, tuple):
-        for each in record:
-            yield from every_given(each)
-    elif is_dataclass(record):
-        for field in fields(record):
-            yield from every_given(getattr(record, field.name))
 
 
 def use(inputs: Mapping[str, Any], given: Given) -> Array:

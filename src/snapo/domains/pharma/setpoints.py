@@ -2,8 +2,10 @@
 
 from collections.abc import Iterable, Mapping
 
+from snapo.case.quantity import numbers_in
+
 from .flowsheet.case import PharmaCase
-from .given import Entry, every_given
+from .given import Entry
 from .time.profile import Profile, weights
 from .units.operation import Unit
 
@@ -53,7 +55,7 @@ def _flow(case: PharmaCase, unit: Unit, profile: Profile, values, seconds, chang
 
 def _once(record, known: set[str], chosen: set[Entry], changed) -> Iterable[tuple]:
     """The chosen numbers of a unit or a feed but those that are `known`."""
-    for given in every_given(record):
+    for given in numbers_in(record):
         for i, value in enumerate(given.values.tolist()):
             if given.name not in known and (given.name, i) in chosen:
                 many = len(given.values) > 1

@@ -13,7 +13,7 @@ from snapo.report.quantity import number, quantity, readable, unit_words, with_u
 from snapo.report.rows import Column, table
 from snapo.solver import statistics
 
-from ..chapter import Chapter, Floats, Number
+from ..chapter import Chapter, Floats, Number, floats
 from ..study import StudyRun
 
 BINS = 60
@@ -51,8 +51,8 @@ class OutputTotal:
     tail_error: Number = np.nan
     quantiles: dict[str, Number] = field(default_factory=dict)
     quantile_errors: dict[str, Number] = field(default_factory=dict)
-    edges: Floats = field(default_factory=lambda: np.zeros(0))
-    counts: Floats = field(default_factory=lambda: np.zeros(0))
+    edges: Floats = floats()
+    counts: Floats = floats()
 
 
 @dataclass(frozen=True)

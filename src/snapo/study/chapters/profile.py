@@ -1,7 +1,7 @@
 """State, decisions and outputs over time: bands of quantiles over paths of the exact simulator."""
 
 from collections.abc import Callable, Collection, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -15,7 +15,7 @@ from snapo.report.folder import Folder
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import number, quantity, readable, with_unit
 
-from ..chapter import Chapter, Floats, Number
+from ..chapter import Chapter, Floats, Number, floats
 from ..study import Setup, StudyRun
 from .distribution import QUANTILES
 
@@ -24,7 +24,6 @@ MOST_ENTRIES = 12  # of an array in the state: a larger one has no band of its o
 KINDS = ("state", "action", "outputs")
 PICTURES = 12  # of one kind
 HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one step"}
-EMPTY = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -38,14 +37,14 @@ class BandSeries:
     name: str
     kind: str
     unit: str = ""
-    mean: Floats = field(default_factory=lambda: EMPTY)
-    p01: Floats = field(default_factory=lambda: EMPTY)
-    p05: Floats = field(default_factory=lambda: EMPTY)
-    p25: Floats = field(default_factory=lambda: EMPTY)
-    p50: Floats = field(default_factory=lambda: EMPTY)
-    p75: Floats = field(default_factory=lambda: EMPTY)
-    p95: Floats = field(default_factory=lambda: EMPTY)
-    p99: Floats = field(default_factory=lambda: EMPTY)
+    mean: Floats = floats()
+    p01: Floats = floats()
+    p05: Floats = floats()
+    p25: Floats = floats()
+    p50: Floats = floats()
+    p75: Floats = floats()
+    p95: Floats = floats()
+    p99: Floats = floats()
 
     @property
     def lines(self) -> dict[str, np.ndarray]:

@@ -47,8 +47,20 @@ CAVEAT = (
 )
 
 
+class ReportedInterval:
+    """The interval of a record with `low` and `high`, None where it is not known."""
+
+    low: float | None
+    high: float | None
+
+    @property
+    def half_width(self) -> float:
+        """Half the width of the interval; 0 where it has none."""
+        return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
+
+
 @dataclass(frozen=True)
-class InputMove:
+class InputMove(ReportedInterval):
     """The effect on the value when all numbers of an input move together; None where not known.
 
     - `words`, `group`: of the input; `numbers`: how many it has.
@@ -84,11 +96,6 @@ class InputMove:
     bump_error: float | None = None
     more: float | None = None
     less: float | None = None
-
-    @property
-    def half_width(self) -> float:
-        """Half the width of the interval; 0 where it has none."""
-        return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
 
     @property
     def size(self) -> str:

@@ -1,7 +1,7 @@
 """The plane of two states: the policy's decision at every point, and some paths through it."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import jax
@@ -21,7 +21,7 @@ from snapo.report.folder import Folder
 from snapo.report.page import Block, Chart, Text
 from snapo.report.quantity import readable, with_unit
 from snapo.report.theme import LIGHT
-from snapo.study.chapter import Chapter, Floats
+from snapo.study.chapter import Chapter, Floats, floats
 from snapo.study.chapters.profile import recorded
 from snapo.study.study import StudyRun
 
@@ -47,9 +47,9 @@ class Plane:
     states: tuple[str, ...] = ()
     units: tuple[str, ...] = ()
     turn: tuple[bool, ...] = ()
-    across: Floats = field(default_factory=lambda: EMPTY)
-    up: Floats = field(default_factory=lambda: EMPTY)
-    action: Floats = field(default_factory=lambda: EMPTY)
+    across: Floats = floats()
+    up: Floats = floats()
+    action: Floats = floats()
     paths: tuple[Floats, ...] = ()
 
     def label(self, axis: int) -> str:

@@ -12,7 +12,7 @@ from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Section, Table
 from snapo.report.quantity import SPACE, decimals, long_month, number
 from snapo.report.sections.lacking import lacking
-from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
 from ..setup import case_of
@@ -24,7 +24,6 @@ SIGN = (
     "A positive delta is a month in which the storage is long (it will withdraw): the hedge sells"
     " that volume of futures; a negative delta is bought."
 )
-EMPTY = np.zeros(0)
 
 
 @dataclass(frozen=True)
@@ -36,13 +35,13 @@ class DailyDeltas:
     - `moved`: by how much it moved in the second half of training; `intrinsic`: of that plan.
     """
 
-    discounted: Floats = field(default_factory=lambda: EMPTY)
-    low: Floats = field(default_factory=lambda: EMPTY)
-    high: Floats = field(default_factory=lambda: EMPTY)
-    standard_error: Floats = field(default_factory=lambda: EMPTY)
-    undiscounted: Floats = field(default_factory=lambda: EMPTY)
-    moved: Floats = field(default_factory=lambda: EMPTY)
-    intrinsic: Floats = field(default_factory=lambda: EMPTY)
+    discounted: Floats = floats()
+    low: Floats = floats()
+    high: Floats = floats()
+    standard_error: Floats = floats()
+    undiscounted: Floats = floats()
+    moved: Floats = floats()
+    intrinsic: Floats = floats()
 
 
 @dataclass(frozen=True)

@@ -15,7 +15,7 @@ from snapo.report.page import Block, Chart, Missing, Section
 from snapo.report.quantity import quantity
 from snapo.report.sections.lacking import lacking
 from snapo.solver.solution import Solution
-from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import Setup, StudyRun
 
 from ..contract.records import StorageCase
@@ -28,24 +28,23 @@ from .today import FirstDecision, first_decision, levels_of
 PATHS = 4096
 PRICES = 21  # spot prices of decisions.csv, from half to one and a half of the forward
 TRIGGERS = (("withdrawal", "Withdraw above", "withdraw"), ("injection", "Inject below", "inject"))
-EMPTY = np.zeros(0)
 
 
 @dataclass(frozen=True)
 class MeanBand:
     """The mean over paths by step, with the 5 and 95 % quantiles."""
 
-    mean: Floats = field(default_factory=lambda: EMPTY)
-    p05: Floats = field(default_factory=lambda: EMPTY)
-    p95: Floats = field(default_factory=lambda: EMPTY)
+    mean: Floats = floats()
+    p05: Floats = floats()
+    p95: Floats = floats()
 
 
 @dataclass(frozen=True)
 class LowHigh:
     """Two inventories by day, the lower and the higher one."""
 
-    low: Floats = field(default_factory=lambda: EMPTY)
-    high: Floats = field(default_factory=lambda: EMPTY)
+    low: Floats = floats()
+    high: Floats = floats()
 
     def until(self, length: int) -> tuple[np.ndarray, np.ndarray] | None:
         """The first `length` of both; None where there are none."""
@@ -73,8 +72,8 @@ class Position:
 
     inventory: MeanBand = field(default_factory=MeanBand)
     flow: MeanBand = field(default_factory=MeanBand)
-    trigger_injection: Floats = field(default_factory=lambda: EMPTY)
-    trigger_withdrawal: Floats = field(default_factory=lambda: EMPTY)
+    trigger_injection: Floats = floats()
+    trigger_withdrawal: Floats = floats()
     reachable: LowHigh = field(default_factory=LowHigh)
     limits: LowHigh = field(default_factory=LowHigh)
     today: FirstDecision | None = None

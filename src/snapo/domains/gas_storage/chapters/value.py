@@ -13,7 +13,7 @@ from snapo.report.quantity import SPACE, decimals, finite, number, plus_minus
 from snapo.report.sections.lacking import lacking
 from snapo.solver.evaluate import Value, evaluate
 from snapo.solver.solution import Solution
-from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.chapters.bound import BOUND
 from snapo.study.study import Setup, StudyRun
 
@@ -81,8 +81,8 @@ class ContractValue:
 class CashFlow:
     """The total discounted cash flow of a path: a histogram, moments and quantiles {"5": …}."""
 
-    edges: Floats = field(default_factory=lambda: np.zeros(0))
-    counts: Floats = field(default_factory=lambda: np.zeros(0))
+    edges: Floats = floats()
+    counts: Floats = floats()
     mean: Number = np.nan
     standard_deviation: Number = np.nan
     quantiles: dict[str, Number] = field(default_factory=dict)

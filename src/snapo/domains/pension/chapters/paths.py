@@ -1,7 +1,7 @@
 """Paths under the policy: distributions by year, weights, limits by month."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any
 
@@ -15,7 +15,7 @@ from snapo.report.bands import Layer, heat, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart
 from snapo.report.quantity import number
-from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
 from ..fund.dealing import dealt
@@ -66,7 +66,7 @@ class PolicyMap:
     years: Floats
     ratios: Floats
     growth: Floats
-    hedge: Floats = field(default_factory=lambda: EMPTY)
+    hedge: Floats = floats()
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from snapo.report.bands import Layer, stack
 from snapo.report.drawing import draw
 from snapo.report.page import Block, Chart, Facts, Mark, Table, Text
 from snapo.report.quantity import number, percent, power
-from snapo.study.chapter import Chapter, Floats, Number
+from snapo.study.chapter import Chapter, Floats, Number, floats
 from snapo.study.study import StudyRun
 
 from ..records.case import PensionCase
@@ -57,7 +57,7 @@ class KeyRateDurations:
     """Years at each node of the curve: minus d ln L / d quote; they add up to the duration."""
 
     label: tuple[str, ...] = ()
-    years: Floats = field(default_factory=lambda: np.zeros(0))
+    years: Floats = floats()
 
 
 @dataclass(frozen=True)
@@ -82,7 +82,7 @@ class FundFigures:
     rate_volatility: dict[int, Number] = field(default_factory=dict)
     returns: dict[str, Number] = field(default_factory=dict)
     key_rate_durations: KeyRateDurations = field(default_factory=KeyRateDurations)
-    cash_flow: Floats = field(default_factory=lambda: np.zeros(0))
+    cash_flow: Floats = floats()
     regulation: Stand | None = None
     funding: Bases | None = None
 

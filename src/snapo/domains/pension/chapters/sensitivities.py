@@ -15,7 +15,7 @@ from snapo.report.sections.lacking import lacking
 from snapo.solver.sensitivity import Sensitivities
 from snapo.solver.solution import Solution
 from snapo.study.chapter import Chapter
-from snapo.study.chapters.sensitivities import SHARE, direction, interval
+from snapo.study.chapters.sensitivities import SHARE, ReportedInterval, direction, interval
 from snapo.study.study import Setup, StudyRun
 
 from ..people.longer_life import longer_life
@@ -61,7 +61,7 @@ def usual_move(entry: Input) -> UsualMove:
 
 
 @dataclass(frozen=True)
-class MoveEffect:
+class MoveEffect(ReportedInterval):
     """The effect of a usual move on the objective; None where not known.
 
     - `effect`, `low`, `high`, `sampling`, `policy`, `source`: of the reported derivative, as in
@@ -82,11 +82,6 @@ class MoveEffect:
     held: float | None = None
     standard_error: float | None = None
     reacting: float | None = None
-
-    @property
-    def half_width(self) -> float:
-        """Half the width of the interval; 0 where it has none."""
-        return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
 
 
 @dataclass(frozen=True)

@@ -4,7 +4,7 @@ All of it is closed form on today's curve; no path is simulated.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import jax
@@ -12,7 +12,7 @@ import numpy as np
 from jaxtyping import Array
 from scipy.optimize import toms748
 
-from snapo.study.chapter import Floats, Number
+from snapo.study.chapter import Floats, Number, floats
 
 from ..fund.collateral import slope, stressed
 from ..fund.swap_limits import notionals
@@ -25,8 +25,6 @@ from .figures.reconcile import Figures
 BASIS_POINT = 1e-4
 FARTHEST = 2000  # basis points up to which the headroom of collateral is looked for
 
-EMPTY = np.zeros(0)
-
 
 @dataclass(frozen=True)
 class CurveLadder:
@@ -38,13 +36,13 @@ class CurveLadder:
     """
 
     label: tuple[str, ...] = ()
-    tenor: Floats = field(default_factory=lambda: EMPTY)
+    tenor: Floats = floats()
     quote: str = ""
-    assets: Floats = field(default_factory=lambda: EMPTY)
-    swaps: Floats = field(default_factory=lambda: EMPTY)
-    liability: Floats = field(default_factory=lambda: EMPTY)
-    real_assets: Floats = field(default_factory=lambda: EMPTY)
-    real_liability: Floats = field(default_factory=lambda: EMPTY)
+    assets: Floats = floats()
+    swaps: Floats = floats()
+    liability: Floats = floats()
+    real_assets: Floats = floats()
+    real_liability: Floats = floats()
 
 
 @dataclass(frozen=True)

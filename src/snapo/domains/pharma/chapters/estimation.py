@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import chi2
 from scipy.stats import t as student
 
+from snapo.case.quantity import numbers_in
 from snapo.report.drawing import draw
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Chart, Mark, Missing, Section, Table, Text
@@ -18,7 +19,6 @@ from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
-from ..given import every_given
 from ..quality.estimation import Fit, fit, model_of, numbers_of, variables_of
 from ..quality.interval import interval
 from ..quality.records import Estimation
@@ -178,7 +178,7 @@ def fitted_rows(case: PharmaCase, result: Fit) -> list[tuple]:
     asked = case.estimation
     if asked is None or not_handed_on(result):
         return []
-    inputs = every_given((case.network, case.feeds, case.units))
+    inputs = numbers_in((case.network, case.feeds, case.units))
     numbers = Numbers({x.name: x for x in inputs}, case.network)
     deviation = np.sqrt(np.diag(np.asarray(result.covariance, float)))
     rows = []

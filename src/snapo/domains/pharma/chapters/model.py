@@ -6,6 +6,7 @@ It is known before a number is computed, so that it is a part of `about` of a st
 import re
 from dataclasses import dataclass
 
+from snapo.case.quantity import numbers_in
 from snapo.problem.inputs import Input
 from snapo.report.folder import Folder
 from snapo.report.page import Block, Missing, Table, Text
@@ -17,7 +18,7 @@ from ..derivatives.sensitivities import entry_name
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.inputs import pharma_inputs
 from ..flowsheet.network import Network
-from ..given import Entry, every_given
+from ..given import Entry
 from ..quality.design_space import owners
 from ..quality.draws import entries, nominal
 from ..quality.records import Distribution
@@ -218,7 +219,7 @@ def _parameters(case: PharmaCase) -> tuple[ParameterStatement, ...]:
 
 
 def _uncertainty(case: PharmaCase) -> tuple[UncertaintyStatement, ...]:
-    units = {x.name: x.unit for x in every_given((case.network, case.feeds, case.units))}
+    units = {x.name: x.unit for x in numbers_in((case.network, case.feeds, case.units))}
     values, uncertainty = nominal(case, entries(case)), case.uncertainty
     return tuple(
         UncertaintyStatement(

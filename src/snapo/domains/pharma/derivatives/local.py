@@ -6,12 +6,14 @@ from typing import Any, NamedTuple
 import jax.numpy as jnp
 import numpy as np
 
+from snapo.case.quantity import numbers_in
+
 from ..flowsheet.feed import Feed, feed
 from ..flowsheet.flow import leaving, sources, through, yields
 from ..flowsheet.order import Group, groups
 from ..flowsheet.process import Process
 from ..flowsheet.stream import Stream, flat, unflat
-from ..given import Entry, every_given
+from ..given import Entry
 from .mode import of_method
 
 # From inlet streams and inputs to outlet streams and {measure with the unit's name}.
@@ -98,7 +100,7 @@ def _of_process(process: Process, names: tuple[str, ...]) -> Run:
 def _entries(process: Process, record: Any, reacts: bool) -> tuple[Entry, ...]:
     """Its own inputs, and of a unit that `reacts` those of the network."""
     records = (record, process.case.network) if reacts else (record,)
-    names = [each.name for each in every_given(records) if each.name in process.inputs]
+    names = [each.name for each in numbers_in(records) if each.name in process.inputs]
     return tuple((name, i) for name in names for i in range(process.inputs[name].size))
 
 

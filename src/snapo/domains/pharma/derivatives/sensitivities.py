@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from snapo.case.quantity import numbers_in
 from snapo.study.chapter import Floats, Number
 
 from ..flowsheet.case import PharmaCase
@@ -140,9 +141,7 @@ def source_names(case: PharmaCase) -> tuple[str, ...]:
 
 def entry_name(case: PharmaCase, name: str, entry: int) -> str:
     """ "kinetics.prefactor[product]"; a single number has no brackets."""
-    from ..given import every_given
-
-    for given in every_given((case.network, case.feeds, case.units)):
+    for given in numbers_in((case.network, case.feeds, case.units)):
         if given.name == name and len(given.labels) > 1:
             return f"{name}[{given.labels[entry]}]"
     return name

@@ -10,8 +10,10 @@ from collections.abc import Iterable, Mapping, Sequence
 import numpy as np
 from scipy.special import ndtr, ndtri
 
+from snapo.case.quantity import numbers_in
+
 from ..flowsheet.case import PharmaCase
-from ..given import Entry, every_given
+from ..given import Entry
 from .records import Distribution
 
 
@@ -73,7 +75,7 @@ def nominal(
 
 
 def _givens(case: PharmaCase):
-    return every_given((case.network, case.feeds, case.units))
+    return numbers_in((case.network, case.feeds, case.units))
 
 
 def normals(case: PharmaCase, n: int, seed: int) -> np.ndarray:

@@ -8,11 +8,11 @@ from typing import Any, Literal
 from snapo.case.error import CaseError
 from snapo.case.parts import known_parts
 from snapo.case.plausible import CaseFiles
+from snapo.case.quantity import numbers_in
 from snapo.case.settings import EvaluationTable, TrainingTable, read_evaluation, read_training
 from snapo.case.table import Section, load, parse
 
 from ..flowsheet.case import PharmaCase
-from ..given import every_given
 from ..time.numerics import Numerics
 from ..units.operation import Unit, timed
 from ..units.registry import TYPES, read_units
@@ -107,9 +107,7 @@ def resolve(file: Path, data: Mapping[str, Any]) -> PharmaCase:
     units = read_units(file, top.units, network.species, notes)
     connections = read_connections(file, top.connections, feeds, units)
     units = ordered(file, units, connections)
-    numbers = Numbers(
-        {given.name: given for given in every_given((network, feeds, units))}, network
-    )
+    numbers = Numbers({given.name: given for given in numbers_in((network, feeds, units))}, network)
     fitted = read_fitted(file, top.fitted, numbers, notes)
     check_amounts(file, feeds, units, connections, notes)
     check_physics(file, feeds, units, network)

@@ -7,11 +7,12 @@ import jax.numpy as jnp
 import numpy as np
 from jaxtyping import Array
 
+from snapo.case.quantity import numbers_in
+
 from ..derivatives.jacobian import choose, matrix
 from ..derivatives.sensitivities import spread
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import Process
-from ..given import every_given
 from ..quality import batches
 from ..quality.draws import all_entries
 from .optimum import Recipe, Traced, optimum
@@ -96,7 +97,7 @@ def goal_and_room(process: Process, limits: tuple[Bound, ...], steep: tuple[Ramp
     ask = case.optimise
     assert ask is not None
     entries = tuple((each.input, each.entry) for each in ask.decisions)
-    held = {each.name: each.values for each in every_given((case.network, case.feeds, case.units))}
+    held = {each.name: each.values for each in numbers_in((case.network, case.feeds, case.units))}
 
     def function(x):
         inputs = process.shifted(x, entries, nominal)

@@ -7,10 +7,10 @@ import numpy as np
 
 from snapo.case.error import CaseError
 from snapo.case.plausible import CaseFiles, CheckedNumbers, Plausible, checked_numbers, implausible
+from snapo.case.quantity import numbers_in
 
 from ...flowsheet.feed import Feed
 from ...flowsheet.network import Network
-from ...given import every_given
 from ...time.profile import Profile
 from ...units.crystals.seed import Seed
 from ...units.crystals.solubility import Solubility, nominal_solubility
@@ -83,7 +83,7 @@ def unusual(
         CheckedNumbers(f"species.{name}.molar_mass", np.array([mass]), ("",), "g/mol")
         for name, mass in zip(network.species, network.molar_mass)
     )
-    entries = [checked_numbers(entry) for entry in every_given((network, feeds, units))]
+    entries = [checked_numbers(entry) for entry in numbers_in((network, feeds, units))]
     # A unit such as degC has an offset as well as a factor.
     entries = [
         entry._replace(display_unit="", display_factor=1.0) if entry.unit == "K" else entry
