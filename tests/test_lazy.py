@@ -1,5 +1,7 @@
 """Names that are loaded when first used are there: a module that moves leaves none behind."""
 
+import subprocess
+import sys
 from importlib import import_module
 
 import pytest
@@ -32,3 +34,15 @@ def test_every_part_that_a_domain_names_is_there(kind):
     ):
         domain.loaded(name)
     assert all(folder.is_dir() for folder in domain.templates.values())
+
+
+def test_a_case_is_checked_without_the_libraries_of_its_report():
+    """They took 0.6 s of every `snapo check`, and of every process of a live page."""
+    code = (
+        "import sys; from snapo.study.domain import find, installed; from snapo.study.kind import Kind\n"
+        "for domain in (find(kind, 'here') for kind in installed()):\n"
+        "    isinstance(domain, Kind) and domain.loaded(domain.maker)\n"
+        "print(*{'matplotlib', 'jinja2'} & sys.modules.keys())"
+    )
+    run = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert run.stdout.split() == []

@@ -2,23 +2,28 @@
 
 import datetime
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib import dates as mdates
-from matplotlib.axes import Axes
-from matplotlib.axis import Axis
-from matplotlib.ticker import FuncFormatter, MaxNLocator
 
 from .quantity import MONTHS, MOST, TINY, decimals, number
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+    from matplotlib.axis import Axis
 
 
 def days(values: Sequence[str]) -> np.ndarray:
     """ISO dates [T] as numbers of a date axis [T]."""
+    from matplotlib import dates as mdates
+
     return np.array([mdates.date2num(datetime.date.fromisoformat(day)) for day in values])
 
 
-def date_axis(axes: Axes, first: float, last: float) -> None:
+def date_axis(axes: "Axes", first: float, last: float) -> None:
     """Ticks at month starts, the year under each January and the first; at days when short."""
+    from matplotlib import dates as mdates
+
     axes.set_xlim(first, max(last, first + 1))
     span = last - first
     if span > 75:
@@ -33,6 +38,8 @@ def date_axis(axes: Axes, first: float, last: float) -> None:
 
 
 def _month_starts(first: float, last: float) -> list[datetime.date]:
+    from matplotlib import dates as mdates
+
     begin, end = mdates.num2date(first).date(), mdates.num2date(last).date()
     count = (end.year - begin.year) * 12 + end.month - begin.month + 1
     months = [begin.year * 12 + begin.month - 1 + i for i in range(count)]
@@ -50,8 +57,10 @@ def _day_text(each: datetime.datetime, first: bool) -> str:
     return f"{each.day}\n{month} {each.year}" if first else f"{each.day}\n{month}"
 
 
-def number_axis(axis: Axis, count: int = 6) -> None:
+def number_axis(axis: "Axis", count: int = 6) -> None:
     """Round numbers with thousands separators, as many decimals as their spacing needs."""
+    from matplotlib.ticker import FuncFormatter, MaxNLocator
+
     axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
 
     def text(value: float, position: int | None) -> str:

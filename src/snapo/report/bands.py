@@ -2,15 +2,16 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import NullLocator
 
 from .axes import number_axis
 from .drawing import WIDTH, legend_above, unit_above
 from .theme import LIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 LETTER, LINE = 5.4, 11.5  # points: a letter and a line of text of 9 points
 GAP = 0.015  # between a bar and its number, as a share of the longest bar
@@ -18,7 +19,7 @@ DARKEST = 0.6  # of the main colour in a cell: ink stays readable on it
 
 
 def quantile_fan(
-    axes: Axes,
+    axes: "Axes",
     years: np.ndarray,
     fan: Mapping[str, np.ndarray],
     unit: str,
@@ -52,13 +53,15 @@ def quantile_fan(
 
 
 def heat(
-    axes: Axes, table: np.ndarray, across: Sequence[str], down: Sequence[str], unit: str
+    axes: "Axes", table: np.ndarray, across: Sequence[str], down: Sequence[str], unit: str
 ) -> None:
     """Shares from 0 to 1 in a grid [rows, columns], the first row at the bottom.
 
     Darker is more, and the number stands in the cell as a percentage; a cell without a number
     stays empty.
     """
+    from matplotlib.patches import Rectangle
+
     rows, columns = table.shape
     top = float(np.nanmax(table, initial=1e-9))
     for i in range(rows):
@@ -89,7 +92,7 @@ class Bars:
     colour: str
 
 
-def grouped(axes: Axes, labels: Sequence[str], series: Sequence[Bars], unit: str) -> None:
+def grouped(axes: "Axes", labels: Sequence[str], series: Sequence[Bars], unit: str) -> None:
     """Bars side by side per label, and above all of them the zero line."""
     width = 0.8 / len(series)
     place = np.arange(len(labels))
@@ -117,8 +120,10 @@ class Swing:
     half: float = 0.0
 
 
-def tornado(axes: Axes, swings: Sequence[Swing], unit: str) -> None:
+def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
     """Horizontal bars from zero, the first on top; gains and losses in different colours."""
+    from matplotlib.ticker import NullLocator
+
     reach = max((abs(each.value) + each.half for each in swings), default=1.0) or 1.0
     for row, each in enumerate(swings):
         colour = LIGHT["inject"] if each.value >= 0 else LIGHT["withdraw"]
@@ -166,7 +171,7 @@ class Layer:
     alpha: float = 1.0
 
 
-def stack(axes: Axes, years: np.ndarray, layers: Sequence[Layer], unit: str) -> None:
+def stack(axes: "Axes", years: np.ndarray, layers: Sequence[Layer], unit: str) -> None:
     """Layers on top of one another, each held for its year; negative ones hang below zero."""
     edges = np.append(years, years[-1] + (years[1] - years[0] if len(years) > 1 else 1.0))
     above, below = np.zeros(len(years)), np.zeros(len(years))
@@ -196,7 +201,7 @@ def stack(axes: Axes, years: np.ndarray, layers: Sequence[Layer], unit: str) -> 
     legend_above(axes)
 
 
-def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units) -> None:
+def scatter(axes: "Axes", points: Sequence[tuple[str, float, float, bool]], units) -> None:
     """Named points (name, x, y, strong) with their names beside them."""
     for _, x, y, strong in points:
         colour = LIGHT["main"] if strong else LIGHT["other"]
@@ -219,7 +224,7 @@ def scatter(axes: Axes, points: Sequence[tuple[str, float, float, bool]], units)
         )  # fmt: skip
 
 
-def _beside(axes: Axes, points) -> list[tuple[float, float]]:
+def _beside(axes: "Axes", points) -> list[tuple[float, float]]:
     """Offsets of the names in points: the nearest place that no name or point is at yet.
 
     The names are given their places from the top down.

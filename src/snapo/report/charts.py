@@ -2,10 +2,9 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.ticker import FuncFormatter, NullLocator
 
 from snapo.problem.scenarios import BLOCKS
 from snapo.solver.statistics import critical
@@ -14,6 +13,9 @@ from .axes import date_axis, number_axis
 from .drawing import legend_above, unit_above
 from .quantity import number
 from .theme import LIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 # Standard errors to either side for 95 %, of a value and of a sensitivity from 32 blocks.
 INTERVAL, BLOCK_INTERVAL = critical(), critical(BLOCKS - 1)
@@ -42,8 +44,10 @@ class Line:
     step: bool = False
 
 
-def ladder(axes: Axes, rungs: Sequence[Rung]) -> None:
+def ladder(axes: "Axes", rungs: Sequence[Rung]) -> None:
     """Horizontal bars from zero, the first on top, each with its number written out."""
+    from matplotlib.ticker import NullLocator
+
     values = np.array([rung.value for rung in rungs])
     reach = np.max(np.abs(values)) or 1.0
     for row, rung in enumerate(rungs):
@@ -66,7 +70,7 @@ def ladder(axes: Axes, rungs: Sequence[Rung]) -> None:
     axes.axvline(0.0, color=LIGHT["other"], linewidth=0.8)
 
 
-def lines(axes: Axes, when: np.ndarray, curves: Sequence[Line], unit: str) -> None:
+def lines(axes: "Axes", when: np.ndarray, curves: Sequence[Line], unit: str) -> None:
     """Lines over dates [T]; a gap where a value is not a number."""
     for curve in curves:
         style = "steps-post" if curve.step else "default"
@@ -85,7 +89,7 @@ def lines(axes: Axes, when: np.ndarray, curves: Sequence[Line], unit: str) -> No
     legend_above(axes)
 
 
-def fan(axes: Axes, when, mean, low, high, unit: str, *, reach=None, limits=None) -> None:
+def fan(axes: "Axes", when, mean, low, high, unit: str, *, reach=None, limits=None) -> None:
     """A mean with its 5-95 % band; behind it the reachable range, around it the limits.
 
     All arrays [T+1]; `low` and `high` may be None; `reach` and `limits` are pairs (low, high).
@@ -108,7 +112,7 @@ def fan(axes: Axes, when, mean, low, high, unit: str, *, reach=None, limits=None
     legend_above(axes)
 
 
-def signed_strip(axes: Axes, when, values, unit: str, names, *, half=None, compare=None) -> None:
+def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, compare=None) -> None:
     """One thin bar a day: `names` = (label above zero, label below); `compare` a second plan.
 
     `half` [T] is the half width of a 95 % interval, drawn as a whisker; days without a value
@@ -133,7 +137,7 @@ def signed_strip(axes: Axes, when, values, unit: str, names, *, half=None, compa
     legend_above(axes)
 
 
-def signed_bars(axes: Axes, labels, values, unit: str, *, names, half, moved, compare) -> None:
+def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, moved, compare) -> None:
     """A bar per label, coloured by sign and named so; 95 % whiskers, a comparison, a tolerance.
 
     **Arguments:**
@@ -173,7 +177,7 @@ def signed_bars(axes: Axes, labels, values, unit: str, *, names, half, moved, co
     legend_above(axes, order=[*names, "95 % interval", "Moved"])
 
 
-def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
+def histogram(axes: "Axes", edges, counts, marks, unit: str) -> None:
     """Shares of paths in bins; `marks` [(text, position)] as lines, the first one bold.
 
     A mark whose text would lie over an earlier one is left out; a text stays within the axes.
@@ -205,8 +209,10 @@ def histogram(axes: Axes, edges, counts, marks, unit: str) -> None:
     axes.set_xlabel(unit)
 
 
-def trace(axes: Axes, steps, curves: Sequence[Line], unit: str, log: bool = False) -> None:
+def trace(axes: "Axes", steps, curves: Sequence[Line], unit: str, log: bool = False) -> None:
     """Lines over training steps; the view leaves out the first throes of training."""
+    from matplotlib.ticker import FuncFormatter, NullLocator
+
     for curve in curves:
         known = np.isfinite(curve.values)
         # Few points are single measurements: they get a dot each.
@@ -238,7 +244,7 @@ def trace(axes: Axes, steps, curves: Sequence[Line], unit: str, log: bool = Fals
     legend_above(axes)
 
 
-def regions(axes: Axes, level, below, above, here, names, units: tuple[str, str]) -> None:
+def regions(axes: "Axes", level, below, above, here, names, units: tuple[str, str]) -> None:
     """Prices over a level: under `below` one action, over `above` another, none between.
 
     `here` is (level, price) today; `names` (under, between, over) are written into the regions.

@@ -4,15 +4,14 @@ import io
 import re
 from collections.abc import Callable, Sequence
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import matplotlib
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.figure import Figure
 
 from .theme import LIGHT, by_variable
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 WIDTH = 720.0  # points; the page shows a chart 960 pixels wide, so 9 points are 12 pixels
 SANS = "system-ui, -apple-system, 'Segoe UI', Roboto, 'Helvetica Neue', Arial, sans-serif"
@@ -94,6 +93,10 @@ def draw_alone(
 
 
 def _svg(paint, size, grid, face: str = "none") -> str:
+    import matplotlib
+    from matplotlib.backends.backend_svg import FigureCanvasSVG
+    from matplotlib.figure import Figure
+
     with matplotlib.rc_context(STYLE):
         figure = Figure((size[0] / 72, size[1] / 72), dpi=72, layout="constrained", facecolor=face)
         FigureCanvasSVG(figure)
@@ -132,7 +135,7 @@ def _id(found: str, used: set[str], name: str) -> str:
     return f' id="{name}-{found}"' if found in used else ""
 
 
-def legend_above(axes: Axes, order: Sequence[str] = ()) -> None:
+def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
     """The legend in one line above the plot, at its right, where no data can lie under it.
 
     `order` names the entries that come first.
@@ -149,6 +152,6 @@ def legend_above(axes: Axes, order: Sequence[str] = ()) -> None:
     )
 
 
-def unit_above(axes: Axes, unit: str) -> None:
+def unit_above(axes: "Axes", unit: str) -> None:
     """The unit of the vertical axis, level, at the top left."""
     axes.set_title(unit, loc="left", pad=7)

@@ -5,7 +5,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
 
-from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 from markupsafe import Markup, escape
 
 from .quantity import SPACE, unit_words
@@ -154,6 +153,8 @@ def render(page: Page) -> str:
 
     A section without blocks is left out, and so is a column of a table that is empty throughout.
     """
+    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+
     sections = [
         replace(each, blocks=[_filled(b) if isinstance(b, Table) else b for b in each.blocks])
         for each in page.sections

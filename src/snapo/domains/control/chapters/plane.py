@@ -2,13 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.colors import to_rgba
 
 from snapo.problem.angle import wrap_angle
 from snapo.problem.policies.memory import first_decision
@@ -27,6 +25,9 @@ from snapo.study.study import StudyRun
 
 from ..plants.plant import Plant
 from .baselines import plant_of
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 CELLS, PATHS, RECORDED = 48, 8, 512  # of the map to a side; drawn; recorded
 LEVELS = 9  # of colour, from the lowest decision to the highest
@@ -132,7 +133,7 @@ def show(run: Folder, plane: Plane) -> Sequence[Block]:
     return blocks
 
 
-def _paint(axes: Axes, plane: Plane) -> None:
+def _paint(axes: "Axes", plane: Plane) -> None:
     if plane.action.size:
         _map(axes, plane)
     for path in plane.paths:
@@ -149,7 +150,9 @@ def _paint(axes: Axes, plane: Plane) -> None:
     unit_above(axes, plane.label(1))
 
 
-def _map(axes: Axes, plane: Plane) -> None:
+def _map(axes: "Axes", plane: Plane) -> None:
+    from matplotlib.colors import to_rgba
+
     low, high = float(plane.action.min()), float(plane.action.max())
     if not high > low:
         return

@@ -2,9 +2,9 @@
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from snapo.report import charts
 from snapo.report.axes import days as date_numbers
@@ -19,6 +19,9 @@ from ..setup import case_of
 from .position import POSITION
 from .run import StorageRun
 from .value import INTRINSIC
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 SIGN = (
     "A positive delta is a month in which the storage is long (it will withdraw): the hedge sells"
@@ -167,7 +170,7 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     return [Chart(svg, caption), _month_table(run, months)]
 
 
-def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> Callable[[Axes], None]:
+def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
     """Paints the monthly deltas into one `Axes`; also used by the picture that stands alone."""
     columns = [(x.undiscounted, x.half_width, x.moved, x.intrinsic) for x in months]
     values, halves, moved, intrinsic = np.array(columns, np.float64).T

@@ -2,11 +2,11 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from matplotlib.axes import Axes
 
 from snapo.problem.policy import Policy
 from snapo.problem.simulator import at
@@ -23,6 +23,9 @@ from snapo.study.study import Setup, StudyRun, Today
 from ..item.records import InventoryCase
 from ..setup import case_of
 from .about import CaseSummary
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 POINTS = 41  # of the stock
 SHARES = (0.5, 1.0, 1.5)  # of the usual amount on its way
@@ -124,7 +127,7 @@ def show(run: Folder, result: OrderCurves) -> Sequence[Block]:
     if len(curves) == 1:
         names = ["Order"]
 
-    def paint(axes: Axes) -> None:
+    def paint(axes: "Axes") -> None:
         for name, curve, colour, style in zip(names, curves, COLOURS, STYLES):
             axes.plot(result.stock, curve.orders, color=LIGHT[colour], linestyle=style, label=name)
         axes.set_xlabel(f"Stock, {unit}s")

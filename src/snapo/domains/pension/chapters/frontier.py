@@ -11,10 +11,9 @@ fresh ones, so that they are in order within their errors.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from matplotlib.axes import Axes
 
 from snapo.problem.objective import CVaR, Mean, Objective, Totals
 from snapo.problem.policy import Policy
@@ -33,6 +32,9 @@ from snapo.study.study import Setup, StudyRun
 from ..records.case import Frontier
 from ..results.setup import case_of
 from ..run import PensionRun, points, share, with_measure
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 TAIL = 50  # paths that the tail of a training batch must hold: a smaller one is biased
 CHECKS = 4  # validations in each training: a policy on the way may be better than the last one
@@ -195,7 +197,7 @@ def show(run: PensionRun, result: FrontierSweep) -> Sequence[Block]:
     return [chart, Table(head, body), Text(CAPTION, True)]
 
 
-def _paint(axes: Axes, result: FrontierSweep, scale: float, units: tuple[str, str]) -> None:
+def _paint(axes: "Axes", result: FrontierSweep, scale: float, units: tuple[str, str]) -> None:
     """The sweep with its efficient points joined, and the learned policy."""
     best = sorted((x for x in result.points if x.efficient), key=lambda x: x.contributions)
     axes.plot(*_places(best, scale), color=LIGHT["main"], linewidth=1.2)
@@ -227,7 +229,7 @@ def _places(dots: Sequence[FrontierPoint], scale: float) -> tuple[np.ndarray, np
 
 
 def _dots(
-    axes: Axes, dots: Sequence[FrontierPoint], scale: float, colour: str, names, below=False
+    axes: "Axes", dots: Sequence[FrontierPoint], scale: float, colour: str, names, below=False
 ) -> None:
     x, y = _places(dots, scale)
     across = np.nan_to_num([dot.contributions_error for dot in dots]) / scale

@@ -2,11 +2,9 @@
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
 
 from snapo.report.axes import number_axis
 from snapo.report.drawing import draw, legend_above, unit_above
@@ -25,6 +23,9 @@ from ..quality.interval import draws_for
 from ..shared import MESH, open_loop, sampled
 from . import pictures
 from .model import place, stated
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 MAP, ENDS = "design_space.csv", "design_space_boundary.csv"
 
@@ -232,7 +233,7 @@ def _end(result: SpaceMap, end: Boundary, near: list[int], names: list[str]) -> 
 
 
 def _contours(
-    axes: Axes,
+    axes: "Axes",
     result: SpaceMap,
     probability: np.ndarray,
     band: tuple[np.ndarray, np.ndarray],
@@ -264,7 +265,7 @@ def _contours(
     legend_above(axes)
 
 
-def _labels(axes: Axes, drawn: Any) -> None:
+def _labels(axes: "Axes", drawn: Any) -> None:
     """The level of each contour where the other labels are farthest away, off the edges."""
     x, y = (np.array(ends) for ends in (axes.get_xlim(), axes.get_ylim()))
     corner, size = np.array([x[0], y[0]]), np.array([np.ptp(x), np.ptp(y)])
@@ -287,8 +288,10 @@ def _along(line: np.ndarray, parts: int = 8) -> np.ndarray:
     return np.concatenate([between.reshape(-1, 2), line[-1:]])
 
 
-def _boxes(axes: Axes, result: SpaceMap) -> None:
+def _boxes(axes: "Axes", result: SpaceMap) -> None:
     """Set point, normal operating range, and the largest box of the required probability."""
+    from matplotlib.patches import Rectangle
+
     (left, right), (low, high) = result.normal[:2]
     style: dict[str, Any] = {"fill": False, "linewidth": 1.4}
     axes.add_patch(Rectangle((left, low), right - left, high - low, edgecolor=LIGHT["ink"],
@@ -301,7 +304,7 @@ def _boxes(axes: Axes, result: SpaceMap) -> None:
     axes.plot(here[0], here[1], "o", color=LIGHT["ink"], markersize=6, label="Set point")
 
 
-def _binding(axes: Axes, result: SpaceMap, which: np.ndarray, attributes) -> None:
+def _binding(axes: "Axes", result: SpaceMap, which: np.ndarray, attributes) -> None:
     """Which attribute most often breaks its limits at each point; a dot where none does."""
     x, y = result.grid[:2]
     marks = "osD^vP"

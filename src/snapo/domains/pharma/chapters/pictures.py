@@ -1,17 +1,17 @@
 """Charts of a process: heat map, tornado, curves over time, the plane of a crystallisation."""
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.patches import Rectangle
-from matplotlib.ticker import NullLocator
 
 from snapo.report.axes import number_axis
 from snapo.report.drawing import legend_above, unit_above
 from snapo.report.quantity import number, with_unit
 from snapo.report.theme import LIGHT
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
 
 CURVES = ("inject", "withdraw", "good", "limit", "main", "other")
 STYLES: tuple[Any, ...] = ("-", (0, (5, 2)), (0, (1, 1.5)), (0, (6, 2, 1, 2)), "-", (0, (3, 1)))
@@ -19,9 +19,16 @@ STRONGEST = 0.62  # opacity of the deepest cell: text stays readable on it
 
 
 def heat(
-    axes: Axes, values: np.ndarray, texts: Sequence[Sequence[str]], rows, columns, full: np.ndarray
+    axes: "Axes",
+    values: np.ndarray,
+    texts: Sequence[Sequence[str]],
+    rows,
+    columns,
+    full: np.ndarray,
 ) -> None:
     """Cells coloured by sign and size, each with its number; `full` is each row's deepest size."""
+    from matplotlib.patches import Rectangle
+
     for q in range(len(rows)):
         for p in range(len(columns)):
             size = abs(values[q, p]) / full[q] if full[q] > 0 else 0.0
@@ -41,11 +48,13 @@ def heat(
         axes.axhline(k, color=LIGHT["rule"], linewidth=0.7)
 
 
-def tornado(axes: Axes, names: Sequence[str], values: np.ndarray, unit: str) -> None:
+def tornado(axes: "Axes", names: Sequence[str], values: np.ndarray, unit: str) -> None:
     """Bars to both sides, the longest on top: the effect of each parameter over its normal range.
 
     Lengths are shares of the longest bar, so that panels of different units share an axis.
     """
+    from matplotlib.ticker import NullLocator
+
     order = np.argsort(-np.abs(values), kind="stable")
     share = values / (np.abs(values).max() or 1.0)
     for row, i in enumerate(order):
@@ -66,7 +75,7 @@ def tornado(axes: Axes, names: Sequence[str], values: np.ndarray, unit: str) -> 
 
 
 def curves(
-    axes: Axes, x: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], unit: str, zero=False
+    axes: "Axes", x: np.ndarray, lines: Sequence[tuple[str, np.ndarray]], unit: str, zero=False
 ) -> None:
     """Named lines over one axis, told apart by colour and by dashes."""
     for i, (name, values) in enumerate(lines):
@@ -81,14 +90,15 @@ def curves(
         legend_above(axes)
 
 
-def minutes_below(*panels: Axes) -> None:
+def minutes_below(*panels: "Axes") -> None:
     """The time under every panel: those that share an axis show it under the last alone."""
+
     for axes in panels:
         axes.tick_params(axis="x", labelbottom=True)
         axes.set_xlabel("Time, min")
 
 
-def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.ndarray]) -> None:
+def plane(axes: "Axes", temperature, concentration, curve: tuple[np.ndarray, np.ndarray]) -> None:
     """The way of a batch through the c-T plane, above its solubility; time runs to the left."""
     axes.plot(*curve, color=LIGHT["limit"], linestyle=(0, (5, 2)), label="Solubility")
     axes.plot(temperature, concentration, color=LIGHT["main"], linewidth=2.0, label="Batch")
@@ -100,7 +110,7 @@ def plane(axes: Axes, temperature, concentration, curve: tuple[np.ndarray, np.nd
     legend_above(axes)
 
 
-def residuals(axes: Axes, shares: np.ndarray) -> None:
+def residuals(axes: "Axes", shares: np.ndarray) -> None:
     """Points in their order, with the band from -1 to 1."""
     axes.axhspan(-1, 1, color=LIGHT["inject-soft"], linewidth=0)
     axes.plot(np.arange(1, len(shares) + 1), shares, "o", color=LIGHT["main"], markersize=4)
@@ -108,7 +118,7 @@ def residuals(axes: Axes, shares: np.ndarray) -> None:
     number_axis(axes.yaxis, 6)
 
 
-def agreement(axes: Axes, measured: np.ndarray, fitted: np.ndarray, unit: str) -> None:
+def agreement(axes: "Axes", measured: np.ndarray, fitted: np.ndarray, unit: str) -> None:
     """Fitted over measured, with the line on which both agree."""
     ends = [min(measured.min(), fitted.min()), max(measured.max(), fitted.max())]
     axes.plot(ends, ends, color=LIGHT["other"], linewidth=0.9, label="Agreement")
